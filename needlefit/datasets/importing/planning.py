@@ -96,9 +96,8 @@ class Planner:
         if not readings:
             return "shapes"
         bare = [one.name for one in self.curves if one.readings is None or not len(one.readings.depth)]
-        is_clear = not bare and all(one.is_log or one.is_deflection for one in readings)
+        guess = "tracks" if not bare and all(one.is_log or one.is_deflection for one in readings) else ""
         reason = "rows have a time, a direction or a depth of their own, as readings of a tip have"
-        guess = "tracks" if is_clear else ""
         answer = self.settle("observable", guess, reason, "guess", ("shapes", "tracks"))
         if answer.text == "tracks" and bare:
             raise answer.error("observable", f"a depth in each row of {bare[0]}: --columns depth=HEADER")
@@ -106,17 +105,17 @@ class Planner:
 
     def convert_units(self) -> None:
         """Turn the curves to mm; a unit that no header states must give the length of a needle."""
-        units = {one.unit for one in self.curves}
-        unknown, is_stated = units - {*UNITS_MM}, "units" in self.answers.stated
-        if unknown or is_stated:
-            wrong = max(unknown, default="")
+        is_stated = "units" in self.answers.stated  # which corrects a header, but no file format
+        unknown = [one for one in self.curves if one.unit not in UNITS_MM]
+        changed = [one for one in self.curves if one.system is None] if is_stated else unknown
+        if changed:
+            wrong = max((one.unit for one in unknown), default="")
             reason = f"a header states {wrong[:20]!r}" if wrong else ""
             answer = self.settle("units", "" if wrong else None, reason, choices=tuple(UNITS_MM)).text
-            for one in self.curves:
-                if one.unit in unknown or one.system is None:  # no file format is corrected
-                    one.unit = answer if is_stated or one.unit in unknown else one.unit
+            for one in changed:
+                one.unit = answer
         else:
-            self.keep("units", ", ".join(sorted(units)), "header or format")
+            self.keep("units", ", ".join(sorted({one.unit for one in self.curves})), "header or format")
         for one in self.curves:
             one.points = one.points.scale(UNITS_MM[one.unit])
         low, high = ASSUMED_MM if unknown and not is_stated else STATED_MM

@@ -119,11 +119,10 @@ def _decode(data: bytes, path: Path) -> str:
         text = data.decode("utf-16" if is_wide else "utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")
-    if "\0" not in text:
-        return text
-    fix = "save it again as CSV (UTF-8), or name the right file"
-    expected = "text in UTF-8, UTF-16 with a byte order mark, or Windows-1252"
-    raise DataError("cannot be read as text", where=str(path), expected=expected, fix=fix)
+    if "\0" in text:
+        expected, fix = "text in UTF-8, UTF-16 or Windows-1252", "save it again as CSV (UTF-8)"
+        raise DataError("cannot be read as text", where=str(path), expected=expected, fix=fix)
+    return text
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -157,31 +156,22 @@ def _score(lines: Sequence[str], separator: str, decimal: str) -> int:
 def read_sheets(path: Path) -> tuple[CellTable, ...]:
     """Read every sheet of an Excel or OpenDocument workbook.
 
-    DataError if the file is missing, too large, no workbook, protected by a password, or holds no cells.
+    DataError if the file is missing, too large, no workbook, or protected by a password.
     """
     with open_regular(path, MAX_SHEET_BYTES) as file:
         size = file.seek(0, io.SEEK_END)
     reader, seconds = f"{__name__}:read_workbook", size / SHEET_BYTES_PER_SECOND
     found, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    sheets = [CellTable(path, rows, name) for name, rows in found]
-    if not any(any(map(any, one.rows)) for one in sheets):
-        raise _workbook_error(path, "holds no cells")
-    return tuple(sheets)
-
-
-def _workbook_error(path: Path, what: str) -> DataError:
-    expected = "an Excel or OpenDocument workbook without password"
-    fix = "save the sheet with the coordinates again, or export it as CSV"
-    return DataError(what, where=str(path), expected=expected, fix=fix)
+    return tuple(CellTable(path, rows, name) for name, rows in found)
 
 
 def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]]]:
     """Return name and rows of each sheet, from its first cell on; in the child process."""
     from python_calamine import CalamineWorkbook
 
-    file, sheets = Path(path), []
+    sheets = []
     try:
-        book = CalamineWorkbook.from_filelike(io.BytesIO(read_bytes(file, MAX_SHEET_BYTES)))
+        book = CalamineWorkbook.from_filelike(io.BytesIO(read_bytes(Path(path), MAX_SHEET_BYTES)))
         for name in book.sheet_names:
             sheet = book.get_sheet_by_name(name)
             above, left = sheet.start or (0, 0)
@@ -191,7 +181,8 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
     except (MemoryError, DataError):
         raise
     except BaseException as fault:  # its reader raises, and its panics are no Exception
-        raise _workbook_error(file, f"cannot be read ({type(fault).__name__})") from None
+        what, expected = f"cannot be read ({type(fault).__name__})", "a workbook without password"
+        raise DataError(what, where=path, expected=expected, fix="save it again, or as CSV") from None
     return sheets
 
 
