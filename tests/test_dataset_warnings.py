@@ -325,3 +325,7 @@ def test_insertions_in_inches_are_named(tmp_path):
     path = write_curves(tmp_path, tables, [into_gel(depth=50 / 25.4)], {"a": CURVE / 25.4}, {})
     (found,) = (one for one in find_warnings(path) if one.kind == "units")
     assert "25.4" in found.fix
+    tables = record(media={"gel": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.02})
+    row = into_gel(depth=50 / 25.4, layers=2)
+    (fault,) = check(write_curves(tmp_path / "layers", tables, [row], {"a": CURVE / 25.4}, {}))
+    assert "25.4" in fault.fix

@@ -22,7 +22,7 @@ from needlefit.datasets.columns import (
     SHARED_COLUMN,
 )
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
-from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.layers import ListedInsertion, name_small_unit
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
@@ -49,7 +49,6 @@ MIN_POINT_SD_MM = 5e-4
 # another unit, with a greater one curves cannot be compared.
 MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
-MIN_DEEPEST_MM = 10.0  # depth of the deepest insertion of a needle; a smaller one was written in another unit
 CHECK_UNIT = "check its unit, mm"
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
@@ -283,11 +282,9 @@ def find_insertion_warnings(
                 break
     yield from find_boundary_warnings(record, insertions, where)
     deepest = max((one.depth for one in insertions), default=math.inf)
-    for unit, factor in (("inches", 25.4), ("centimetres", 10.0)):
-        if deepest < MIN_DEEPEST_MM <= factor * deepest < record.needle.length_mm:
-            what = f"the deepest insertion is {deepest:.3g} mm deep: this looks like {unit}"
-            yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {factor:g}")
-            break
+    if unit := name_small_unit(deepest, record.needle.length_mm):
+        what = f"the deepest insertion is {deepest:.3g} mm deep: this looks like {unit}"
+        yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
     for name in dict.fromkeys(one.medium for one in insertions):
         group = [one for one in insertions if one.medium == name]
         if all(one.surfaces and one.sequence == (1,) for one in group):

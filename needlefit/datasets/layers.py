@@ -172,6 +172,7 @@ SAME_POINT_MM = 1e-6  # points closer than this, mm, are one point twice
 # Relative difference allowed between length and depth; a free shape need not begin at the entry.
 LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
 LENGTH_TOLERANCE_MM = 2.0  # the same in mm, whichever is more
+MIN_DEEPEST_MM = 10.0  # depth of the deepest insertion of a needle; a smaller one was written in another unit
 MAX_START_DISTANCE_MM = 5.0  # greatest distance of a centreline's first point from the entry pose, mm
 MAX_HEADING_DEG = 45.0  # greatest angle between the entry direction and the chord of the centreline
 # Relative difference of a curve's span from the depth at which another unit explains their ratio.
@@ -307,8 +308,20 @@ def find_layer_faults(
             fix = "export surfaces and centrelines in one frame (3D Slicer asks: LPS or RAS)"
             where = locate_key(file, f"media.{name}.surfaces")
             yield Fault(where, what, "surfaces that needles cross, or one layer", fix)
+            continue
+        faults = [fault for one in group for fault in _find_count_fault(one)]
+        deepest = max(one.insertion.depth for one in group)
+        if faults and (unit := name_small_unit(deepest, record.needle.length_mm)):
+            what = f"{name} has no insertion deeper than {deepest:.3g} mm: this looks like {unit}"
+            yield Fault(group[0].where, what, "mm", f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
         else:
-            yield from (fault for one in group for fault in _find_count_fault(one))
+            yield from faults
+
+
+def name_small_unit(deepest: float, needle_length: float) -> str:
+    """Return the unit in which the deepest insertion was probably written, mm; "" if it is in mm."""
+    units = (unit for unit in ("inches", "centimetres") if LENGTH_UNITS[unit] * deepest < needle_length)
+    return next((unit for unit in units if deepest < MIN_DEEPEST_MM <= LENGTH_UNITS[unit] * deepest), "")
 
 
 def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:

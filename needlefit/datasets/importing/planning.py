@@ -121,7 +121,8 @@ class Planner:
         low, high = ASSUMED_MM if unknown and not is_stated else STATED_MM
         if not low <= (longest := max(one.length for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
-            where, fix = self.curves[0].points.where(), "correct the header, or state --units"
+            likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
+            where, fix = self.curves[0].points.where(), f"state --units: {', '.join(likely)}"
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
 
     def settle_frame(self) -> None:
