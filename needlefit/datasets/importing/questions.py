@@ -26,7 +26,7 @@ QUESTIONS = MappingProxyType(
             "Where tips touched the tissue: `first` point, stated `depth`, X,Y,Z, or name of a surface", "mm"
         ),
         "bevel": Question("Direction toward which bevels of side 1 deflect: X,Y,Z, or `bend` of each needle"),
-        "bevel side": Question("Sides of the bevels: 1 or -1 of all, or NAME=1,NAME=-1 by needle or cell"),
+        "bevel side": Question("Side of the bevels of needles that state none: 1 or -1"),
         "boundaries": Question(
             "Depths of layer boundaries along the needles, mm (such as 15,30), or none", "mm"
         ),
