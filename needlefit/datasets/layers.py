@@ -249,15 +249,10 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
     off = float(np.linalg.norm(first - entry))
     if off > MAX_START_DISTANCE_MM:
         flipped = np.linalg.norm(last - entry) < off
-        yield Fault(
-            points.where(),
-            f"begins {off:.2f} mm from the entry pose"
-            + (": it seems to run from tip to entry" if flipped else ""),
-            f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of entry_x_mm, entry_y_mm, entry_z_mm",
-            "reverse the order of the points"
-            if flipped
-            else "bring pose and centreline into one frame (LPS, RAS?)",
-        )
+        how = ": it seems to run from tip to entry" if flipped else ""
+        fix = "reverse the points" if flipped else "bring pose and centreline into one frame (LPS, RAS?)"
+        what = f"begins {off:.2f} mm from the entry pose{how}"
+        yield Fault(points.where(), what, f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of it", fix)
         return
     chord = last - first
     cosine = float(chord @ direction / max(float(np.linalg.norm(chord)), SAME_POINT_MM))

@@ -8,7 +8,6 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.errors import ConfigError
-from needlefit.grouping import group_values
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.study import LayerCountRule, SelectionRecord
@@ -35,15 +34,12 @@ def select_insertions(
         _require_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
     chosen = tuple(insertion for insertion in known if _matches(insertion, selection, layer_count_rule))
     if not chosen:
-        given = selection.model_dump(exclude_none=True)
-        raise ConfigError(
-            f"no insertion of dataset {dataset.name} has "
-            f"{' and '.join(map(_format_key, given, given.values()))}",
-            expected="a selection that leaves at least one; there are "
-            f"{_describe_choices(known, layer_count_rule)}",
-            fix="widen or correct the selection",
-            key=key,
+        given = ", ".join(
+            f"{name} = {value}" for name, value in selection.model_dump(exclude_none=True).items()
         )
+        what = f"no insertion of dataset {dataset.name} has {given}"
+        expected = f"a selection that leaves some of its {len(known)} insertions"
+        raise ConfigError(what, expected=expected, fix="widen or correct the selection", key=key)
     return chosen
 
 
@@ -76,27 +72,6 @@ def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule:
 def _list_media(selection: SelectionRecord) -> tuple[str, ...]:
     wanted = selection.medium
     return (wanted,) if isinstance(wanted, str) else (wanted or ())
-
-
-def _format_key(key: str, value: object) -> str:
-    """Return a key of a selection and its value as they are in the file."""
-    values = value if isinstance(value, tuple) else (value,)
-    listed = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
-    return f"{key} = {f'[{listed}]' if isinstance(value, tuple) else listed}"
-
-
-def _describe_choices(insertions: Iterable[Insertion], layer_count_rule: LayerCountRule) -> str:
-    """Return what there is to select from: by medium, how many, of how many layers, how deep."""
-    choices = []
-    for medium, group in group_values((one.medium, one) for one in insertions).items():
-        layers = ", ".join(
-            str(n) for n in sorted({count_layers(insertion, layer_count_rule) for insertion in group})
-        )
-        depths = [insertion.depth for insertion in group]
-        choices.append(
-            f"{len(group)} in {medium} (layers {layers}; depths {min(depths):g} to {max(depths):g} mm)"
-        )
-    return "; ".join(choices) or "none"
 
 
 def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:

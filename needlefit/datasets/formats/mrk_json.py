@@ -53,10 +53,10 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
         expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
         raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
-    schema = whole.get("@schema", SCHEMA)
-    if not (isinstance(schema, str) and _SCHEMA.search(schema)):
-        what = f"its schema is {str(schema)[:120]!r}"
-        raise DataError(what, where=str(path), expected="markups-schema-v1.x.y.json", fix=SAVE_AGAIN_FIX)
+    schema = str(whole.get("@schema", SCHEMA))
+    if not _SCHEMA.search(schema):
+        what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
+        raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
     found = [
         _parse_markups(path, one, n)
         for n, one in enumerate(lists, 1)
@@ -64,8 +64,7 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     ]
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
-        what = f"holds no list of points, but {kinds}"
-        expected = "a point list (Fiducial), a Curve or a Line"
+        what, expected = f"holds no list of points, but {kinds}", "a point list, a Curve or a Line"
         raise DataError(what, where=str(path), expected=expected, fix="save such a list in Slicer")
     return tuple(found)
 

@@ -82,12 +82,7 @@ class ImportContent:
     needles: list[tuple[str, dict[str, Stated]]] = field(default_factory=list)  # names, and what is stated
     setup: dict[str, Stated] = field(default_factory=dict)  # answers by the names of questions
     unused: list[tuple[str, str]] = field(default_factory=list)  # what is not used; where it stands, or why
-    unclear: UnclearColumnsError | None = None  # of the first table that was left out
-
-    def leave_out(self, what: str, error: UnclearColumnsError) -> None:
-        """Name a table as not used."""
-        self.unused.append((what, error.what))
-        self.unclear = self.unclear or error
+    unclear: list[UnclearColumnsError] = field(default_factory=list)  # of tables that were left out
 
 
 def parse_columns(text: str) -> dict[str, str]:
@@ -131,12 +126,19 @@ class _Found:
 def read_table(cells: CellTable, content: ImportContent) -> None:
     """Add the curves in a table, or what it states of needles; curves without a name have that of the table.
 
-    UnclearColumnsError if nothing says which columns are coordinates. DataError if a cell of a known column
-    is not understood.
+    A table of which nothing says which columns are coordinates is left out. DataError if a cell of a known
+    column is not understood.
     """
     reader = _TableReader(cells, content)
-    if not reader.heads:
-        reader.read_needles()
+    try:
+        if not reader.heads:
+            reader.read_needles()
+    except UnclearColumnsError as error:
+        content.unused.append(
+            (f"sheet {cells.sheet}" if cells.sheet else f"file {cells.path.name}", error.what)
+        )
+        content.unclear.append(error)
+        return
     curves = [reader.read_curve(one, name) for one, name in reader.find_curves()]
     stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
     for one in curves:

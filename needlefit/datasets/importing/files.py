@@ -23,7 +23,6 @@ from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     CellTable,
-    UnclearColumnsError,
     read_sheets,
     read_text_cells,
 )
@@ -53,8 +52,8 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     content = ImportContent(parse_columns(columns))
     for path in itertools.islice(_list_files(paths, content), MAX_FILES):
         _read_file(path, content)
-    if not content.curves and content.unclear is not None:
-        raise content.unclear
+    if not content.curves and content.unclear:
+        raise content.unclear[0]
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
@@ -110,10 +109,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
     suffix = path.suffix.lower()
     content.files.append(path)
     if suffix in TEXT_SUFFIXES:
-        try:
-            read_table(read_text_cells(path), content)
-        except UnclearColumnsError as error:
-            content.leave_out(f"file {path.name}", error)
+        read_table(read_text_cells(path), content)
     elif suffix in SHEET_SUFFIXES:
         _read_workbook(path, content)
     elif suffix in READ_SUFFIXES:
@@ -169,10 +165,7 @@ def _read_workbook(path: Path, content: ImportContent) -> None:
         elif is_setup:
             _read_setup(cells, content)
         else:
-            try:
-                read_table(cells, content)
-            except UnclearColumnsError as error:
-                content.leave_out(f"sheet {cells.sheet}", error)
+            read_table(cells, content)
 
 
 def _read_setup(cells: CellTable, content: ImportContent) -> None:

@@ -96,17 +96,13 @@ def parse_number(text: str, decimal: str) -> float | None:
 def read_text_cells(path: Path) -> CellTable:
     """Read a text table.
 
-    DataError if the file is missing, too large, no text, or holds neither numbers nor known headers.
+    DataError if the file is missing, too large or no text.
     """
     lines = _decode(read_bytes(path, MAX_TABLE_BYTES), path).splitlines()
     check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
     scores = {layout: _score(sample, *layout) for layout in _LAYOUTS}
     separator, decimal = max(scores, key=lambda layout: scores[layout])
-    if scores[separator, decimal] <= 0:
-        expected = "rows of coordinates: two or three numbers between separators, below a header"
-        fix = "export the points of the needles as a table, one point a row"
-        raise UnclearColumnsError("holds no table of numbers", where=str(path), expected=expected, fix=fix)
     rows = [_split(line, separator) for line in lines]
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
     return CellTable(path, rows, decimal=decimal, separator=separator)
