@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from refusals import refusal
 from test_datasets import block, without_checksums
-from track_cases import DEPTH, GUIDE, TOML, measured, track, written
+from track_cases import DEPTH, GUIDE, HEAD, TOML, measured, track, written
 
 from needlefit.datasets.formats.csv import read_table
-from needlefit.datasets.read import check, read, read_shapes
+from needlefit.datasets.read import check, check_all, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import shipped_folder
@@ -130,6 +130,17 @@ def test_selections_and_layers_of_tracks(tmp_path, runs):
         select_insertions(dataset, SelectionRecord(insertions=("lost",)))
     with pytest.raises(ConfigError, match="dataset mine"):
         select_insertions(dataset, SelectionRecord(insertions=("rest",), guided=True))
+
+
+@pytest.mark.parametrize(("scatter", "count"), [(0.001, 1), (0.02, 0), (0.4, 1)])
+def test_readings_that_scatter_more_or_less_than_their_stated_noise_contradict_it(tmp_path, scatter, count):
+    depth = np.arange(0.0, 62.0, 2.0)
+    tip = 1e-3 * depth**2 + np.random.default_rng(2).normal(0.0, scatter, len(depth))
+    rows = [f"r,gel,{d},{x:.5f},0,1\n" for d, x in zip(depth, tip, strict=True)]
+    (tmp_path / "steps.csv").write_text(HEAD + "".join(rows))
+    (tmp_path / "dataset.toml").write_text(TOML)
+    faults, warnings = check_all(tmp_path)
+    assert faults == [] and [one.kind for one in warnings].count("noise") == count
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")

@@ -328,34 +328,36 @@ def _find_noise_warnings(
         "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
         "write `noise.point_sd_mm`, the standard deviation of a point per axis",
     )
-    is_smoothed = record.measurement is not None and record.measurement.operator != "none"
     yield from _warn([hides, exceeds, missing], where)
-    if MIN_POINT_SD_MM <= sd <= MAX_NOISE_FRACTION * largest or not sd:  # others are named
-        yield from _warn(_compare_scatter(insertions, noise, f"noise.{larger}", is_smoothed), where)
+    if not hides[0]:
+        is_smoothed = record.measurement is not None and record.measurement.operator != "none"
+        yield from find_scatter_warnings(insertions, noise, where, is_smoothed)
     yield from _find_number_warnings(record, listed, where)
 
 
-def _compare_scatter(
-    insertions: Sequence[Insertion], noise: Noise, key: str, is_smoothed: bool
-) -> Iterator[Check]:
-    """Yield whether points scatter about smooth curves by more, or less, than their stated errors."""
-    ratios, found = [], []
+def find_scatter_warnings(
+    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace, is_smoothed: bool = False
+) -> Iterator[ResultWarning]:
+    """Yield a warning if points scatter about smooth curves by more, or less, than their stated errors.
+
+    `is_smoothed`: the measurement smoothed the points, so that they may scatter less.
+    """
+    found = []
     for one in insertions:
         own = 0.0 if one.sd is None else float(np.sqrt(np.mean(one.sd**2)))
         stated = math.hypot(own, noise.point_sd, noise.correlated_sd)
-        if stated and not math.isnan(scatter := measure_scatter(one)):
-            # correlated errors need not scatter; those of a column are not independent either
-            ratios.append((scatter / stated, scatter / max(noise.point_sd, 1e-12)))
+        if stated >= MIN_POINT_SD_MM and not math.isnan(scatter := measure_scatter(one)):
             found.append((scatter, stated))
-    if not ratios:
-        return
-    most, least = np.sqrt(np.mean(np.square(ratios), axis=0))
-    scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
-    what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
-    fix = "state the noise that the points have; too little of it narrows every interval"
-    yield most > MAX_SCATTER_RATIO, "noise", key, what, fix
-    fix = "state the noise that the points have, or under [measurement] what smoothed them"
-    yield least < MIN_SCATTER_RATIO and not is_smoothed, "noise", key, what, fix
+    if found:
+        scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
+        what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+        fix = "state the noise that the points have; too little of it narrows every interval"
+        too_small = scatter > MAX_SCATTER_RATIO * stated
+        # errors that neighbours share, and those of a column, need not scatter
+        too_large = scatter < MIN_SCATTER_RATIO * noise.point_sd and not is_smoothed
+        fix = "state the noise of the points, or under [measurement] what smoothed them" if too_large else fix
+        key = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
+        yield from _warn([(too_small or too_large, "noise", f"noise.{key}", what, fix)], where)
 
 
 def find_boundary_warnings(

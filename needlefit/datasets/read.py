@@ -18,6 +18,7 @@ from needlefit.datasets.dataset_warnings import (
     find_column_warnings,
     find_insertion_warnings,
     find_record_warnings,
+    find_scatter_warnings,
     find_side_warnings,
 )
 from needlefit.datasets.faults import Fault, as_error, from_error
@@ -392,6 +393,8 @@ def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[st
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
         reading.warnings += find_side_warnings([(one, str(paths[0])) for one in tracks], noise, column)
         reading.warnings += find_boundary_warnings(record, tracks, where)
+        # under a guide that moves, a track is no smooth curve
+        reading.warnings += find_scatter_warnings([one for one in tracks if not one.guided], noise, where)
     return tracks, paths, {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
 
 
