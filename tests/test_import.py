@@ -675,7 +675,8 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     content = read_content([file])
     assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 9)]
     known = {"bevel side", "depth", "specimen", "medium"}
-    assert all({*one.stated} == known for one in content.curves) and content.unused == []
+    assert all({*one.stated} == known for one in content.curves)
+    assert [what for what, _ in content.unused] == ["sheet points", "sheet needles"]
     _, made = planned([file], point_sd="0.2", units="mm")
     assert (made["point sd"], made["pose angle sd"]) == (("0.2", "option"), ("0.1", "file"))
     assert "assumption" not in {source for _, source in made.values()}

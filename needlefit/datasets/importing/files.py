@@ -160,8 +160,8 @@ def _read_workbook(path: Path, content: ImportContent) -> None:
     for cells, name in zip(sheets, plain, strict=True):
         is_setup = name.removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET
         if (cells not in own) == is_filled and not (is_setup and cells in own):
-            if is_filled:
-                content.unused.append((f"sheet {cells.sheet}", "other sheets hold points"))
+            why = "other sheets hold points" if is_filled else "empty: the examples are read"
+            content.unused.append((f"sheet {cells.sheet}", why))
         elif is_setup:
             _read_setup(cells, content)
         else:
