@@ -259,13 +259,12 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.select import describe_holes
 
     found = inspect(path)
-    faults, warnings = found.faults, found.warnings
-    planes = [] if found.dataset is None else measure_out_of_plane(found.dataset)
-    measured = "" if found.dataset is None else describe_measurement(found.dataset)
-    holes = "" if found.dataset is None else describe_holes(found.dataset)
+    faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", ""
+    if dataset is not None:
+        planes, measured = measure_out_of_plane(dataset), describe_measurement(dataset)
+        holes = describe_holes(dataset)
     if invocation.json:
         keys = ("where", "what", "expected", "fix")
-        rows = [{key: str(getattr(fault, key)) for key in keys} for fault in faults]
         screen.show_json(
             {
                 "dataset": str(path),
@@ -273,21 +272,19 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "measurement": measured,
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
-                "faults": rows,
-                WARNINGS_KEY: to_rows(warnings),
+                "faults": [{key: str(getattr(fault, key)) for key in keys} for fault in faults],
+                WARNINGS_KEY: to_rows(found.warnings),
             }
         )
     else:
-        count = 0 if found.dataset is None else len(found.dataset.insertions)
-        sound = f"No faults: {count} insertion{'' if count == 1 else 's'} in {path}."
-        unsound = f"{len(faults)} fault{'' if len(faults) == 1 else 's'} in {path}:"
-        screen.print_text(unsound if faults or found.dataset is None else sound)
+        count = len(faults) if dataset is None else len(dataset.insertions)
+        counted = f"{count} {'fault' if dataset is None else 'insertion'}{'s' * (count != 1)} in {path}"
+        screen.print_text(f"{counted}:" if dataset is None else f"No faults: {counted}.")
         for fault in faults:
-            error = DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
-            screen.print_line(str(error))
-    screen.print_warnings(invocation, warnings, in_full=True)
-    if found.dataset is not None and not faults and not invocation.json:
-        _show(found.dataset, measured, holes)
+            screen.print_line(str(fault))
+    screen.print_warnings(invocation, found.warnings, in_full=True)
+    if dataset is not None and not invocation.json:
+        _show(dataset, measured, holes)
         if away := [f"{name} {mm:.2f} ({sds:.1f})" for name, mm, sds in planes]:
             screen.print_text(f"Out of the bevel's plane at the tip, mm (SD): {join_names(away, 8)}.")
     if faults:
