@@ -141,7 +141,8 @@ def test_an_error_has_its_exit_code_and_what_where_expected_and_fix(error, code,
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write to")
 @pytest.mark.parametrize(
-    "words", [("new", "project", "x"), ("new", "dataset", "./x"), ("simulate", "phantom1", "--plot", "x.png")]
+    "words",
+    [("new", "project", "x"), ("new", "workbook", "x.xlsx"), ("simulate", "phantom1", "--plot", "x.png")],
 )
 def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     monkeypatch.chdir("/proc")

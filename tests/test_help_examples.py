@@ -9,6 +9,7 @@ import pytest
 import typer
 from test_cli import run
 from test_cli_foreign_files import leave_run, stubs  # noqa: F401
+from test_datasets import write_mine
 
 from needlefit.cli.application import build
 from needlefit.project.locate import shipped_folder
@@ -56,6 +57,6 @@ def test_the_example_of_a_command_runs(command, words, tmp_path, monkeypatch, ca
     monkeypatch.chdir(tmp_path)
     prepare_folder(tmp_path)
     if command == "check":
-        assert run("new", "dataset", "./mydata") == 0
+        write_mine(tmp_path / "mydata")
     assert words[: len(command.split())] == command.split()
     assert run(*words, *LESS.get(command, ())) == CODES.get(command, 0), capsys.readouterr().err
