@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import show_run
+from needlefit.cli.execution import show_json_of, show_run, show_warnings
 from needlefit.cli.options import argument, option
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
@@ -32,6 +32,7 @@ def report(
     unverified: options.Unverified = False,
     explain: options.Explain = False,
     strict: options.Strict = False,
+    json: options.Json = False,
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
@@ -47,16 +48,21 @@ def report(
     folder = find_run(run)
     written = folder if out is None else out
     runs = rebuild(folder, written, unverified, figures == "all")
-    several = len(runs) > 1
+    several, invocation = len(runs) > 1, context.find_root().obj
+    if invocation.json:
+        show_json_of(runs)
     for one in runs:
-        show_run(context.find_root().obj, one, written, named=several)
+        if invocation.json:
+            show_warnings(invocation, one)
+        else:
+            show_run(invocation, one, written, named=several)
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 
         for one in runs:
             stored, to = (folder.parent / one.name, paper / one.name) if several else (written, paper)
             write_paper_folder(one, stored, to)
-        screen.print_line(f"written: {paper}")
+        screen.print_note(f"written: {paper}")
 
 
 def diff(

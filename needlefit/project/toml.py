@@ -20,10 +20,12 @@ from pydantic_core import ErrorDetails
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project import input_files
 from needlefit.project.input_files import MAX_CONFIG_BYTES, parse_toml, read_text
-from needlefit.project.locate import file_label
-from needlefit.schemas.base import MISSING_KEY
+from needlefit.project.json_values import to_json_values
+from needlefit.project.locate import FileKind, file_label, find_file, is_path
+from needlefit.schemas.base import MISSING_KEY, FileRecord
 
 R = TypeVar("R", bound=BaseModel)
+F = TypeVar("F", bound=FileRecord)
 
 
 def load(path: Path, kind: type[R]) -> R:
@@ -64,6 +66,32 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
             ),
             fix="; ".join(fault.fix for fault in faults),
         ) from None
+
+
+# ---- what a program gives
+
+IN_MEMORY = "given in Python"
+"""Stands in a result for the name of what has none."""
+
+
+def read_given(kind: FileKind, value: str | Path | F | Mapping[str, Any], record: type[F]) -> tuple[F, str]:
+    """Return what a name, a path, a record or a table of its keys means, and its name.
+
+    ConfigError as of `find_file`, `load` and `check`.
+    """
+    if isinstance(value, record):
+        return value, IN_MEMORY
+    if isinstance(value, Mapping):
+        table = {key: to_json_values(one) for key, one in ({"schema": record.SCHEMA} | dict(value)).items()}
+        return check(table, record, f"{kind} {IN_MEMORY}"), IN_MEMORY
+    name = spell_name(value)  # type: ignore[arg-type]  # nothing else is left
+    return load(find_file(kind, name), record), name
+
+
+def spell_name(name: str | Path) -> str:
+    """Return a name or path as text; a Path is never taken for a bare name."""
+    text = str(name)
+    return f"./{text}" if isinstance(name, Path) and not is_path(text) else text
 
 
 # ---- faults

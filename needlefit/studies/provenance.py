@@ -12,6 +12,7 @@ from needlefit.datasets.sections import describe_measurement
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
@@ -55,8 +56,10 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
 
 
 def package_versions(packages: Sequence[str]) -> dict[str, str]:
-    """Return the versions of Python, of needlefit and of these packages."""
+    """Return the versions of Python, of needlefit and of these packages; and which other kernel computes."""
     each = {package: version(package) for package in ("needlefit", *packages)}
+    if other := identify_other_library():
+        each["kernel"] = f"not the package's: SHA-256 {other}"
     return {"python": platform.python_version(), **each}
 
 
