@@ -18,7 +18,6 @@ from needlefit.project.folders import find_changes, write_manifest
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import store as stored_files
 from needlefit.studies.combined_report import rebuild, write_combined
-from needlefit.studies.csv_tables import read_table
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.report import write_run
 from needlefit.studies.store import (
@@ -29,8 +28,6 @@ from needlefit.studies.store import (
     restore_run,
     store_run,
 )
-
-KEYED = (("id",), ("fits",))  # keys, and other texts
 
 
 @pytest.fixture(scope="module")
@@ -149,26 +146,6 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
         assert "run.json" in caught.where and len(str(caught)) < 1000
     (tmp_path / "timing.json").write_text('{"seconds": "long"}')
     refusal(DataError, "", read_timing, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("text", "where", "columns"),
-    [
-        ("", "t.csv", KEYED),
-        ("id,x_mm\na,1\n", "t.csv", KEYED),
-        ("id,x_mm,fits\na,1,True\na,2,True\n", "t.csv", KEYED),
-        ('id,x_mm,fits\n"a,1,True\n', "t.csv", KEYED),
-        ("id,x_mm,fits\na,1,True,4,5\nb,1,True\n", "t.csv", KEYED),
-        ("id,x_mm\na,1e999\nb,inf\n", "column x_mm", ()),
-        ("id,x_mm\na,not determined\nb,-2.5e999\n", "column x_mm", ()),
-    ],
-)
-def test_a_damaged_table_names_its_file_and_column(text, where, columns, tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text(text)
-    caught = refusal(DataError, "", read_table, path, *columns)
-    assert caught.where.endswith(where) and str(path) in caught.where
-    assert columns is KEYED or "row" in caught.what
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])

@@ -82,19 +82,17 @@ def diff(
     with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.run_differences import (
-        compare_runs,
-        differences_to_json,
-        lay_out_differences,
-        summarize_differences,
-    )
+    from needlefit.reporting.table_files import to_records
+    from needlefit.studies.run_differences import RUN_JSON, compare_runs, lay_out_differences
 
     found = compare_runs(find_run(run_a), find_run(run_b), unverified)
     if context.find_root().obj.json:
-        screen.show_json(differences_to_json(found))
+        screen.show_json(to_records(found))
         return
-    screen.print_text(summarize_differences(found))
-    if found:
+    tables = found[found["table"] != RUN_JSON]
+    keys = len(found) - len(tables)
+    screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
+    if len(found):
         screen.print_line()
         screen.show_display(lay_out_differences(found))
 
