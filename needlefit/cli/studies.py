@@ -214,7 +214,7 @@ def validate(
         str,
         argument(
             "STUDY",
-            "study1 ... study5, all (those five), everything, another, or a path.",
+            "study1 ... study5, all (those five), another, or a path.",
         ),
     ],
     seed: options.Seed = None,
@@ -232,8 +232,7 @@ def validate(
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
-    `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
-    data are present.
+    `all` runs the paper's five studies and the fits of its tuning tables.
 
     Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
@@ -241,9 +240,9 @@ def validate(
     Ctrl-C saves what is finished and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        from needlefit.project.locate import STUDY_GROUPS
+        from needlefit.project.locate import EVERY_STUDY
 
-        todo, combined = plan_studies(study), [study] if study in STUDY_GROUPS else []
+        todo, combined = plan_studies(study), [study] if study == EVERY_STUDY else []
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)
         with execution.in_pool() as pooled:

@@ -24,12 +24,10 @@ _PATTERNS: dict[FileKind, str] = {
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PROJECT_FOLDERS = ("data", "configs", "studies")
-EVERY_STUDY = "everything"  # every study there is, as `all` means those of the paper
+EVERY_STUDY = "all"  # the studies of the paper and the fits of its tuning tables, reported together
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
 MAX_LISTED_NAMES = 40  # names that a message lists, the nearest first
-STUDY_GROUPS = ("all", EVERY_STUDY)
-"""Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 
 
 def shipped_folder() -> Path:
@@ -138,17 +136,12 @@ def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
 
 
 def find_studies(name: str) -> list[tuple[str, Path]]:
-    """Return the names and files of the studies that `name` means; `all` is the paper's five.
-
-    Studies on data that is not shipped are never among `all`; `everything` has all studies, these too.
-    """
-    if name in STUDY_GROUPS:
-        others = [one for one in list_names("study") if one not in PAPER_STUDIES]
-        wanted = (*PAPER_STUDIES, *(others if name == EVERY_STUDY else ()))
-        return [(study, find_file("study", study)) for study in wanted]
+    """Return the names and files of the studies that `name` means; `all` is the paper's five."""
+    if name == EVERY_STUDY:
+        return [(study, find_file("study", study)) for study in PAPER_STUDIES]
     found = _find_sources(name, ("study", "fit"))
     if not found:
-        raise unknown_name_error("study", name, [*list_names("study"), *STUDY_GROUPS])
+        raise unknown_name_error("study", name, [*list_names("study"), EVERY_STUDY])
     kind, path = found[0]
     if kind == "fit":
         raise ConfigError(

@@ -73,9 +73,7 @@ def _scene(path: Path) -> object:
 
 
 def _study(path: Path) -> object:
-    study = _late("studies.study_files.load_study")(path)
-    _late("studies.study_files.find_missing_data")(path)
-    return study
+    return _late("studies.study_files.load_study")(path)
 
 
 def _medium(path: Path) -> object:
