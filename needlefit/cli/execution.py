@@ -1,7 +1,7 @@
 """Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,14 +34,11 @@ class StudyTask:
 class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
-    `stop` says whether to end early. `file` is the study's, where it is known: warnings name it. `pool` is
-    where tasks run; None: in processes of each run. `inputs` takes the place of files that are named.
+    `stop` says whether to end early. `inputs` takes the place of files that are named.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
-    file: Path | None = None
-    pool: "TaskPool | None" = None
     inputs: "Inputs | None" = None
 
     def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
@@ -65,22 +62,16 @@ class Execution:
         """Return where a run keeps what it has finished."""
         return self.invocation.out / f"{name}.partial"
 
-    @contextmanager
-    def in_pool(self) -> "Iterator[Execution]":
-        """Yield the same execution with the pool that the options name, for several runs."""
-        with open_pool(self.invocation.jobs, self.invocation.scheduler, self.invocation.insecure) as pool:
-            yield replace(self, pool=pool)
-
-    def run(self, name: str, record: "FileRecord", sample: bool = False) -> "Run":
+    def run(self, name: str, record: "FileRecord", sample: bool = False, file: Path | None = None) -> "Run":
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`.
 
-        `sample` says whether the posterior of a fit is sampled by MCMC.
+        `sample` says whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
         """
         from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
-        opened = open_pool(asked.jobs, None, False) if self.pool is None else nullcontext(self.pool)
+        opened = open_pool(asked.jobs, asked.scheduler, asked.insecure)
         with show_progress(asked.quiet) as report, opened as pool:
             settings = Settings(
                 seed=asked.seed,
@@ -93,7 +84,7 @@ class Execution:
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,
                 note=print_remark,
-                file=self.file,
+                file=file,
                 inputs=self.inputs or Inputs(),
             )
             return kind_of(record).run(name, record, settings)
@@ -203,7 +194,7 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
         # a fit by itself is sampled as by `tune`; folds of studies are not
         sample = not isinstance(work.record, StudyRecord)
         with add_file_context(work.file):
-            result = replace(execution, file=work.file).run(work.name, work.record, sample)
+            result = execution.run(work.name, work.record, sample, work.file)
             if result.interrupted:
                 raise execution.interrupted()
             execution.write(result)

@@ -1,7 +1,8 @@
 """Commands about results: report, diff, explain, paper."""
 
 import difflib
-from dataclasses import asdict, replace
+import re
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -97,6 +98,46 @@ def diff(
         screen.show_display(lay_out_differences(found))
 
 
+def explain(
+    context: typer.Context,
+    key: Annotated[
+        list[str] | None,
+        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
+    ] = None,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
+) -> None:
+    """Explain a warning, file, term, law or column (none: list all)."""
+    from needlefit.reporting.columns import find_column
+
+    groups, name = _list_topics(), " ".join(key or ())
+    topics = [one for group in groups.values() for one in group]
+    found = [one for one in topics if _fold(name) in (_fold(one.key), _fold(one.symbol))] if name else topics
+    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
+        found = [Topic(name, column.label, (column.explanation,))]
+    if not found:
+        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
+        raise typer.BadParameter(
+            f"`{name}` is no warning, file, term, tissue law or column"
+            + (f"; did you mean {' or '.join(near)}?" if near else "")
+        )
+    if context.find_root().obj.json:
+        screen.show_json([asdict(one) for one in found])
+    elif name:
+        for one in found:
+            screen.print_text("\n".join([one.title, *one.paragraphs]))
+    else:
+        for group, members in groups.items():
+            screen.print_line(f"\n{group}")
+            for one in members:
+                screen.print_line(f"  {one.key:32}{one.title}")
+
+
+def _fold(name: str) -> str:
+    """Return a name without what words are joined by: noise-floor is noise floor."""
+    return re.sub("[-_ ]+", " ", name).casefold()
+
+
 def _list_topics() -> dict[str, list[Topic]]:
     from needlefit.mechanics.laws import LAWS
     from needlefit.reporting.columns import list_columns
@@ -120,7 +161,7 @@ def _list_topics() -> dict[str, list[Topic]]:
     ]
     return {
         "Warnings": [*read_sections().values()],
-        "Files": [*(Topic(f"{one.name}.toml", one.title) for one in list_files()), *tables],
+        "Files": [*(Topic(f"{one.name}.toml", one.title, _list_keys(one)) for one in list_files()), *tables],
         "Terms": read_terms(),
         "Tissue laws": laws,
         "Columns of tables": [
@@ -128,49 +169,6 @@ def _list_topics() -> dict[str, list[Topic]]:
             for one in list_columns().values()
         ],
     }
-
-
-def explain(
-    context: typer.Context,
-    key: Annotated[
-        list[str] | None,
-        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
-    ] = None,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
-) -> None:
-    """Explain a warning, file, term, law or column (none: list all)."""
-    from needlefit.reporting.columns import find_column
-    from needlefit.studies.toml_reference import list_files
-
-    groups, name = _list_topics(), " ".join(key or ())
-    topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if name in (one.key, one.symbol)] if name else topics
-    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
-        found = [Topic(name, column.label, (column.explanation,))]
-    if not found:
-        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
-        raise typer.BadParameter(
-            f"`{name}` is no warning, file, term, tissue law or column"
-            + (f"; did you mean {' or '.join(near)}?" if near else "")
-        )
-    if name:
-        files = {f"{one.name}.toml": one for one in list_files()}
-        found = [
-            replace(one, paragraphs=_list_keys(files[one.key])) if one.key in files else one for one in found
-        ]
-    if context.find_root().obj.json:
-        screen.show_json([asdict(one) for one in found])
-        return
-    if name:
-        for one in found:
-            screen.print_text("\n".join([one.title, *one.paragraphs]))
-        return
-    for group, members in groups.items():
-        screen.print_line(f"\n{group}")
-        width = max(len(one.key) for one in members) + 2
-        for one in members:
-            screen.print_line(f"  {one.key:{width}}{one.title}")
 
 
 def _list_keys(file: "FileKind") -> tuple[str, ...]:

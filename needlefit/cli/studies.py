@@ -188,14 +188,8 @@ def calibrate(
         wanted = CONTROLS if control == "all" else (control,)
         runs = {f"{about}-{one}" if one else about: one for one in wanted}
         execution.prepare(runs, runs)
-        with execution.in_pool() as pooled:
-            found = [
-                pooled.run_kind(
-                    "calibration", name,
-                    target=target, control=one, sampled=sample, truth=truth, ct=ct, **given,
-                )
-                for name, one in runs.items()
-            ]  # fmt: skip
+        asked = {"target": target, "sampled": sample, "truth": truth, "ct": ct, **given}
+        found = [execution.run_kind("calibration", name, control=one, **asked) for name, one in runs.items()]
         execution.write_reference(found)
     show_runs(execution, found)
     wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
@@ -245,8 +239,7 @@ def validate(
         todo, combined = plan_studies(study), [study] if study == EVERY_STUDY else []
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)
-        with execution.in_pool() as pooled:
-            runs = run_studies(pooled, todo)
+        runs = run_studies(execution, todo)
         if combined:
             _write_combined_report(execution, study, runs)
         execution.write_reference(runs)

@@ -155,32 +155,16 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
 def find_run(name: str) -> Path:
     """Return the folder of results that `name` means: a path, or bare a folder in `reports/` or here.
 
-    A folder that holds one run means that run.
-
-    ConfigError if there is no such folder, or it holds no run, or several.
+    ConfigError if there is no such folder; the runs within it, or else those in `reports/`, are listed.
     """
-    found = _look_up_run(name)
-    if found is not None:
-        return found
-    inside = _list_runs_in(name)
-    if len(inside) > 1:
-        raise ConfigError(
-            f"`{name}` holds several runs",
-            expected=f"one of {join_names([str(one) for one in inside])}",
-            fix="name one of them",
-        )
-    if not inside:
-        raise unknown_name_error("run", name, list_runs())
-    return inside[0]
+    if (found := _look_up_run(name)) is None:
+        inside = [str(one.parent) for one in sorted(Path(name).glob("*/run.json"))]
+        raise unknown_name_error("run", name, inside or list_runs())
+    return found
 
 
 def _look_up_run(name: str) -> Path | None:
     return next((place for place in _run_places(name) if is_file(place / "run.json")), None)
-
-
-def _list_runs_in(name: str) -> list[Path]:
-    found = [sorted(place.glob("*/run.json")) for place in _run_places(name) if is_dir(place)]
-    return [file.parent for file in next(filter(None, found), [])]
 
 
 def _run_places(name: str) -> list[Path]:
@@ -263,8 +247,6 @@ def find_view_target(name: str) -> ViewTarget:
     if not found and front:
         behind = (one for one in _list_viewed(front) if one.kind != "scene")  # a scene has no insertions
         found = [replace(one, insertion=insertion) for one in behind]
-    if not found and _list_runs_in(name):
-        found = [ViewTarget("run", name, find_run(name))]
     if not found:
         known = {*list_names("scene"), *list_names("dataset"), *list_runs()}
         raise unknown_name_error("scene, run or dataset", name, list(known))
