@@ -225,18 +225,15 @@ def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
     return simulate_dataset("simulated", record, read_given("medium", medium, MediumRecord)[0], seed)
 
 
-def load_run(folder: Name, unverified: bool = False) -> Run:
+def load_run(folder: Name) -> Run:
     """Return the run that `Run.save` or a command wrote to `folder`, or to `reports/<folder>`.
-
-    `unverified` also takes files that do not agree with the manifest of the folder; the run then has them as
-    a fault, and its reports are marked.
 
     Raises
     ------
     ConfigError, DataError
         If there is none, its files are damaged, or do not agree with the manifest.
     """
-    return restore_run(find_run(spell_name(folder)), unverified)
+    return restore_run(find_run(spell_name(folder)))
 
 
 def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]) -> Run:

@@ -30,7 +30,6 @@ def report(
         Literal["main", "all"],
         option("main: those that the report needs; all: the optional ones too."),
     ] = "main",
-    unverified: options.Unverified = False,
     explain: options.Explain = False,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -41,28 +40,24 @@ def report(
 
     From the stored results, exact to the last digit: as after an update that draws figures differently, or
     where files were lost. Files that do not agree with the manifest are named, and not reported on: remove
-    them, and they are made again. `all` is made again from the runs beside it.
+    them, and they are made again.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.combined_report import rebuild
+    from needlefit.studies.report import rebuild
 
+    invocation = context.find_root().obj
     folder = find_run(run)
     written = folder if out is None else out
-    runs = rebuild(folder, written, unverified, figures == "all")
-    several, invocation = len(runs) > 1, context.find_root().obj
+    done = rebuild(folder, written, figures == "all")
     if invocation.json:
-        show_json_of(runs)
-    for one in runs:
-        if invocation.json:
-            show_warnings(invocation, one)
-        else:
-            show_run(invocation, one, written, named=several)
+        show_json_of([done])
+        show_warnings(invocation, done)
+    else:
+        show_run(invocation, done, written)
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 
-        for one in runs:
-            stored, to = (folder.parent / one.name, paper / one.name) if several else (written, paper)
-            write_paper_folder(one, stored, to)
+        write_paper_folder(done, written, paper)
         screen.print_note(f"written: {paper}")
 
 
@@ -73,7 +68,6 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
-    unverified: options.Unverified = False,
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
@@ -86,7 +80,7 @@ def diff(
     from needlefit.reporting.table_files import to_records
     from needlefit.studies.run_differences import RUN_JSON, compare_runs, lay_out_differences
 
-    found = compare_runs(find_run(run_a), find_run(run_b), unverified)
+    found = compare_runs(find_run(run_a), find_run(run_b))
     if context.find_root().obj.json:
         screen.show_json(to_records(found))
         return

@@ -158,7 +158,8 @@ def find_run(name: str) -> Path:
     ConfigError if there is no such folder; the runs within it, or else those in `reports/`, are listed.
     """
     if (found := _look_up_run(name)) is None:
-        inside = [str(one.parent) for one in sorted(Path(name).glob("*/run.json"))]
+        files = sorted(Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
+        inside = [str(one.parent) for one in files]
         raise unknown_name_error("run", name, inside or list_runs())
     return found
 

@@ -31,7 +31,6 @@ class RunTable(_StoredTable):
     recipe: dict[str, Any] | None = None
     folds: list[dict[str, Any]] = []
     faults: list[str] = []
-    unverified: list[str] = []
     warnings: list[dict[str, str]] = []
 
 
@@ -52,7 +51,7 @@ class FrameTable(_StoredTable):
 class FaultTable(_StoredTable):
     """A fault of a stored result."""
 
-    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE", "UNVERIFIED"]
+    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE"]
     what: str
 
 

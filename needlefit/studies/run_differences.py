@@ -14,7 +14,6 @@ from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.report import list_files
-from needlefit.studies.run import UNVERIFIED_KEY
 from needlefit.studies.store import restore_run
 
 KEYS = frozenset(
@@ -32,7 +31,7 @@ RUN_JSON = "run.json"
 MAX_CELL_LETTERS = 24  #: characters of a value that a table shows
 
 
-def compare_runs(before: Path, after: Path, unverified: bool = False) -> pd.DataFrame:
+def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     """Return the differences of run folder `after` from `before`: keys of `run.json`, and columns of tables.
 
     Of a column `row`, `before`, `after` and `change` are those of the greatest change, for each unit in it;
@@ -40,7 +39,7 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> pd.Data
 
     Raises DataError as `restore_run`, or if the runs are of different kinds.
     """
-    runs = [restore_run(folder, unverified) for folder in (before, after)]
+    runs = [restore_run(folder) for folder in (before, after)]
     if runs[0].kind != runs[1].kind:
         raise DataError(
             f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}",
@@ -49,7 +48,7 @@ def compare_runs(before: Path, after: Path, unverified: bool = False) -> pd.Data
             fix="compare runs of the same command",
         )
     one, two = (pd.json_normalize(run.run_json).iloc[0].to_dict() for run in runs)
-    keys = [key for key in {**one, **two} if one.get(key) != two.get(key) or key == UNVERIFIED_KEY]
+    keys = [key for key in {**one, **two} if one.get(key) != two.get(key)]
     found: list[Row] = [_row(RUN_JSON, key, "", one.get(key), two.get(key)) for key in keys]
     tables, others = map(list_files, runs)
     for name, frame in tables.items():

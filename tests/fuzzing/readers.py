@@ -112,7 +112,8 @@ def _mesh(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    return _late("studies.store.restore_runs")(folder, unverified=True)
+    _late("project.folders.write_manifest")(folder)
+    return _late("studies.store.restore_run")(folder)
 
 
 def _checkpoint(folder: Path) -> object:
