@@ -113,7 +113,6 @@ def test_a_wrong_command_line_has_its_exit_code(words, code, expected, capsys):
         (PermissionError(13, "Permission denied", "/locked/run.json"), 3),
         (KeyboardInterrupt(), 130),
         (MemoryError(), 3),
-        (RecursionError(), 3),
         (ModuleNotFoundError("No module named 'aiohttp'", name="aiohttp"), 3),
         (BrokenPipeError(32, "Broken pipe"), 3),  # of a worker: a reader of stdout that has gone raises none
         (ZeroDivisionError("division by zero"), 1),

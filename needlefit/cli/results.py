@@ -36,11 +36,11 @@ def report(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Write tables, figures and report of a RUN again, and print it, without fitting anything.
+    """Write tables, figures and report of a RUN again.
 
-    From the stored results, exact to the last digit: as after an update that draws figures differently, or
-    where files were lost. Files that do not agree with the manifest are named, and not reported on: remove
-    them, and they are made again.
+    Nothing is fitted: all is made of the stored results, exact to the last digit, as after an update that
+    draws figures differently, or where files were lost. Files that do not agree with the manifest are named,
+    and not reported on: remove them, and they are made again.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.report import rebuild
@@ -71,7 +71,7 @@ def diff(
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
+    """Compare two runs: inputs, states, every number.
 
     Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
     with their manifest are not compared.
@@ -101,7 +101,10 @@ def explain(
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Explain a warning, file, term, law or column (none: list all)."""
+    """Explain a warning, term, file, law or column.
+
+    Without a NAME all are listed.
+    """
     from needlefit.reporting.columns import find_column
 
     groups, name = _list_topics(), " ".join(key or ())

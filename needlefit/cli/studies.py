@@ -159,11 +159,11 @@ def calibrate(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Test whether the intervals of a TARGET are right (simulation-based calibration).
+    """Test whether the intervals of a TARGET are right.
 
-    Parameters are drawn from their prior; the needles of TARGET are simulated with them, measured with the
-    stated errors, and fitted as `tune` does. The ranks of the true values among the draws must be uniform.
-    This tests the computation, not the model.
+    Simulation-based calibration: parameters are drawn from their prior; the needles of TARGET are simulated
+    with them, measured with the stated errors, and fitted as `tune` does. The ranks of the true values among
+    the draws must be uniform. This tests the computation, not the model.
 
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
