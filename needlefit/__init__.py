@@ -4,9 +4,12 @@ The names below are resolved when first used, so that `import needlefit` costs n
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
     from needlefit.api import fit, load_dataset, load_run, predict, sample, validate, write_prior
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape, compute_positions
     from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
+    from needlefit.schemas.scene import SceneRecord
 
 __version__ = "0.1.0"
 
@@ -85,23 +89,22 @@ _HOMES = {
 """Names by the module in which they are."""
 
 
-def open_scene(name: str, *, in_space: bool = False) -> "Scene":
-    """Return the scene that `name` means: a path to a TOML file, or a bare name such as `phantom1`.
+def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]", *, in_space: bool = False) -> "Scene":
+    """Return the scene that a bare name such as `phantom1`, a path, or a table of its keys means.
 
     A needle that leaves the plane z = 0 is refused unless `in_space`.
 
     Raises
     ------
     ConfigError
-        If there is no such scene, or its file holds a wrong, missing or unknown key.
+        If there is no such scene, or it holds a wrong, missing or unknown key.
     """
     from needlefit.mechanics.scene import Scene
-    from needlefit.project.locate import file_label, find_file
-    from needlefit.project.toml import load
+    from needlefit.project.toml import read_given
     from needlefit.schemas.scene import SceneRecord
 
-    path = find_file("scene", name)
-    return Scene.from_record(load(path, SceneRecord), file_label(path), in_space=in_space)
+    record, name = read_given("scene", scene, SceneRecord)
+    return Scene.from_record(record, f"scene {name}", in_space=in_space)
 
 
 def __getattr__(name: str) -> object:

@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar, Unpack
+from typing import Any, TypedDict, Unpack, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -30,12 +30,12 @@ from needlefit.inference.sampling.importance import sample_about_fit
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, find_file, find_run, find_studies, is_path
+from needlefit.project.locate import find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
-from needlefit.project.toml import add_file_context, check, dumps, load
+from needlefit.project.toml import IN_MEMORY, add_file_context, check, dumps, read_given, spell_name
 from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
@@ -54,10 +54,11 @@ from needlefit.studies.study_files import check_study, load_study, load_target
 Name = str | Path
 Table = Mapping[str, Any]
 Medium = Name | MediumRecord | Table
-Record = TypeVar("Record", bound=FileRecord)
 
-_IN_MEMORY = "given in Python"
-"""Stands in a result for the name of what has none."""
+_OPTION_TYPES: Mapping[str, type] = {
+    **{"name": str, "seed": int, "jobs": int},
+    **{"tune": Mapping, "priors": Mapping, "fix": Mapping, "free": Sequence},
+}
 
 
 class RunOptions(TypedDict, total=False):
@@ -146,7 +147,7 @@ def load_dataset(name: Name) -> Dataset:
     >>> dataset.origin, len(dataset.insertions)
     ('synthetic', 47)
     """
-    return read(find_file("dataset", _spell(name)))
+    return read(find_file("dataset", spell_name(name)))
 
 
 def load_medium(name: Name) -> dict[str, Any]:
@@ -165,7 +166,7 @@ def load_medium(name: Name) -> dict[str, Any]:
     >>> chicken["parameters"]["bevel_mm"]
     {'bounds': [0.001, 0.5]}
     """
-    record, _ = _read_record("medium", name, MediumRecord)
+    record, _ = read_given("medium", name, MediumRecord)
     return record.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
@@ -221,21 +222,18 @@ def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
     from needlefit.studies.simulated_data import simulate_dataset
 
     record = check(_plain(None, data), SyntheticDataRecord, "needlefit.api.simulate_dataset")
-    return simulate_dataset("simulated", record, _read_record("medium", medium, MediumRecord)[0], seed)
+    return simulate_dataset("simulated", record, read_given("medium", medium, MediumRecord)[0], seed)
 
 
-def load_run(folder: Name, unverified: bool = False) -> Run:
+def load_run(folder: Name) -> Run:
     """Return the run that `Run.save` or a command wrote to `folder`, or to `reports/<folder>`.
-
-    `unverified` also takes files that do not agree with the manifest of the folder; the run then has them as
-    a fault, and its reports are marked.
 
     Raises
     ------
     ConfigError, DataError
         If there is none, its files are damaged, or do not agree with the manifest.
     """
-    return restore_run(find_run(_spell(folder)), unverified)
+    return restore_run(find_run(spell_name(folder)))
 
 
 def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]) -> Run:
@@ -333,21 +331,24 @@ def predict(
     KeyboardInterrupt
         With Ctrl-C.
     """
+    _check_options(options, RunOptions)
+    if not isinstance(specimen, str | None):
+        raise ConfigError(f"`specimen` is {specimen!r:.60}", expected='"new", "same", or a name')
     if isinstance(target, Run):
         name, fitted, inputs = _reopen(target)
         inputs = replace(inputs, target=(name, fitted))
     else:
-        name, inputs = load_target(_spell(target))[0], Inputs()
-    planned, scene_name = _read_record("scene", scene, SceneRecord)
+        name, inputs = load_target(spell_name(target))[0], Inputs()
+    planned, scene_name = read_given("scene", scene, SceneRecord)
     about = name.removesuffix("-tune")
     record = find_kind("prediction").make_record(
-        target=about if isinstance(target, Run) else _spell(target),
+        target=about if isinstance(target, Run) else spell_name(target),
         scene=planned,
         scene_name=scene_name,
         posterior=None if inputs.posterior is None else about,
         specimen=specimen,
     )
-    stem = Path(scene_name).stem if scene_name != _IN_MEMORY else "scene"
+    stem = Path(scene_name).stem if scene_name != IN_MEMORY else "scene"
     return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
 
 
@@ -370,6 +371,7 @@ def validate(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) 
     KeyboardInterrupt
         With Ctrl-C.
     """
+    _check_options(options, StudyChanges)
     name, record, file = _load_study(study)
     inputs = Inputs()
     if options.keys() & {"dataset", "medium", "recipe"}:
@@ -402,6 +404,7 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
     ConfigError, DataError, FitError
         As of `validate`.
     """
+    _check_options(options, StudyChanges)
     name, record, file = _load_study(study)
     record, inputs = _replace_inputs(record, options, stored=False)
     job, jobs = _prepare(name, record, file, inputs, options)
@@ -454,7 +457,7 @@ def estimate_evidence(
     if medium is None:
         if isinstance(target, Dataset):
             raise ConfigError("a dataset alone has no evidence", fix='name the model: "phantom1"')
-        name, record, file = load_target(_spell(target))
+        name, record, file = load_target(spell_name(target))
         inputs = Inputs()
     else:
         name, record, inputs = _begin_fit(target, medium, stored=False)
@@ -487,9 +490,20 @@ def write_prior(
     foundation : (float, float), optional
         The model's mu over the shear modulus of the tissue, and the factor within which that is known, at
         one standard deviation. Without it the prior is of alpha alone.
+
+    Raises
+    ------
+    ConfigError
+        If mean or covariance are of another shape, or no covariance.
     """
-    (log_mu, alpha), covariance = mean, np.asarray(covariance)
-    sd_log_mu, sd = np.sqrt(np.diag(covariance))
+    try:
+        log_mu, alpha = np.asarray(mean, dtype=np.float64)
+        covariance = np.asarray(covariance, dtype=np.float64)
+        np.linalg.cholesky(covariance)
+        sd_log_mu, sd = np.sqrt(np.diag(covariance))
+    except (TypeError, ValueError, np.linalg.LinAlgError):
+        expected = "two numbers, and a positive definite 2 x 2 matrix"
+        raise ConfigError(f"mean is {mean!r:.60}, covariance {covariance!r:.60}", expected=expected) from None
     priors = {"alpha": {"mean": alpha, "sd": sd}}
     if foundation is not None:
         factor, wide = foundation[0], math.hypot(sd_log_mu, math.log(foundation[1]))
@@ -514,11 +528,20 @@ def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChange
         if isinstance(target, Run):
             name, record, inputs = _reopen(target)
         else:
-            name, record, file = load_target(_spell(target))
+            name, record, file = load_target(spell_name(target))
     else:
         name, record, inputs = _begin_fit(target, medium)
     record, inputs = _change_fit(record, inputs, options)
     return _run(record, name, Settings(sample=sample, inputs=inputs, file=file), options)
+
+
+def _check_options(options: RunOptions, known: type) -> None:
+    """Raise ConfigError if an option is not known, or of a wrong type."""
+    for name, value in options.items():
+        if name not in (names := get_type_hints(known)):
+            raise ConfigError(f"there is no option `{name}`", expected=f"one of {', '.join(names)}")
+        if not isinstance(value, kind := _OPTION_TYPES.get(name, object)):
+            raise ConfigError(f"`{name}` is {value!r:.60}", expected=f"a {kind.__name__}")
 
 
 def _begin_fit(
@@ -526,7 +549,7 @@ def _begin_fit(
 ) -> tuple[str, FitRecord, Inputs]:
     if isinstance(target, Run):
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
-    table = {"schema": FitRecord.SCHEMA, "dataset": _IN_MEMORY, "medium": _IN_MEMORY}
+    table = {"schema": FitRecord.SCHEMA, "dataset": IN_MEMORY, "medium": IN_MEMORY}
     empty = check(table, FitRecord, "needlefit.fit")
     record, inputs = _replace_inputs(empty, {"dataset": target, "medium": medium}, stored)
     dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
@@ -540,7 +563,7 @@ def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path
         return "study", study, None
     if isinstance(study, Mapping):
         return "study", check_study(study, "needlefit.validate"), None
-    (name, file), *others = find_studies(_spell(study))
+    (name, file), *others = find_studies(spell_name(study))
     if others:
         raise ConfigError(
             f"`{study}` means several studies",
@@ -579,13 +602,13 @@ def _replace_inputs(
             inputs = replace(inputs, dataset=_require_unchanged(dataset) if stored else dataset)
             changes["dataset"] = _name_dataset(dataset)
         else:
-            changes["dataset"] = _spell(dataset)
+            changes["dataset"] = spell_name(dataset)
     if "medium" in options:
         medium = options["medium"]
         if isinstance(medium, Name):
-            changes["medium"] = _spell(medium)
+            changes["medium"] = spell_name(medium)
         else:
-            given, changes["medium"] = _read_record("medium", medium, MediumRecord)
+            given, changes["medium"] = read_given("medium", medium, MediumRecord)
             inputs = replace(inputs, medium=given)
     if "recipe" in options:
         recipe, changes["recipe"] = _read_recipe(options["recipe"])
@@ -595,6 +618,7 @@ def _replace_inputs(
 
 def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple[FitRecord, Inputs]:
     """Return a fit, and what is in memory for it, with the changes that were asked for."""
+    _check_options(options, FitChanges)
     changes: dict[str, Any] = {}
     if "tune" in options:
         changes["tune"] = options["tune"]
@@ -637,35 +661,18 @@ def _reopen(run: Run) -> tuple[str, FitRecord, Inputs]:
     return run.name, record, inputs
 
 
-def _read_record(kind: FileKind, value: Name | Record | Table, record: type[Record]) -> tuple[Record, str]:
-    """Return what a name, a path, a record or a table means, and its name."""
-    if isinstance(value, record):
-        return value, _IN_MEMORY
-    if isinstance(value, Mapping):
-        table = {"schema": record.SCHEMA, **value}
-        return check(_plain(None, table), record, f"{kind} {_IN_MEMORY}"), _IN_MEMORY
-    name = _spell(value)  # type: ignore[arg-type]  # nothing else is left
-    return load(find_file(kind, name), record), name
-
-
 def _read_recipe(value: Name | RecipeRecord | Table) -> tuple[RecipeRecord, str]:
     """Return a recipe and its name; a table changes keys of the default one."""
     if isinstance(value, Mapping):
-        default, _ = _read_record("recipe", "default", RecipeRecord)
+        default, _ = read_given("recipe", "default", RecipeRecord)
         value = _plain(default, {"title": "", **value})
-    return _read_record("recipe", value, RecipeRecord)
+    return read_given("recipe", value, RecipeRecord)
 
 
 def _plain(record: FileRecord | None, changes: Table) -> dict[str, Any]:
     """Return the keys of a record, with changes, as JSON values."""
     table = {} if record is None else record.model_dump(mode="json", by_alias=True)
     return table | {key: to_json_values(value) for key, value in changes.items()}
-
-
-def _spell(name: Name) -> str:
-    """Return a name or path as text; a Path is never taken for a bare name."""
-    text = str(name)
-    return f"./{text}" if isinstance(name, Path) and not is_path(text) else text
 
 
 def _name_dataset(dataset: Dataset) -> str:

@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 from needlefit.project.folders import MANIFEST, write_manifest
-from needlefit.studies.combined_report import rebuild
+from needlefit.studies.report import rebuild
 from needlefit.studies.run import Run
 from needlefit.studies.store import store_run
 

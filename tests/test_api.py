@@ -155,6 +155,13 @@ def test_a_study_runs_by_name_record_and_table():
         lambda: needlefit.validate("all"),
         lambda: needlefit.validate({"schema": 2, "kind": "nothing"}),
         lambda: needlefit.validate({"schema": 2, "dataset": "twin"}),
+        lambda: needlefit.fit("twin", "chicken", fix=5),
+        lambda: needlefit.fit("twin", "chicken", free="alpha1"),
+        lambda: needlefit.fit("twin", "chicken", steps=5),
+        lambda: needlefit.predict("chicken", "chicken", specimen=3),
+        lambda: needlefit.open_scene(3),
+        lambda: needlefit.open_scene({"needle": 3}),
+        lambda: needlefit.write_prior("prior.toml", [1, 2], [[-1, 2], [2, 1]]),
     ],
 )
 def test_wrong_input_is_a_config_error(call):

@@ -1,6 +1,5 @@
 """Files of a run that were damaged or changed by hand: an error that names file, key or column."""
 
-import dataclasses
 import gzip
 import json
 from pathlib import Path
@@ -14,13 +13,10 @@ from test_cli import run
 
 import needlefit
 from needlefit.errors import DataError
-from needlefit.project.folders import find_changes, write_manifest
-from needlefit.reporting.table_files import write_json
+from needlefit.project.folders import write_manifest
 from needlefit.studies import store as stored_files
-from needlefit.studies.combined_report import rebuild, write_combined
-from needlefit.studies.csv_tables import read_table
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.report import write_run
+from needlefit.studies.report import rebuild, write_run
 from needlefit.studies.store import (
     MAX_UNPACKED_BYTES,
     RESULTS_FILE,
@@ -29,8 +25,6 @@ from needlefit.studies.store import (
     restore_run,
     store_run,
 )
-
-KEYED = (("id",), ("fits",))  # keys, and other texts
 
 
 @pytest.fixture(scope="module")
@@ -79,25 +73,10 @@ def test_results_that_do_not_agree_with_the_manifest_are_not_reported_on(written
     refusal(DataError, RESULTS_FILE, needlefit.load_run, written)
 
 
-def test_results_that_do_not_agree_are_used_on_demand_and_marked(written, tmp_path, capsys):
-    again = tmp_path / "again"
-    assert not needlefit.load_run(written, unverified=True).reliable
-    assert run("diff", str(written), str(written), "--unverified") == 0
-    assert RESULTS_FILE in capsys.readouterr().out
-    assert run("report", str(written), "--out", str(again), "--unverified") == 0
-    assert find_changes(again) == {}
-    marked = needlefit.load_run(again)  # also what is made of it later
-    assert len(marked.unverified) == 1 and RESULTS_FILE in marked.unverified[0]
-    assert "do not agree" in (again / "report.html").read_text() and not marked.reliable
-
-
 def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(stored_files, "MAX_UNPACKED_BYTES", 10_000)
     assert MAX_UNPACKED_BYTES < 2**30
     (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(bytes(10**6)))
-    fault(tmp_path)
-    monkeypatch.setattr(stored_files, "MAX_BRACKETS", 100)
-    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(b"[" * 5000))
     fault(tmp_path)
 
 
@@ -119,7 +98,7 @@ def test_results_that_cannot_be_read_are_refused(content, tmp_path):
         ("record", {"schema": 1}),
         ("frames.errors.types.te_mm", "U999999999"),
         ("frames.errors.columns.te_mm", [1.0]),
-        ("run.folds", [{"name": "all"}]),
+        ("run.folds", ["all"]),
         ("posteriors", ["all"]),
     ],
 )
@@ -138,10 +117,7 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
     for values in [
         [],
         {"name": 1},
-        {"name": "a", "study": {"kind": ["plan"]}},
-        {"a": {"name": 1}},
-        {"k" * 300: {"name": "a"}},
-        {"../elsewhere": {"name": "a"}},
+        {"name": "a", "study": ["plan"]},
         {"name": "a", "versions": {"k" * 300: 1}},
     ]:
         (tmp_path / "run.json").write_text(json.dumps(values))
@@ -149,26 +125,6 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
         assert "run.json" in caught.where and len(str(caught)) < 1000
     (tmp_path / "timing.json").write_text('{"seconds": "long"}')
     refusal(DataError, "", read_timing, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("text", "where", "columns"),
-    [
-        ("", "t.csv", KEYED),
-        ("id,x_mm\na,1\n", "t.csv", KEYED),
-        ("id,x_mm,fits\na,1,True\na,2,True\n", "t.csv", KEYED),
-        ('id,x_mm,fits\n"a,1,True\n', "t.csv", KEYED),
-        ("id,x_mm,fits\na,1,True,4,5\nb,1,True\n", "t.csv", KEYED),
-        ("id,x_mm\na,1e999\nb,inf\n", "column x_mm", ()),
-        ("id,x_mm\na,not determined\nb,-2.5e999\n", "column x_mm", ()),
-    ],
-)
-def test_a_damaged_table_names_its_file_and_column(text, where, columns, tmp_path):
-    path = tmp_path / "t.csv"
-    path.write_text(text)
-    caught = refusal(DataError, "", read_table, path, *columns)
-    assert caught.where.endswith(where) and str(path) in caught.where
-    assert columns is KEYED or "row" in caught.what
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
@@ -181,22 +137,3 @@ def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
     again = tmp_path / "again"
     again.mkdir()
     assert store(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
-
-
-@pytest.mark.sweep
-def test_a_joint_report_is_rebuilt_from_the_runs_beside_it(tmp_path):
-    every = [dataclasses.replace(study(k), name=f"study{k}") for k in (1, 5)]
-    for one in every:
-        (tmp_path / one.name).mkdir()
-        store(one, tmp_path / one.name)
-        write_json(tmp_path / one.name / "run.json", one.run_json)
-        write_manifest(tmp_path / one.name)
-    write_combined(every, tmp_path / "all")
-    rebuild(tmp_path / "all", tmp_path / "again")
-    first, second = tmp_path / "all", tmp_path / "again"
-    for path in first.iterdir():
-        if path.name != "timing.json":
-            assert (second / path.name).read_bytes() == path.read_bytes(), path.name
-    write_json(tmp_path / "study5/run.json", {"seed": 2})
-    write_manifest(tmp_path / "study5")
-    refusal(DataError, r"study5.*`all`", rebuild, first, second)

@@ -50,7 +50,7 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
     folder = world.find(kind)
     with chdir(world.folder):
         again = assert_made_again(folder, has_data=kind == "reconstruction")
-    assert list(compare_runs(folder, again)) == []
+    assert compare_runs(folder, again).empty
 
 
 @EVERY

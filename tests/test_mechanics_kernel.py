@@ -123,7 +123,7 @@ def test_newtons_method_goes_on_until_nothing_moves(
     held = np.arange(len(state)) < 2
     state, points = (np.column_stack((a, np.zeros(len(a)))) for a in (state, found.constraints))
     again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, points, state, held, ModelOptions(tolerance=np.inf)
+        NEEDLE, tissue, found.x, points, state, held, ModelOptions(tolerance=1e-3)
     )
     assert found.converged and used == 1
     np.testing.assert_allclose(again[0::2, 0], found.u, rtol=0, atol=3e-10)
@@ -193,3 +193,26 @@ def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
     refusal(
         ModelError, "guide 130 mm", lambda: solve(NEEDLE, TWO_LAYERS, BEVEL, 20.0, Controls(guides=guides))
     )
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(lambda value=value: ModelOptions(tolerance=value) for value in (1e3, np.inf, np.nan, 0.0, "1e-7")),
+        lambda: ModelOptions(advance="along"),
+        lambda: Tissue([2e5, 3e4], boundaries=[20.0], alpha=1.0),  # Pa in place of MPa
+        lambda: Tissue("soft", alpha=1.0),
+        lambda: Tissue(0.2, law=3, alpha=1.0),
+        lambda: Controls(guides="g"),
+        lambda: Controls(tip=5.0),
+        lambda: Step(5.0, "b"),
+        lambda: simulate(None, TWO_LAYERS, BEVEL, 5.0),
+        lambda: simulate(NEEDLE, None, BEVEL, 5.0),
+        lambda: simulate(NEEDLE, TWO_LAYERS, BEVEL, "5"),
+        lambda: simulate_steps(NEEDLE, TWO_LAYERS, [5.0]),
+        lambda: Batch(NEEDLE, TWO_LAYERS, (Step(5.0, BEVEL),), mu=[["soft", "hard"]]),
+    ],
+)
+def test_values_and_types_that_are_wrong_are_refused(call) -> None:
+    with pytest.raises(ModelError):
+        call()

@@ -300,14 +300,13 @@ def test_what_does_not_agree_with_the_manifest_is_named(tmp_path):
     write(folder)
     (folder / "timing.json").write_text("later")
     (folder / "notes.txt").write_text("mine")
-    assert require_unchanged(folder) == ()
+    require_unchanged(folder)
     (folder / "part" / "a.csv").write_text("two")
     assert [*find_changes(folder)] == ["part/a.csv"]
     with pytest.raises(DataError, match=r"part/a\.csv"):
         require_unchanged(folder)
-    assert len(require_unchanged(folder, unverified=True)) == 1
     (folder / "part" / "a.csv").unlink()
-    assert require_unchanged(folder) == ()  # a report makes it again
+    require_unchanged(folder)  # a report makes it again
     for text in (b"{", None):
         (folder / MANIFEST).unlink() if text is None else (folder / MANIFEST).write_bytes(text)
         with pytest.raises(DataError, match=MANIFEST):

@@ -18,7 +18,7 @@ from needlefit.project.input_files import (
     read_json,
     read_text,
 )
-from needlefit.project.toml import add_file_context, add_key_context, check, find_line, load
+from needlefit.project.toml import add_file_context, add_key_context, check, load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
@@ -124,63 +124,19 @@ def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
     file.write_text(text)
     with pytest.raises(ConfigError) as fault:
         load(file, RecipeRecord)
-    assert fault.value.where == f"{file}:1" and "`schema`" in fault.value.what and file.read_text() == text
+    assert fault.value.where == str(file) and "`schema`" in fault.value.what and file.read_text() == text
     for schema in range(1, RecipeRecord.SCHEMA + 1):
         file.write_text(f"schema = {schema}\n")
         load(file, RecipeRecord)
 
 
-TEXT = '''\
-# a comment with point_sd_mm = 1
-schema = 1
-title = """
-[noise]
-point_sd_mm = 2
-"""
-
-[noise]
-note = "point_sd_mm"
-point_sd_mm = 0.0
-
-[media."gel.1"]
-surfaces = [
-    { file = "a.stl", into = 2 },
-]
-[[validate]]
-layers = [1]
-[[validate]]
-layers = [2]
-'''
-
-
-@pytest.mark.parametrize(
-    ("key", "line"),
-    [
-        ("schema", 2),
-        ("title", 3),
-        ("noise", 8),
-        ("noise.point_sd_mm", 10),
-        ("noise.missing", 8),
-        ("media.gel.1.surfaces", 13),
-        ("media.gel.1.surfaces.1.into", 13),
-        ("validate.1.layers", 17),
-        ("validate.2.layers", 19),
-        ("validate.2", 18),
-        ("validate.3.layers", 16),
-        ("nothing", None),
-    ],
-)
-def test_the_line_of_a_key(key, line):
-    assert find_line(TEXT, key) == line
-
-
-def test_errors_name_the_file_and_line_once(tmp_path):
+def test_errors_name_the_file_and_key_once(tmp_path):
     file, other = tmp_path / "fit.toml", tmp_path / "other.toml"
     file.write_text('schema = 1\ndataset = "twin"\nmedium = 3\n')
     other.write_text("dataset = 1\n")
     with pytest.raises(ConfigError) as fault:
         load(file, FitRecord)
-    assert fault.value.where == f"{file}:3"
+    assert fault.value.where == str(file)
     with (
         pytest.raises(ConfigError) as fault,
         add_file_context(other),
@@ -188,7 +144,7 @@ def test_errors_name_the_file_and_line_once(tmp_path):
         add_key_context("dataset"),
     ):
         raise ConfigError("is wrong")
-    assert fault.value.where == f"{file}:2"
+    assert fault.value.where == f"{file}, key `dataset`"
     with pytest.raises(ConfigError) as fault, add_file_context(file), add_key_context("dataset"):
         raise ConfigError("is wrong", where="elsewhere")
     assert fault.value.where == "elsewhere"
@@ -291,7 +247,7 @@ def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
 @pytest.fixture
 def runs(tmp_path, monkeypatch):
     """A folder with a run in `reports`, one elsewhere, and a folder of two runs."""
-    for run in ("reports/a", "b", "out/one", "more/one", "more/two"):
+    for run in ("reports/a", "b", "more/one", "more/two"):
         (tmp_path / run).mkdir(parents=True)
         (tmp_path / run / "run.json").write_text("{}")
     monkeypatch.chdir(tmp_path)
@@ -301,8 +257,7 @@ def runs(tmp_path, monkeypatch):
     ("name", "folder"),
     [
         ("a", "reports/a"), ("a/", "reports/a"), ("reports/a", "reports/a"), ("./reports/a/", "reports/a"),
-        ("b", "b"), ("b/", "b"), ("./b", "b"), ("out", "out/one"), ("./out", "out/one"), ("out/", "out/one"),
-        ("reports", "reports/a"), (".", "b"),
+        ("b", "b"), ("b/", "b"), ("./b", "b"),
     ],
 )  # fmt: skip
 def test_a_run_is_found_as_it_is_named(name, folder, runs):
@@ -314,10 +269,9 @@ def test_a_run_is_found_as_it_is_named(name, folder, runs):
 def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
     target = locate.find_view_target("./reports/a/needle-1")
     assert (target.path, target.insertion) == (Path("reports/a"), "needle-1")
-    for find in (locate.find_run, locate.find_view_target):
-        with pytest.raises(ConfigError, match="several") as fault:
-            find("more")
-        assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
+    with pytest.raises(ConfigError) as fault:
+        locate.find_run("more")
+    assert "more/one" in fault.value.expected and "more/two" in fault.value.expected
     with pytest.raises(ConfigError, match="`c`"):
         locate.find_run("c")
 

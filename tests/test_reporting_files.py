@@ -13,12 +13,11 @@ from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
 from needlefit.metrics import METRICS, Metric
-from needlefit.studies.combined_report import rebuild
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fit_tables import format_macros
 from needlefit.studies.kinds.cross_validation.report import format_methods, format_references
 from needlefit.studies.paper_folder import write_paper_folder
-from needlefit.studies.report import write_run
+from needlefit.studies.report import rebuild, write_run
 
 FIGURES = ("boxplot", "insertions", "overlays", "waterfall")
 EXPECTED = {
@@ -61,7 +60,7 @@ def test_a_metric_that_was_added_since_has_no_value_in_a_stored_result(folder, t
     monkeypatch.setattr(METRICS, "_builtin_names", (*METRICS.names(), "new_mm"))
     monkeypatch.setitem(METRICS._builtin, "new_mm", added)
     shutil.copytree(folder, tmp_path / "study1")
-    (one,) = rebuild(tmp_path / "study1", tmp_path / "again")
+    one = rebuild(tmp_path / "study1", tmp_path / "again")
     rows = pd.read_csv(tmp_path / "again/validation.csv")
     assert rows.loc[rows["metric"] == "new_mm", "value"].isna().all() and len(one.verdicts) == 4
     assert rows.loc[rows["metric"] == "te_mm", "value"].notna().any()

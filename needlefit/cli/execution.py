@@ -1,10 +1,8 @@
 """Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,14 +34,11 @@ class StudyTask:
 class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
-    `stop` says whether to end early. `file` is the study's, where it is known: warnings name it. `pool` is
-    where tasks run; None: in processes of each run. `inputs` takes the place of files that are named.
+    `stop` says whether to end early. `inputs` takes the place of files that are named.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
-    file: Path | None = None
-    pool: "TaskPool | None" = None
     inputs: "Inputs | None" = None
 
     def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
@@ -67,22 +62,16 @@ class Execution:
         """Return where a run keeps what it has finished."""
         return self.invocation.out / f"{name}.partial"
 
-    @contextmanager
-    def in_pool(self) -> "Iterator[Execution]":
-        """Yield the same execution with the pool that the options name, for several runs."""
-        with open_pool(self.invocation.jobs, self.invocation.scheduler, self.invocation.insecure) as pool:
-            yield replace(self, pool=pool)
-
-    def run(self, name: str, record: "FileRecord", sample: bool = False) -> "Run":
+    def run(self, name: str, record: "FileRecord", sample: bool = False, file: Path | None = None) -> "Run":
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`.
 
-        `sample` says whether the posterior of a fit is sampled by MCMC.
+        `sample` says whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
         """
         from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
-        opened = open_pool(asked.jobs, None, False) if self.pool is None else nullcontext(self.pool)
+        opened = open_pool(asked.jobs, asked.scheduler, asked.insecure)
         with show_progress(asked.quiet) as report, opened as pool:
             settings = Settings(
                 seed=asked.seed,
@@ -95,7 +84,7 @@ class Execution:
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,
                 note=print_remark,
-                file=self.file,
+                file=file,
                 inputs=self.inputs or Inputs(),
             )
             return kind_of(record).run(name, record, settings)
@@ -184,36 +173,31 @@ def require_no_faults(faults: Iterable[str]) -> None:
 
 
 def plan_studies(study: str) -> list[StudyTask]:
-    """Return what a name means; of `everything`, studies without their data are left out, with a note.
-
-    ConfigError if there is no such study, or its file does not hold what its kind wants.
-    """
-    from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, STUDY_GROUPS, find_file, find_studies
+    """Return the studies that a name means; ConfigError if there is none, or its file is wrong."""
+    from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
     from needlefit.project.toml import load
     from needlefit.schemas.study import FitRecord
-    from needlefit.studies.study_files import find_missing_data, load_study
+    from needlefit.studies.study_files import load_study
 
-    found = []
-    for name, path in find_studies(study):
-        missing = find_missing_data(path) if study == EVERY_STUDY else []
-        if missing:
-            screen.print_note(f"needlefit: {name} is left out: the data of {', '.join(missing)} are not here")
-        else:
-            found.append(StudyTask(name, load_study(path), path))
-    fits = [(name, find_file("fit", name)) for name in PAPER_FITS if study in STUDY_GROUPS]
+    found = [StudyTask(name, load_study(path), path) for name, path in find_studies(study)]
+    fits = [(name, find_file("fit", name)) for name in PAPER_FITS if study == EVERY_STUDY]
     return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in fits)]
 
 
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
-    """Run, write and print every work; their checkpoints stay.
+    """Run, write and print every work; their checkpoints stay."""
+    from needlefit.project.toml import add_file_context
+    from needlefit.schemas.study import StudyRecord
 
-    Studies and fits that follow each other run side by side, one in each process: much of a fit keeps Python
-    busy, which threads of one process cannot share. Studies whose work falls into tasks run one by one.
-    """
     done = []
-    for result in _run_each(execution, todo):
-        if result.interrupted:
-            break
+    for work in todo:
+        # a fit by itself is sampled as by `tune`; folds of studies are not
+        sample = not isinstance(work.record, StudyRecord)
+        with add_file_context(work.file):
+            result = execution.run(work.name, work.record, sample, work.file)
+            if result.interrupted:
+                raise execution.interrupted()
+            execution.write(result)
         if execution.invocation.json:
             show_warnings(execution.invocation, result)
         else:
@@ -221,65 +205,7 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
             if len(todo) > 1:
                 screen.print_line()
         done.append(result)
-    if len(done) < len(todo):
-        raise execution.interrupted()
     return done
-
-
-def _run_each(execution: Execution, todo: Sequence[StudyTask]) -> "Iterator[Run]":
-    """Run and write the studies; yield them in their order, not all where Ctrl-C asks to stop."""
-    from needlefit.project.tasks import LocalPool
-    from needlefit.schemas.study import FitRecord, StudyRecord
-
-    several = isinstance(execution.pool, LocalPool) and execution.pool.size > 1
-    for fits, group in groupby(todo, lambda work: isinstance(work.record, FitRecord | StudyRecord)):
-        works = list(group)
-        if fits and several and len(works) > 1:
-            yield from _run_side_by_side(execution, works)
-        else:
-            yield from map(partial(_run_one, execution), works)
-
-
-def _run_side_by_side(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
-    from needlefit.project.checkpoint import hold_checkpoint
-    from needlefit.project.tasks import stop_requested
-
-    # a process among several shows no progress of its own
-    quiet = replace(execution.invocation, quiet=True)
-    sent = partial(_run_in_process, replace(execution, invocation=quiet, stop=stop_requested, pool=None))
-    finished: dict[int, Run] = {}
-    assert execution.pool is not None
-    with show_progress(execution.invocation.quiet) as report:
-        report(f"{len(todo)} studies side by side", 0, len(todo))
-        for n, result in execution.pool.run(sent, todo, execution.stop):
-            finished[n] = result
-            hold_checkpoint(execution.checkpoint(result.name))
-            report(f"studies: {result.name}", len(finished), len(todo))
-    return [finished[n] for n in sorted(finished)]
-
-
-def _run_in_process(execution: Execution, work: StudyTask) -> "Run":
-    from needlefit.project.checkpoint import release_checkpoint
-    from needlefit.project.tasks import threads_of_task
-
-    alone = replace(execution.invocation, jobs=threads_of_task())
-    result = _run_one(replace(execution, invocation=alone), work)
-    release_checkpoint(execution.checkpoint(work.name))  # the program that began this process takes it
-    return result
-
-
-def _run_one(execution: Execution, work: StudyTask) -> "Run":
-    """Run one study and, unless it was interrupted, write it."""
-    from needlefit.project.toml import add_file_context
-    from needlefit.schemas.study import StudyRecord
-
-    # a fit by itself is sampled as by `tune`; folds of studies are not
-    sample = not isinstance(work.record, StudyRecord)
-    with add_file_context(work.file):
-        result = replace(execution, file=work.file).run(work.name, work.record, sample)
-        if not result.interrupted:
-            execution.write(result)
-    return result
 
 
 def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = False) -> None:
@@ -343,7 +269,7 @@ def show_warnings(invocation: Invocation, result: "Run") -> None:
 
     data, located = Path(result.timing.get("dataset", "")).parent, []
     for one in read_warnings(result.run):
-        file = one.where.rpartition(":")[0] or one.where
+        file = one.where.partition(", key ")[0].rpartition(":")[0] or one.where.partition(", key ")[0]
         is_there = file and (data / file).is_file()
         located.append(replace(one, where=str(data / one.where)) if is_there else one)
     screen.print_warnings(invocation, located)

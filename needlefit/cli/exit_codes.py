@@ -108,10 +108,6 @@ def _to_user_error(error: BaseException) -> BaseException:
             expected="inputs and results that fit into the memory of this machine",
             fix="use fewer --jobs, smaller or fewer inputs, or a machine with more memory",
         )
-    if isinstance(error, RecursionError):
-        return ConfigError(
-            "an input is nested too deeply", expected="a few levels", fix="check the files that were named"
-        )
     extra = _EXTRAS.get((getattr(error, "name", None) or "").partition(".")[0])
     if isinstance(error, ModuleNotFoundError) and extra:
         return ConfigError(f"{error.name} is not installed", fix=f"pip install 'needlefit[{extra}]'")

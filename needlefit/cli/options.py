@@ -88,10 +88,6 @@ RunName = Annotated[
     str,
     argument("RUN", "A folder of results, or its bare name in reports/."),
 ]
-Unverified = Annotated[
-    bool,
-    option("Also use files that do not agree with the manifest, marked as such.", None, "--unverified"),
-]
 Recording = Annotated[
     Path | None, option("Replay what `needlefit view` recorded, a CSV; it replaces SCENE.", "LOG")
 ]

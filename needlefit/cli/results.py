@@ -1,7 +1,8 @@
 """Commands about results: report, diff, explain, paper."""
 
 import difflib
-from dataclasses import asdict, replace
+import re
+from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import show_run
+from needlefit.cli.execution import show_json_of, show_run, show_warnings
 from needlefit.cli.options import argument, option
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
@@ -29,34 +30,35 @@ def report(
         Literal["main", "all"],
         option("main: those that the report needs; all: the optional ones too."),
     ] = "main",
-    unverified: options.Unverified = False,
     explain: options.Explain = False,
     strict: options.Strict = False,
+    json: options.Json = False,
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Write tables, figures and report of a RUN again, and print it, without fitting anything.
+    """Write tables, figures and report of a RUN again.
 
-    From the stored results, exact to the last digit: as after an update that draws figures differently, or
-    where files were lost. Files that do not agree with the manifest are named, and not reported on: remove
-    them, and they are made again. `all` is made again from the runs beside it.
+    Nothing is fitted: all is made of the stored results, exact to the last digit, as after an update that
+    draws figures differently, or where files were lost. Files that do not agree with the manifest are named,
+    and not reported on: remove them, and they are made again.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.combined_report import rebuild
+    from needlefit.studies.report import rebuild
 
+    invocation = context.find_root().obj
     folder = find_run(run)
     written = folder if out is None else out
-    runs = rebuild(folder, written, unverified, figures == "all")
-    several = len(runs) > 1
-    for one in runs:
-        show_run(context.find_root().obj, one, written, named=several)
+    done = rebuild(folder, written, figures == "all")
+    if invocation.json:
+        show_json_of([done])
+        show_warnings(invocation, done)
+    else:
+        show_run(invocation, done, written)
     if paper is not None:
         from needlefit.studies.paper_folder import write_paper_folder
 
-        for one in runs:
-            stored, to = (folder.parent / one.name, paper / one.name) if several else (written, paper)
-            write_paper_folder(one, stored, to)
-        screen.print_line(f"written: {paper}")
+        write_paper_folder(done, written, paper)
+        screen.print_note(f"written: {paper}")
 
 
 def diff(
@@ -66,31 +68,71 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
-    unverified: options.Unverified = False,
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Compare RUN_B with RUN_A: inputs, states, and every number of their tables.
+    """Compare two runs: inputs, states, every number.
 
     Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
     with their manifest are not compared.
     """
     from needlefit.project.locate import find_run
-    from needlefit.studies.run_differences import (
-        compare_runs,
-        differences_to_json,
-        lay_out_differences,
-        summarize_differences,
-    )
+    from needlefit.reporting.table_files import to_records
+    from needlefit.studies.run_differences import RUN_JSON, compare_runs, lay_out_differences
 
-    found = compare_runs(find_run(run_a), find_run(run_b), unverified)
+    found = compare_runs(find_run(run_a), find_run(run_b))
     if context.find_root().obj.json:
-        screen.show_json(differences_to_json(found))
+        screen.show_json(to_records(found))
         return
-    screen.print_text(summarize_differences(found))
-    if found:
+    tables = found[found["table"] != RUN_JSON]
+    keys = len(found) - len(tables)
+    screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
+    if len(found):
         screen.print_line()
         screen.show_display(lay_out_differences(found))
+
+
+def explain(
+    context: typer.Context,
+    key: Annotated[
+        list[str] | None,
+        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
+    ] = None,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
+) -> None:
+    """Explain a warning, term, file, law or column.
+
+    Without a NAME all are listed.
+    """
+    from needlefit.reporting.columns import find_column
+
+    groups, name = _list_topics(), " ".join(key or ())
+    topics = [one for group in groups.values() for one in group]
+    found = [one for one in topics if _fold(name) in (_fold(one.key), _fold(one.symbol))] if name else topics
+    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
+        found = [Topic(name, column.label, (column.explanation,))]
+    if not found:
+        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
+        raise typer.BadParameter(
+            f"`{name}` is no warning, file, term, tissue law or column"
+            + (f"; did you mean {' or '.join(near)}?" if near else "")
+        )
+    if context.find_root().obj.json:
+        screen.show_json([asdict(one) for one in found])
+    elif name:
+        for one in found:
+            screen.print_text("\n".join([one.title, *one.paragraphs]))
+    else:
+        for group, members in groups.items():
+            screen.print_line(f"\n{group}")
+            for one in members:
+                screen.print_line(f"  {one.key:32}{one.title}")
+
+
+def _fold(name: str) -> str:
+    """Return a name without what words are joined by: noise-floor is noise floor."""
+    return re.sub("[-_ ]+", " ", name).casefold()
 
 
 def _list_topics() -> dict[str, list[Topic]]:
@@ -116,7 +158,7 @@ def _list_topics() -> dict[str, list[Topic]]:
     ]
     return {
         "Warnings": [*read_sections().values()],
-        "Files": [*(Topic(f"{one.name}.toml", one.title) for one in list_files()), *tables],
+        "Files": [*(Topic(f"{one.name}.toml", one.title, _list_keys(one)) for one in list_files()), *tables],
         "Terms": read_terms(),
         "Tissue laws": laws,
         "Columns of tables": [
@@ -124,49 +166,6 @@ def _list_topics() -> dict[str, list[Topic]]:
             for one in list_columns().values()
         ],
     }
-
-
-def explain(
-    context: typer.Context,
-    key: Annotated[
-        list[str] | None,
-        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
-    ] = None,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
-) -> None:
-    """Explain a warning, file, term, law or column (none: list all)."""
-    from needlefit.reporting.columns import find_column
-    from needlefit.studies.toml_reference import list_files
-
-    groups, name = _list_topics(), " ".join(key or ())
-    topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if name in (one.key, one.symbol)] if name else topics
-    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
-        found = [Topic(name, column.label, (column.explanation,))]
-    if not found:
-        near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
-        raise typer.BadParameter(
-            f"`{name}` is no warning, file, term, tissue law or column"
-            + (f"; did you mean {' or '.join(near)}?" if near else "")
-        )
-    if name:
-        files = {f"{one.name}.toml": one for one in list_files()}
-        found = [
-            replace(one, paragraphs=_list_keys(files[one.key])) if one.key in files else one for one in found
-        ]
-    if context.find_root().obj.json:
-        screen.show_json([asdict(one) for one in found])
-        return
-    if name:
-        for one in found:
-            screen.print_text("\n".join([one.title, *one.paragraphs]))
-        return
-    for group, members in groups.items():
-        screen.print_line(f"\n{group}")
-        width = max(len(one.key) for one in members) + 2
-        for one in members:
-            screen.print_line(f"  {one.key:{width}}{one.title}")
 
 
 def _list_keys(file: "FileKind") -> tuple[str, ...]:

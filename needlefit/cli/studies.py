@@ -159,11 +159,11 @@ def calibrate(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Test whether the intervals of a TARGET are right (simulation-based calibration).
+    """Test whether the intervals of a TARGET are right.
 
-    Parameters are drawn from their prior; the needles of TARGET are simulated with them, measured with the
-    stated errors, and fitted as `tune` does. The ranks of the true values among the draws must be uniform.
-    This tests the computation, not the model.
+    Simulation-based calibration: parameters are drawn from their prior; the needles of TARGET are simulated
+    with them, measured with the stated errors, and fitted as `tune` does. The ranks of the true values among
+    the draws must be uniform. This tests the computation, not the model.
 
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
@@ -188,14 +188,8 @@ def calibrate(
         wanted = CONTROLS if control == "all" else (control,)
         runs = {f"{about}-{one}" if one else about: one for one in wanted}
         execution.prepare(runs, runs)
-        with execution.in_pool() as pooled:
-            found = [
-                pooled.run_kind(
-                    "calibration", name,
-                    target=target, control=one, sampled=sample, truth=truth, ct=ct, **given,
-                )
-                for name, one in runs.items()
-            ]  # fmt: skip
+        asked = {"target": target, "sampled": sample, "truth": truth, "ct": ct, **given}
+        found = [execution.run_kind("calibration", name, control=one, **asked) for name, one in runs.items()]
         execution.write_reference(found)
     show_runs(execution, found)
     wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
@@ -214,7 +208,7 @@ def validate(
         str,
         argument(
             "STUDY",
-            "study1 ... study5, all (those five), everything, another, or a path.",
+            "study1 ... study5, all (those five), another, or a path.",
         ),
     ],
     seed: options.Seed = None,
@@ -232,8 +226,7 @@ def validate(
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
-    `all` runs the paper's five studies and the fits of its tuning tables; `everything` runs all studies whose
-    data are present.
+    `all` runs the paper's five studies and the fits of its tuning tables.
 
     Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
@@ -241,13 +234,12 @@ def validate(
     Ctrl-C saves what is finished and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        from needlefit.project.locate import STUDY_GROUPS
+        from needlefit.project.locate import EVERY_STUDY
 
-        todo, combined = plan_studies(study), [study] if study in STUDY_GROUPS else []
+        todo, combined = plan_studies(study), [study] if study == EVERY_STUDY else []
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)
-        with execution.in_pool() as pooled:
-            runs = run_studies(pooled, todo)
+        runs = run_studies(execution, todo)
         if combined:
             _write_combined_report(execution, study, runs)
         execution.write_reference(runs)

@@ -18,7 +18,12 @@ def build(
     context: typer.Context,
     seed: TwinSeed = None,
     population: Annotated[
-        bool, option("Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.")
+        bool,
+        option(
+            "Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.",
+            None,
+            "--population",
+        ),
     ] = False,
     out: Annotated[Path, option("Folder of the dataset.", "DIR")] = Path("data/twin"),
     jobs: Jobs = None,

@@ -40,12 +40,6 @@ def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     return found
 
 
-def is_missing(path: Path) -> bool:
-    """Return whether the files of the dataset described at `path` are kept elsewhere and are not there."""
-    root = read_toml(path).get("root")
-    return isinstance(root, str) and not _match_folders(root, path)[1]
-
-
 def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
     """Return the pattern that a root means, and the folders that match it, sorted."""
     expanded = os.path.expandvars(root)

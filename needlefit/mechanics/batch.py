@@ -95,7 +95,10 @@ class Batch:
             if value is None:
                 continue
             one = getattr(self.tissue, name).shape if name in ("mu", "shape") else ()
-            array = np.ascontiguousarray(value, dtype=np.float64)
+            try:
+                array = np.ascontiguousarray(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise ModelError(f"batch {name} is {value!r:.60}", expected="numbers") from None
             if array.ndim != 1 + len(one) or array.shape[1:] != one:
                 expected = ", ".join(map(str, ("B", *one)))
                 raise ModelError(f"batch {name} has shape {array.shape}", expected=f"({expected})")

@@ -1,13 +1,14 @@
 """The inputs of an insertion (bevel, base, guides, tracked tip), its steps, and the options of the model."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Self
+from typing import Self, get_args
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.native import LINEAR_CUT
-from needlefit.mechanics.needle import is_bounded
+from needlefit.mechanics.needle import is_bounded, require_type
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
@@ -20,7 +21,10 @@ from needlefit.schemas.scene import Advance, BevelRecord, RulesRecord
 
 @dataclass(frozen=True)
 class Bevel:
-    """The needle's bevel, which turns the cut toward `side` (+1: y > 0), or about x away from there."""
+    """The needle's bevel, which turns the cut toward `side` (+1: y > 0), or about x away from there.
+
+    `offset` is in mm per constraint spacing, `cut_angle` in rad, `roll_deg` in degrees.
+    """
 
     offset: float = 0.0  #: b of the advance along the tangent, mm per constraint spacing
     side: int = 1
@@ -57,7 +61,7 @@ class Bevel:
 
 @dataclass(frozen=True)
 class Guide:
-    """A guide or template at a fixed position, through which the needle slides."""
+    """A guide or template at a fixed position (mm, slopes 1), through which the needle slides."""
 
     #: x, y: its place in C, mm: x < 0 before the tissue
     x: float
@@ -110,7 +114,7 @@ BASE_INPUTS = ("base_y", "base_slope", "stage_slope", "base_z", "base_slope_z", 
 
 @dataclass(frozen=True)
 class Controls:
-    """Boundary conditions on the needle ("V-inputs" of the paper), constant over one step."""
+    """Boundary conditions on the needle ("V-inputs" of the paper), constant over one step; mm, slopes 1."""
 
     #: base_y, base_slope: deflection (mm) and slope of the base in C, apart from what the stage axis adds
     base_y: float = 0.0
@@ -133,6 +137,11 @@ class Controls:
                 f"base and stage have {dict(zip(BASE_INPUTS, self.base, strict=True))}",
                 expected="finite numbers",
             )
+        require_type("guides", self.guides, Sequence)
+        for guide in self.guides:
+            require_type("a guide", guide, Guide)
+        if self.tip is not None:
+            require_type("tip", self.tip, TrackedTip)
         if len(self.guides) > MAX_GUIDES:
             raise ModelError(f"{len(self.guides)} guides", expected=f"at most {MAX_GUIDES}")
         ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
@@ -187,6 +196,8 @@ class Step:
     def __post_init__(self) -> None:
         if not (is_bounded(self.depth) and self.depth >= 0):
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
+        require_type("bevel", self.bevel, Bevel)
+        require_type("controls", self.controls, Controls)
         if self.depth > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
 
@@ -196,9 +207,15 @@ class Step:
         return (self.bevel.roll_deg == 0 or self.bevel.toward[1] == 0) and self.controls.planar
 
 
+COARSEST_TOLERANCE_MM = 1e-3  #: of Newton's method: coarser ones end before the first correction
+
+
 @dataclass(frozen=True)
 class ModelOptions:
-    """Options of the model and the solver: discretisation, tolerances, variants of the rule of advance."""
+    """Options of the model and the solver: discretisation, tolerances, variants of the rule of advance.
+
+    `spacing`, `element`, `tolerance` and `first_cell` are in mm.
+    """
 
     #: constraint spacing C_int, mm: part of the model, fits with different values are never compared
     spacing: float = 1.0
@@ -218,22 +235,32 @@ class ModelOptions:
     advance: Advance = "tangent"
 
     def __post_init__(self) -> None:
+        if self.advance not in get_args(Advance):
+            raise ModelError(
+                f"advance is {self.advance!r:.60}", expected=f"one of {', '.join(get_args(Advance))}"
+            )
+        if not (is_bounded(self.tolerance) and 0 < self.tolerance <= COARSEST_TOLERANCE_MM):
+            raise ModelError(
+                f"tolerance is {self.tolerance} mm", expected=f"above 0, at most {COARSEST_TOLERANCE_MM:g} mm"
+            )
         if self.advance == "path_angle" and (self.switch, self.tangent) != (0.5, 1.0):
             raise ModelError(
                 f"switch is {self.switch}, tangent is {self.tangent}",
                 expected='0.5 and 1: these are variants of advance = "tangent"',
             )
-        if not (0 <= self.switch <= 1 and 0 <= self.tangent <= 1):
+        parts = (self.switch, self.tangent)
+        if not (is_bounded(*parts) and min(parts) >= 0 and max(parts) <= 1):
             raise ModelError(
                 f"switch is {self.switch}, tangent is {self.tangent}", expected="both from 0 to 1"
             )
-        if not 1 <= self.max_iterations <= MAX_ITERATIONS:
+        if not (isinstance(self.max_iterations, int) and 1 <= self.max_iterations <= MAX_ITERATIONS):
             raise ModelError(
                 f"max_iterations is {self.max_iterations}", expected=f"from 1 to {MAX_ITERATIONS}"
             )
-        if not is_bounded(self.spacing, self.element):
+        if not is_bounded(self.spacing, self.element, self.first_cell or 0.0):
             raise ModelError(
-                f"constraint spacing is {self.spacing} mm, element size {self.element} mm",
+                f"constraint spacing is {self.spacing} mm, element size {self.element} mm, first cell "
+                f"{self.first_cell} mm",
                 expected="finite numbers",
             )
         if 0 < min(self.element, self.spacing) < MIN_ELEMENT_MM:

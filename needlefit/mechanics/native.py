@@ -258,6 +258,12 @@ def load_library() -> ctypes.CDLL:
     return library
 
 
+def identify_other_library() -> str:
+    """Return the SHA-256 of a library that is used in place of the package's own; "" of that one."""
+    given = os.environ.get(LIBRARY_VARIABLE)
+    return hashlib.sha256(Path(given).read_bytes()).hexdigest() if given else ""
+
+
 def _load_own() -> ctypes.CDLL:
     try:
         index = json.loads((FOLDER / "libraries.json").read_text())

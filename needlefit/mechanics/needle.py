@@ -1,4 +1,4 @@
-"""The needle as an inextensible Euler-Bernoulli beam, and a check of parameters."""
+"""The needle as an inextensible Euler-Bernoulli beam, and checks of parameters."""
 
 import math
 from dataclasses import dataclass
@@ -19,9 +19,18 @@ def is_bounded(*values: float) -> bool:
         return False
 
 
+def require_type(name: str, value: object, kind: type) -> None:
+    """Raise ModelError unless an argument is of its type."""
+    if not isinstance(value, kind):
+        raise ModelError(f"{name} is {value!r:.60}", expected=f"a {kind.__name__}")
+
+
 @dataclass(frozen=True)
 class Needle:
-    """A needle: a straight beam, free of load when straight."""
+    """A needle: a straight beam, free of load when straight.
+
+    `length` is in mm, `flexural_rigidity` in N mm^2.
+    """
 
     length: float  #: from base to tip, mm
     flexural_rigidity: float  #: EI, N mm^2
@@ -41,10 +50,11 @@ class Needle:
         cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
     ) -> Self:
         """Return the needle made of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
-        if not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
+        given = (outer_diameter, youngs_modulus, inner_diameter)
+        if not is_bounded(*given) or not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
             raise ModelError(
-                f"the needle's diameters are {inner_diameter:g} and {outer_diameter:g} mm",
-                expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm",
+                f"outer diameter, Young's modulus and inner diameter of the needle are {given} (mm, MPa, mm)",
+                expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm, and a finite modulus",
             )
         second_moment = math.pi * (outer_diameter**4 - inner_diameter**4) / 64
         return cls(length, youngs_modulus * second_moment)

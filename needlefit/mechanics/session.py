@@ -13,7 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
 from needlefit.mechanics.shape import NeedleShape, compute_scales
@@ -80,6 +80,9 @@ class Session:
         *,
         spatial: bool = False,
     ) -> None:
+        require_type("needle", needle, Needle)
+        require_type("tissue", tissue, Tissue)
+        require_type("rules", rules, ModelOptions)
         self.needle, self.tissue, self.rules = needle, tissue, rules
         self.lattice = Lattice(first_cell, rules.spacing)
         #: where the needle stands, and under which inputs

@@ -3,7 +3,6 @@
 The lateral loads on the needle are the tissue's load along the shaft, and the reactions of the supports.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
-from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.needle import Needle, is_bounded, require_type
 from needlefit.mechanics.packing import pack_plan, pack_problem, plan_insertion
 from needlefit.mechanics.plan import Lattice, TipStop, check_reach
 from needlefit.mechanics.shape import NeedleShape, Status, compute_scales, list_planes
@@ -27,7 +26,7 @@ _DEFAULT_OPTIONS = ModelOptions()
 
 def require_depth(depth: float) -> None:
     """Raise ModelError unless a depth is one that a needle may be inserted to."""
-    if not (math.isfinite(depth) and depth > 0):
+    if not (is_bounded(depth) and depth > 0):
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
 
 
@@ -71,6 +70,7 @@ def simulate_steps(
         Where constraint points lie; by default so that the last step ends on one.
     """
     steps = turn_tip(needle, tissue, steps)
+    require_type("rules", rules, ModelOptions)
     lattice, packed = plan_insertion(steps, needle.length, rules, lattice)
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed)
     shapes = native.make_shapes(problem, packed.last.cell + 1)

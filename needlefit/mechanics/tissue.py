@@ -12,14 +12,20 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics.laws import LAWS, TissueLaw
 from needlefit.mechanics.native import MAX_SHAPES
-from needlefit.mechanics.needle import is_bounded
+from needlefit.mechanics.needle import is_bounded, require_type
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
+
+MAX_MU_MPA = 1e4  #: 10 GPa: no tissue is as stiff, and few moduli in Pa are as small
 
 
 @dataclass(frozen=True, init=False)
 class Tissue:
-    """The layers of a tissue, from the entry inwards; their number n is the length of `mu`."""
+    """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
+
+    `mu` is in MPa (N/mm^2), a millionth of its value in files, where it is in Pa; `boundaries` and
+    `thickness` are in mm, `torsional_friction` in N.
+    """
 
     mu: Floats  #: (n,) effective foundation modulus of each layer, MPa; not a material constant
     #: (p, n) shape parameters of the law, in the order of its `parameters`. They may be given by name, each
@@ -44,9 +50,11 @@ class Tissue:
         alpha: ArrayLike | None = None,
         torsional_friction: float = 0.0,
     ) -> None:
+        mu = _to_floats("mu", mu)
         n = np.size(mu)
         if n > MAX_LAYERS:
             raise ModelError(f"tissue has {n} layers", expected=f"at most {MAX_LAYERS}")
+        require_type("the tissue law", law, str)
         given = {"mu": (mu, n), "thickness": (thickness, n), "friction": (friction, n)}
         for name, (value, size) in (given | {"boundaries": (boundaries, n - 1)}).items():
             object.__setattr__(self, name, _to_layer_array(name, value, size))
@@ -64,7 +72,8 @@ class Tissue:
                 f"layer boundaries are {self.boundaries.tolist()} mm",
                 expected="depths that increase, none negative",
             )
-        _require("mu", " MPa", self.mu, lambda value: value > 0, "above 0")
+        words = f"above 0, at most {MAX_MU_MPA:g} MPa; 2e5 Pa are 0.2 MPa"
+        _require("mu", " MPa", self.mu, lambda value: 0 < value <= MAX_MU_MPA, words)
         _require("thickness", " mm", self.thickness, lambda value: value > 0, "above 0")
         _require("friction", "", self.friction, lambda value: value >= 0, "0 or above")
 
@@ -109,12 +118,20 @@ def _require(name: str, unit: str, values: Floats, right: Callable[[float], bool
 
 def _to_layer_array(name: str, value: ArrayLike, size: int) -> Floats:
     """Return `value` as a (size,) array; one number stands for all layers."""
-    array = np.array(value, dtype=np.float64, ndmin=1)  # a copy
+    array = _to_floats(name, value)
     if array.ndim != 1 or (len(array) != size and not (len(array) == 1 and size > 0)):
         raise ModelError(f"tissue {name} has shape {array.shape}", expected=f"({size},)")
     if not is_bounded(*array.tolist()):
         raise ModelError(f"tissue {name} is {array.tolist()}", expected="finite numbers")
     return array if len(array) == size else np.full(size, array[0])
+
+
+def _to_floats(name: str, value: ArrayLike) -> Floats:
+    """Return a copy of `value` as an array of one dimension or more."""
+    try:
+        return np.array(value, dtype=np.float64, ndmin=1)
+    except (TypeError, ValueError):
+        raise ModelError(f"tissue {name} is {value!r:.60}", expected="numbers, one for each layer") from None
 
 
 def _to_shape_array(law: TissueLaw, given: Mapping[str, ArrayLike] | ArrayLike, size: int) -> Floats:
@@ -130,7 +147,7 @@ def _to_shape_array(law: TissueLaw, given: Mapping[str, ArrayLike] | ArrayLike, 
     if not names:
         return np.empty((0, size))
     if not isinstance(given, Mapping):
-        rows = np.array(given, dtype=np.float64, ndmin=1)
+        rows = _to_floats("shape", given)
         rows = rows[None] if len(names) == 1 and rows.ndim == 1 else rows
         if len(rows) != len(names):
             raise ModelError(f"tissue shape has shape {rows.shape}", expected=f"({len(names)}, {size})")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from needlefit.mechanics.control import Bevel, Step
-from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.tissue import Tissue
 
 POISSON_RATIO = 0.3  #: of the needle: its torsional rigidity is GJ = EI / (1 + nu)
@@ -23,7 +23,15 @@ def compute_roll_lag(needle: Needle, tissue: Tissue, depth: float) -> float:
 
 
 def turn_tip(needle: Needle, tissue: Tissue, steps: Sequence[Step]) -> tuple[Step, ...]:
-    """Return the steps with the roll of the tip in place of the hub's; at first contact the two are alike."""
+    """Return the steps with the roll of the tip in place of the hub's; at first contact the two are alike.
+
+    Raises ModelError if an argument is of another type.
+    """
+    require_type("needle", needle, Needle)
+    require_type("tissue", tissue, Tissue)
+    require_type("steps", steps, Sequence)
+    for step in steps:
+        require_type("a step", step, Step)
     if tissue.torsional_friction == 0:
         return tuple(steps)
     turned, roll, depth = list[Step](), 0.0, 0.0

@@ -222,13 +222,6 @@ def remove_checkpoint(folder: Path, note: Note) -> None:
     release_checkpoint(folder)
 
 
-def hold_checkpoint(folder: Path) -> None:
-    """Take the lock of a checkpoint that another process of this program released, until it is removed."""
-    with suppress(ConfigError):  # somebody else was faster, and has it
-        if folder.is_dir():
-            _lock(folder)
-
-
 def release_checkpoint(folder: Path) -> None:
     """Let other processes have the checkpoint in a folder, if this one has it."""
     if (lock := _held.pop(folder.resolve(), None)) is not None:

@@ -157,22 +157,17 @@ def find_changes(folder: Path) -> dict[str, str]:
     return {name: CHANGED for name in names if not _is_as_written(folder / name, listed[name])}
 
 
-def require_unchanged(folder: Path, unverified: bool = False) -> tuple[str, ...]:
-    """Raise DataError where a result does not agree with its manifest; if `unverified`, return what does not.
-
-    DataError names the files.
-    """
+def require_unchanged(folder: Path) -> None:
+    """Raise DataError, which names the files, where a result does not agree with its manifest."""
     changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
-    if changes and not unverified:
+    if changes:
         raise DataError(
             f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
             where=str(folder),
             expected=f"files with the digests that {MANIFEST} lists",
             fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
-            "`needlefit report` makes them again; --unverified (in Python: unverified=True; of `report` "
-            "with --out FOLDER) uses files as they are, and marks every page",
+            "`needlefit report` makes them again",
         )
-    return tuple(changes)
 
 
 def find_foreign(folder: Path) -> list[str]:

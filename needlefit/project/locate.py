@@ -24,12 +24,10 @@ _PATTERNS: dict[FileKind, str] = {
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PROJECT_FOLDERS = ("data", "configs", "studies")
-EVERY_STUDY = "everything"  # every study there is, as `all` means those of the paper
+EVERY_STUDY = "all"  # the studies of the paper and the fits of its tuning tables, reported together
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
 MAX_LISTED_NAMES = 40  # names that a message lists, the nearest first
-STUDY_GROUPS = ("all", EVERY_STUDY)
-"""Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 
 
 def shipped_folder() -> Path:
@@ -138,17 +136,12 @@ def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
 
 
 def find_studies(name: str) -> list[tuple[str, Path]]:
-    """Return the names and files of the studies that `name` means; `all` is the paper's five.
-
-    Studies on data that is not shipped are never among `all`; `everything` has all studies, these too.
-    """
-    if name in STUDY_GROUPS:
-        others = [one for one in list_names("study") if one not in PAPER_STUDIES]
-        wanted = (*PAPER_STUDIES, *(others if name == EVERY_STUDY else ()))
-        return [(study, find_file("study", study)) for study in wanted]
+    """Return the names and files of the studies that `name` means; `all` is the paper's five."""
+    if name == EVERY_STUDY:
+        return [(study, find_file("study", study)) for study in PAPER_STUDIES]
     found = _find_sources(name, ("study", "fit"))
     if not found:
-        raise unknown_name_error("study", name, [*list_names("study"), *STUDY_GROUPS])
+        raise unknown_name_error("study", name, [*list_names("study"), EVERY_STUDY])
     kind, path = found[0]
     if kind == "fit":
         raise ConfigError(
@@ -162,32 +155,17 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
 def find_run(name: str) -> Path:
     """Return the folder of results that `name` means: a path, or bare a folder in `reports/` or here.
 
-    A folder that holds one run means that run.
-
-    ConfigError if there is no such folder, or it holds no run, or several.
+    ConfigError if there is no such folder; the runs within it, or else those in `reports/`, are listed.
     """
-    found = _look_up_run(name)
-    if found is not None:
-        return found
-    inside = _list_runs_in(name)
-    if len(inside) > 1:
-        raise ConfigError(
-            f"`{name}` holds several runs",
-            expected=f"one of {join_names([str(one) for one in inside])}",
-            fix="name one of them",
-        )
-    if not inside:
-        raise unknown_name_error("run", name, list_runs())
-    return inside[0]
+    if (found := _look_up_run(name)) is None:
+        files = sorted(Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
+        inside = [str(one.parent) for one in files]
+        raise unknown_name_error("run", name, inside or list_runs())
+    return found
 
 
 def _look_up_run(name: str) -> Path | None:
     return next((place for place in _run_places(name) if is_file(place / "run.json")), None)
-
-
-def _list_runs_in(name: str) -> list[Path]:
-    found = [sorted(place.glob("*/run.json")) for place in _run_places(name) if is_dir(place)]
-    return [file.parent for file in next(filter(None, found), [])]
 
 
 def _run_places(name: str) -> list[Path]:
@@ -270,8 +248,6 @@ def find_view_target(name: str) -> ViewTarget:
     if not found and front:
         behind = (one for one in _list_viewed(front) if one.kind != "scene")  # a scene has no insertions
         found = [replace(one, insertion=insertion) for one in behind]
-    if not found and _list_runs_in(name):
-        found = [ViewTarget("run", name, find_run(name))]
     if not found:
         known = {*list_names("scene"), *list_names("dataset"), *list_runs()}
         raise unknown_name_error("scene, run or dataset", name, list(known))

@@ -1,6 +1,6 @@
-"""TOML files: read and check them against records, find the lines of keys, change keys, write tables.
+"""TOML files: read and check them against records, change keys, write tables.
 
-Every error names the file, the line, the key, and what to do.
+Every error names the file, the key, and what to do.
 """
 
 import copy
@@ -10,20 +10,21 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.errors import ConfigError
 from needlefit.project import input_files
-from needlefit.project.input_files import MAX_CONFIG_BYTES, parse_toml, read_text
-from needlefit.project.locate import file_label
-from needlefit.schemas.base import MISSING_KEY
+from needlefit.project.input_files import parse_toml
+from needlefit.project.json_values import to_json_values
+from needlefit.project.locate import FileKind, file_label, find_file, is_path
+from needlefit.schemas.base import MISSING_KEY, FileRecord
 
 R = TypeVar("R", bound=BaseModel)
+F = TypeVar("F", bound=FileRecord)
 
 
 def load(path: Path, kind: type[R]) -> R:
@@ -35,7 +36,7 @@ def load(path: Path, kind: type[R]) -> R:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file; raise ConfigError with file and line if it cannot be read."""
+    """Return the tables of a TOML file; ConfigError if it cannot be read."""
     return input_files.read_toml(path, ConfigError, file_label(path))
 
 
@@ -56,7 +57,7 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
         faults = _list_faults(error, kind)
         raise ConfigError(
             "; ".join(fault.what for fault in faults),
-            where=where if isinstance(where, str) else locate_key(where, faults[0].key),
+            where=where if isinstance(where, str) else file_label(where),
             expected="; ".join(
                 f"`{fault.key}`: {fault.expected}" if len(faults) > 1 else fault.expected
                 for fault in faults
@@ -64,6 +65,32 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
             ),
             fix="; ".join(fault.fix for fault in faults),
         ) from None
+
+
+# ---- what a program gives
+
+IN_MEMORY = "given in Python"
+"""Stands in a result for the name of what has none."""
+
+
+def read_given(kind: FileKind, value: str | Path | F | Mapping[str, Any], record: type[F]) -> tuple[F, str]:
+    """Return what a name, a path, a record or a table of its keys means, and its name.
+
+    ConfigError as of `find_file`, `load` and `check`.
+    """
+    if isinstance(value, record):
+        return value, IN_MEMORY
+    if isinstance(value, Mapping):
+        table = {key: to_json_values(one) for key, one in ({"schema": record.SCHEMA} | dict(value)).items()}
+        return check(table, record, f"{kind} {IN_MEMORY}"), IN_MEMORY
+    name = spell_name(value)  # type: ignore[arg-type]  # nothing else is left
+    return load(find_file(kind, name), record), name
+
+
+def spell_name(name: str | Path) -> str:
+    """Return a name or path as text; a Path is never taken for a bare name."""
+    text = str(name)
+    return f"./{text}" if isinstance(name, Path) and not is_path(text) else text
 
 
 # ---- faults
@@ -149,60 +176,17 @@ def _list_records(annotation: object) -> Iterator[type[BaseModel]]:
         yield from _list_records(inner)
 
 
-# ---- on which line a key stands: tomllib does not say
-
-_HEADER = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
-_QUOTES = re.compile("[\"'\\s]")
-_ASSIGNMENT = re.compile(r"""\s*((?:[\w.-]|"[^"\n]*"|'[^'\n]*')+)\s*=""")
-
-
-def find_line(text: str, key: str) -> int | None:
-    """Return the line, from 1, on which a key of a TOML text stands; of a missing key that of its table.
-
-    `key` is dotted, members of lists are numbered from 1: `tune.medium`, `validate.2.layers`. None where
-    the text does not hold even the key's first part.
-    """
-    counts: dict[str, int] = {}  # of the members of lists of tables so far
-    table, found, length, in_text = "", None, 0, False
-    for number, line in enumerate(text.splitlines(), start=1):
-        begun, in_text = in_text, in_text ^ ((line.count('"""') + line.count("'''")) % 2 == 1)
-        if begun:  # of a text of several lines
-            continue
-        if header := _HEADER.match(line):
-            table = _QUOTES.sub("", header[2])
-            if header[1] == "[[":
-                counts[table] = counts.get(table, 0) + 1
-            for name, count in counts.items():
-                if f"{table}.".startswith(f"{name}."):
-                    table = f"{name}.{count}{table.removeprefix(name)}"
-                    break
-            path = table
-        elif assignment := _ASSIGNMENT.match(line):
-            path = f"{table}.{_QUOTES.sub('', assignment[1])}".removeprefix(".")
-        else:
-            continue
-        equal = takewhile(lambda pair: pair[0] == pair[1], zip(key.split("."), path.split("."), strict=False))
-        parts = len(list(equal))
-        if parts > length:
-            found, length = number, parts
-    return found
+# ---- where a key stands
 
 
 def locate_key(path: Path, key: str) -> str:
-    """Return how messages name a key of a TOML file: file and line, or the file where no line is known."""
-    try:
-        line = find_line(read_text(path, MAX_CONFIG_BYTES), key)
-    except NeedlefitError:
-        line = None
-    name = file_label(path)
-    if line is None:
-        return name
-    return f"{name}:{line}" if name == str(path) else f"{name}, line {line}"
+    """Return how messages name a key of a TOML file."""
+    return f"{file_label(path)}, key `{key}`"
 
 
 @contextmanager
 def add_file_context(path: Path) -> Iterator[None]:
-    """Have every ConfigError from within that names only a key name this file, and the key's line."""
+    """Have every ConfigError from within that names only a key name this file, too."""
     try:
         yield
     except ConfigError as error:

@@ -56,12 +56,12 @@ GAUGES_MM = {
 MIN_CELLS = 5  # constraint cells of an insertion: its tip's way is made of as many straight cuts
 WARNING_KIND = "units"
 
-FormatPlace = Callable[[str], str]  # the key of a value -> file and line
+FormatPlace = Callable[[str], str]  # the key of a value -> file and key
 Doubt = tuple[str, str, str]  # a key, what is hard to believe about it, and what to do
 
 
 def format_place(file: Path | str) -> FormatPlace:
-    """Return what names a key's place: the line of a file, or a text as it is, such as a recording's name."""
+    """Return what names a key's place: of a file, or a text as it is, such as a recording's name."""
     path = Path(file)
     return lambda key: locate_key(path, key) if path.is_file() else str(file)
 

@@ -41,7 +41,6 @@ class Document:
     # The needles that the HTML page computes
     explorer: PageData | None = None
     # Whether it is made from files that do not agree with their manifest: the foot of every page says so
-    unverified: bool = False
 
 
 def heading(words: str) -> Block:
@@ -126,7 +125,7 @@ def compile_pdf(document: Document) -> bytes:
         if "path" in block:
             block["file"] = f"{block['id']}.pdf"
             pictures[block["file"]] = block.pop("path")
-    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic", "unverified")}
+    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic")}
     payload = head | {"version": find_version(), "blocks": blocks}
     return compile_template("report.typ", payload, pictures)
 
@@ -233,7 +232,6 @@ def _render_html(template: str, document: Document) -> str:
         title=document.title,
         subtitle=document.subtitle,
         synthetic=document.synthetic,
-        unverified=document.unverified,
         version=find_version(),
         first=first,
         blocks=rest,

@@ -9,13 +9,11 @@ from needlefit.schemas.dataset import NoiseRecord
 from needlefit.schemas.scene import NeedleRecord
 
 
-class AnalysisRecord(FileRecord):
-    """`studies/<name>.toml` with `kind = "..."`: the keys that all kinds share."""
+class QuestionRecord(FileRecord):
+    """`studies/<name>.toml`: the keys that all studies but those of one fit share."""
 
     SCHEMA: ClassVar[int] = 2
 
-    kind: Any
-    """Kind of study."""
     title: str = ""
     """Heading of the report."""
     question: str = ""
@@ -25,6 +23,13 @@ class AnalysisRecord(FileRecord):
     same_specimen: bool = False
     """Whether held-out insertions go on purpose into specimens that are fitted. Without it, that is a
     warning."""
+
+
+class AnalysisRecord(QuestionRecord):
+    """`studies/<name>.toml` with `kind = "..."`: the keys that all kinds share."""
+
+    kind: Any
+    """Kind of study."""
 
 
 class TargetRecord(AnalysisRecord):

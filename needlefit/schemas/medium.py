@@ -6,8 +6,8 @@ from typing import ClassVar, Self
 from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
-from needlefit.schemas.limits import MAX_CONSTRAINT_SPACING_MM, MAX_LAYERS, MIN_ELEMENT_MM
-from needlefit.schemas.scene import Advance, check_advance
+from needlefit.schemas.limits import MAX_LAYERS
+from needlefit.schemas.scene import AdvanceRecord
 
 
 class PriorRecord(Record):
@@ -82,7 +82,7 @@ class ParameterRecord(Record):
         return self
 
 
-class MediumRecord(FileRecord):
+class MediumRecord(FileRecord, AdvanceRecord):
     """`configs/media/<name>.toml`: a tissue model, its layers and parameters."""
 
     title: str = ""
@@ -95,25 +95,10 @@ class MediumRecord(FileRecord):
     """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
-    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
-    """Distance C_int between two constraint points along the needle."""
-    constraint_switch: float = Field(default=0.5, ge=0, le=1)
-    """Part of a cell behind a boundary from which on its constraint point belongs to the next layer."""
-    tangent_part: float = Field(default=1.0, ge=0, le=1)
-    """Weight of the needle's tangent in the direction of advance; 0 keeps the direction of the cut."""
-    first_cell_mm: float | None = Field(default=None, gt=0)
-    """Depth of the first constraint point; without it, a whole cell."""
-    advance: Advance = "tangent"
-    """Rule of advance: along the tangent with offset b, or at a constant angle to it."""
     parameters: dict[str, ParameterRecord]
     """Parameters by name: `mu1_pa`, ... of each layer; shape parameters of the law, such as `alpha1`, free
     within their usual bounds if left out; `bevel_mm` (with `advance = "path_angle"`: `cut_angle_deg`);
     optionally `guide_distance_mm`."""
-
-    @model_validator(mode="after")
-    def _one_rule(self) -> Self:
-        check_advance(self.advance, self.constraint_switch, self.tangent_part)
-        return self
 
     @property
     def bevel_parameter(self) -> str:

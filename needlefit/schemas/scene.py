@@ -70,7 +70,29 @@ class GuideMoveRecord(Record):
     """Whether the guide is closed from now on."""
 
 
-class StepRecord(Record):
+class TrackedTipRecord(Record):
+    """A tracked tip, in the constraint frame C."""
+
+    tip_y_mm: float | None = None
+    """Tracked position of the tip across."""
+    tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip; without it the slope is free."""
+    tip_z_mm: float | None = None
+    """Tracked position of the tip along z; without it 0."""
+    tip_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
+    """Tracked slope of the tip toward z, beside `tip_slope_deg`; without it 0."""
+
+    @model_validator(mode="after")
+    def _placed(self) -> Self:
+        if self.tip_slope_deg is not None and self.tip_y_mm is None:
+            raise ValueError("tip_slope_deg needs tip_y_mm beside it: a tracked tip has a place first")
+        for along_z, beside in (("tip_z_mm", "tip_y_mm"), ("tip_slope_z_deg", "tip_slope_deg")):
+            if getattr(self, along_z) is not None and getattr(self, beside) is None:
+                raise ValueError(f"{along_z} needs {beside} beside it: a tip is tracked in both planes")
+        return self
+
+
+class StepRecord(TrackedTipRecord):
     """Where the tip goes next, and what changes before; what is not given stays as it was."""
 
     depth_mm: float = Field(ge=0, le=MAX_NEEDLE_LENGTH_MM)
@@ -91,14 +113,6 @@ class StepRecord(Record):
     """Position of the base along z."""
     base_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
     """Slope of the base toward z."""
-    tip_y_mm: float | None = None
-    """Tracked position of the tip across."""
-    tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
-    """Tracked slope of the tip; without it the slope is free."""
-    tip_z_mm: float | None = None
-    """Tracked position of the tip along z; without it 0."""
-    tip_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
-    """Tracked slope of the tip toward z, beside `tip_slope_deg`; without it 0."""
     tip_free: bool = False
     """Whether a tracked tip is released."""
     guides: dict[str, GuideMoveRecord] = {}
@@ -106,7 +120,6 @@ class StepRecord(Record):
 
     @model_validator(mode="after")
     def _one_tip(self) -> Self:
-        check_tip(self)
         if self.tip_free and self.tip_y_mm is not None:
             raise ValueError("tip_free = true lets go of the tip that tip_y_mm holds: give one of the two")
         return self
@@ -116,15 +129,6 @@ class StepRecord(Record):
         if self.side is not None and self.roll_deg is not None:
             raise ValueError("side and roll_deg both say where the bevel faces: give one of the two")
         return self
-
-
-def check_tip(record: "StepRecord | ControlsRecord") -> None:
-    """Raise ValueError if a tracked tip has a slope but no place, or a part along z alone."""
-    if record.tip_slope_deg is not None and record.tip_y_mm is None:
-        raise ValueError("tip_slope_deg needs tip_y_mm beside it: a tracked tip has a place first")
-    for along_z, beside in (("tip_z_mm", "tip_y_mm"), ("tip_slope_z_deg", "tip_slope_deg")):
-        if getattr(record, along_z) is not None and getattr(record, beside) is None:
-            raise ValueError(f"{along_z} needs {beside} beside it: a tip is tracked in both planes")
 
 
 class NeedleRecord(Record):
@@ -209,13 +213,11 @@ class BevelRecord(Record):
         return self
 
 
-class RulesRecord(Record):
-    """Rules of the model, and the element length. The defaults of the rules are those of every result."""
+class AdvanceRecord(Record):
+    """Rules of the model that scenes and tissue models share. The defaults are those of every result."""
 
     constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
     """Distance C_int between two constraint points along the needle."""
-    element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
-    """Length of a beam element; without it, the spacing or the largest part of it up to 1 mm."""
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
     """Part of a cell behind a boundary from which on its constraint point belongs to the next layer."""
     tangent_part: float = Field(default=1.0, ge=0, le=1)
@@ -227,7 +229,11 @@ class RulesRecord(Record):
 
     @model_validator(mode="after")
     def _one_rule(self) -> Self:
-        check_advance(self.advance, self.constraint_switch, self.tangent_part)
+        if self.advance == "path_angle" and (self.constraint_switch, self.tangent_part) != (0.5, 1.0):
+            raise ValueError(
+                'constraint_switch and tangent_part are variants of advance = "tangent": leave them out '
+                'beside "path_angle"'
+            )
         return self
 
     @model_validator(mode="after")
@@ -239,6 +245,13 @@ class RulesRecord(Record):
             )
         return self
 
+
+class RulesRecord(AdvanceRecord):
+    """Rules of the model, and the element length."""
+
+    element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
+    """Length of a beam element; without it, the spacing or the largest part of it up to 1 mm."""
+
     @property
     def element(self) -> float:
         """`element_mm`; where the file does not say, the spacing or that part of it that is up to 1 mm."""
@@ -246,16 +259,7 @@ class RulesRecord(Record):
         return self.element_mm or spacing / max(1, math.ceil(spacing - 1e-9))
 
 
-def check_advance(advance: Advance, switch: float, tangent: float) -> None:
-    """Raise ValueError where variants of the advance along the tangent stand beside another rule."""
-    if advance == "path_angle" and (switch, tangent) != (0.5, 1.0):
-        raise ValueError(
-            'constraint_switch and tangent_part are variants of advance = "tangent": leave them out beside '
-            '"path_angle"'
-        )
-
-
-class ControlsRecord(Record):
+class ControlsRecord(TrackedTipRecord):
     """Initial boundary conditions: base, a guide before the tissue, a tracked tip."""
 
     base_y_mm: float = 0.0
@@ -272,19 +276,6 @@ class ControlsRecord(Record):
     """Angle of that direction to the plane z = 0, positive toward z."""
     guide_distance_mm: float | None = Field(default=None, gt=0)
     """Distance before the tissue of a guide that fixes position and slope."""
-    tip_y_mm: float | None = None
-    """Tracked position of the tip across, in C."""
-    tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
-    """Tracked slope of the tip, in C; without it the slope is free."""
-    tip_z_mm: float | None = None
-    """Tracked position of the tip along z; without it 0."""
-    tip_slope_z_deg: float | None = Field(default=None, gt=-45, lt=45)
-    """Tracked slope of the tip toward z, beside `tip_slope_deg`; without it 0."""
-
-    @model_validator(mode="after")
-    def _placed(self) -> Self:
-        check_tip(self)
-        return self
 
 
 class SceneEntryRecord(Record):

@@ -4,7 +4,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.schemas.base import FileName, FileRecord, Record
+from needlefit.schemas.analyses import QuestionRecord
+from needlefit.schemas.base import FileName, Record
 from needlefit.schemas.study import FitRecord, SelectionRecord
 
 
@@ -40,20 +41,13 @@ class TrackFitRecord(Record):
     """Groups into which the runs of `validate` are divided; each is predicted by a fit to all others."""
 
 
-class TrackStudyRecord(FileRecord):
+class TrackStudyRecord(QuestionRecord):
     """`observable = "tip tracks"`: fits to tracked tips, and predictions of further runs."""
 
-    SCHEMA: ClassVar[int] = 2
     KIND: ClassVar[str] = "tracks"
 
     observable: Literal["tip tracks"]
     """What was measured."""
-    title: str = ""
-    """Heading of the report."""
-    question: str = ""
-    """What the study answers; printed at the head of its report."""
-    note: str = ""
-    """Free text for readers of the file; it changes no result."""
     dataset: str
     """Name of a dataset in `data/`, or the path of its folder, relative to this file."""
     recipe: str = "default"
@@ -61,9 +55,6 @@ class TrackStudyRecord(FileRecord):
     registration_depth_mm: float = Field(gt=0)
     """Depth up to which a predicted run's own readings place it in the tracker's frame; deeper ones are
     scored."""
-    same_specimen: bool = False
-    """Whether predicted runs go on purpose into specimens that are fitted. Without it, that is a
-    warning."""
     fits: tuple[TrackFitRecord, ...] = Field(min_length=1)
     """The fits, at least one."""
 

@@ -38,7 +38,6 @@ class FaultKind(StrEnum):
     NOT_CONVERGED = "NOT CONVERGED"
     NOT_CERTIFIED = "NOT CERTIFIED"
     INCOMPLETE = "INCOMPLETE"
-    UNVERIFIED = "NOT VERIFIED"
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,9 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from needlefit.project.folders import replace_folder
-from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
@@ -23,11 +21,9 @@ from needlefit.studies.report import (
     state_blocks,
     subtitle,
     write_report,
-    write_run,
 )
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import list_held_out_groups
-from needlefit.studies.store import is_combined, restore_runs
 
 TEXT = KindText("combined")
 
@@ -53,7 +49,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         drawn = {name: one.save(new / f"{name}.pdf") for name, one in draw_errors(studies).items()}
         appendix = [block for result in others for block in _summarize_analysis(result, new)]
         report = compose_overview(studies, tunings, drawn, appendix)
-        write_report(replace(report, unverified=any(one.unverified for one in runs)), new)
+        write_report(report, new)
         label_figures(drawn, synthetic)
         every = [*studies, *(one for one in tunings if one not in studies)]
         (new / "numbers.tex").write_text(fit_tables.format_macros(every), encoding="utf-8")
@@ -118,19 +114,3 @@ def compose_overview(
     data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in results))
     synthetic = any(one.origin == "synthetic" for one in results)
     return Document("Validation studies", data, synthetic, (*states, *body, *appendix))
-
-
-def rebuild(run: Path, folder: Path, unverified: bool = False, all_figures: bool = False) -> list[Run]:
-    """Write tables, figures and report of a stored run to `folder` again, without any computation.
-
-    Returns the run, or those reported together. Raises DataError if the run stored no results, they do not
-    agree with their manifest (unless `unverified`), or one of several runs reported together is not that one
-    any more; ConfigError if `folder` holds something that is no result.
-    """
-    with convert_stored_errors(run):
-        runs = restore_runs(run, unverified)
-        if is_combined(run):
-            write_combined(runs, folder)
-        else:
-            write_run(runs[0], folder, all_figures)
-        return runs

@@ -10,7 +10,6 @@ from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.reporting.table_files import Row, select_records
-from needlefit.studies.csv_tables import read_table
 
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
@@ -28,11 +27,10 @@ TABLE_TITLES: dict[TableName, str] = {
 def read_published_table(name: TableName) -> pd.DataFrame:
     """Read one published table from `data/paper/<name>.csv`.
 
-    Raises ConfigError if no project root holds the file. Raises DataError if it is no table, or lacks a
-    column.
+    Raises ConfigError if no project root holds the file, DataError if it is no table.
     """
-    path = _find_file(name)
-    return read_table(path, ("set",) if name == "parameters" else ())
+    with convert_stored_errors(path := _find_file(name)):
+        return pd.read_csv(path)
 
 
 def read_printed_table(name: TableName) -> pd.DataFrame:
@@ -40,8 +38,8 @@ def read_printed_table(name: TableName) -> pd.DataFrame:
 
     Raises ConfigError, DataError as `read_published_table`.
     """
-    names = tuple(map(str, read_published_table(name)))
-    return read_table(_find_file(name), texts=names).fillna("")
+    with convert_stored_errors(path := _find_file(name)):
+        return pd.read_csv(path, dtype=str).fillna("")
 
 
 def read_hand_tuned(name: str) -> dict[str, float]:

@@ -12,6 +12,7 @@ from needlefit.datasets.sections import describe_measurement
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.mechanics.laws import LAWS
+from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
@@ -54,8 +55,10 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
 
 
 def package_versions(packages: Sequence[str]) -> dict[str, str]:
-    """Return the versions of Python, of needlefit and of these packages."""
+    """Return the versions of Python, of needlefit and of these packages; and which other kernel computes."""
     each = {package: version(package) for package in ("needlefit", *packages)}
+    if other := identify_other_library():
+        each["kernel"] = f"not the package's: SHA-256 {other}"
     return {"python": platform.python_version(), **each}
 
 
@@ -67,33 +70,8 @@ def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
     """Return the model rules that fitted numbers depend on; fits with other rules cannot be compared."""
-    switch, tangent = medium.constraint_switch, medium.tangent_part
-    which = "nearest constraint at each quadrature point"
-    if switch != 0.5:
-        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
-    tie = f"{which}, quadrature split where it changes"
-    advance = f"along {tangent:g} of the tip's slope"
-    if medium.advance == "path_angle":
-        tie = "linear between constraint points, quadrature split at them and halfway"
-        advance = "at an angle to the path"
-    else:
-        if switch in (0, 1):
-            tie = f"every cell has the constraint point {'behind' if switch else 'ahead'}"
-        if tangent in (0, 1):
-            advance = "along the tangent" if tangent else "a shift in x"
+    keys = ("law", "advance", "constraint_spacing_mm", "constraint_switch", "tangent_part", "first_cell_mm")
     return {
-        "constraint_spacing_mm": medium.constraint_spacing_mm,
-        "thickness_mm": medium.thickness_mm,
-        "law": medium.law,
-        "friction": 0.0,
+        **{key: getattr(medium, key) for key in (*keys, "thickness_mm")},
         "element_mm": mesh(medium).element,
-        "tie": tie,
-        "advance": advance,
-        "first_cell": "the depth's remainder over the spacing, or a whole cell"
-        if medium.first_cell_mm is None
-        else f"{medium.first_cell_mm:g} mm, whatever the depth",
-        "mu": "Pa, effective foundation modulus",
-        "bevel": "degrees of the cut to the needle's tangent"
-        if medium.advance == "path_angle"
-        else "mm per constraint spacing",
     }

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from needlefit.project.folders import listed_files, replace_folder
 from needlefit.project.help_pages import read_sections
+from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
@@ -27,7 +28,7 @@ from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_needles
-from needlefit.studies.store import store_run
+from needlefit.studies.store import restore_run, store_run
 
 CHECKS = KindText("checks")
 
@@ -104,9 +105,8 @@ class StudyReport:
         if not result.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(one) for one in self.lay_out(result) if one.name not in shown]
         blocks += compose_warnings(read_warnings(result.run), linked=False)
-        marked = bool(result.unverified)
         return document.format_html_part(
-            Document(result.title, subtitle(result), result.synthetic, tuple(blocks), unverified=marked)
+            Document(result.title, subtitle(result), result.synthetic, tuple(blocks))
         )
 
 
@@ -184,6 +184,18 @@ def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
     return folder
 
 
+def rebuild(run: Path, folder: Path, all_figures: bool = False) -> Run:
+    """Write tables, figures and report of a stored run to `folder` again, without any computation.
+
+    Raises DataError if the run stored no results, or they do not agree with their manifest; ConfigError if
+    `folder` holds something that is no result.
+    """
+    with convert_stored_errors(run):
+        result = restore_run(run)
+        write_run(result, folder, all_figures)
+        return result
+
+
 def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
     """Return the checks and the files of a result, as `StudyReport.files`."""
     return {"checks": tabulate_checks(result.answer.checks), **find_kind(result.kind).report.files(result)}
@@ -253,7 +265,6 @@ def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[
         result.synthetic,
         tuple(blocks),
         collect_explorer(result),
-        bool(result.unverified),
     )
 
 

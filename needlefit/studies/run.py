@@ -54,9 +54,6 @@ def _mark(result: "Run", verdict: Verdict) -> Verdict:
 
 Frames = MutableMapping[str, pd.DataFrame]
 
-#: of `run.json`: files that did not agree with their manifest, and were used on demand
-UNVERIFIED_KEY = "unverified"
-
 
 @dataclass(frozen=True)
 class Run:
@@ -128,11 +125,6 @@ class Run:
     @property
     def synthetic(self) -> bool:
         return self.origin == "synthetic"
-
-    @property
-    def unverified(self) -> tuple[str, ...]:
-        """What did not agree with the manifest of the folder that it was read from; every page says so."""
-        return tuple(self.run.get(UNVERIFIED_KEY, ()))
 
     @property
     def reliable(self) -> bool:

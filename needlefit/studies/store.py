@@ -28,20 +28,16 @@ from needlefit.project.input_files import (
     unreadable_error,
 )
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
-from needlefit.schemas.names import EXPECTED_FILE_NAME, file_name_fault
 from needlefit.schemas.result_files import RunTable, StoredRunTable, TimingTable
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.kind import KINDS, find_kind
-from needlefit.studies.run import UNVERIFIED_KEY, Frames, Run
+from needlefit.studies.run import Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 
 FORMAT_VERSION = 8  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
-#: Lists and tables in it: each takes more memory than its text. Columns are one list each.
-MAX_BRACKETS = 2_000_000
 MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
 
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "run")
@@ -67,16 +63,13 @@ def posterior_file_names(count: int) -> tuple[str, ...]:
     return ("posterior.nc",) if count == 1 else tuple(f"posterior_{k + 1}.nc" for k in range(count))
 
 
-def restore_run(folder: Path, unverified: bool = False) -> Run:
+def restore_run(folder: Path) -> Run:
     """Read the result that a run stored in `folder`.
 
     Raises DataError if it holds no result, a damaged one, or one that does not agree with its manifest.
-
-    `unverified`: whether files that do not agree with the manifest are used. The run then has them as a
-    fault, and is marked on every page.
     """
     table = unpack(folder)
-    changes = require_unchanged(folder, unverified)
+    require_unchanged(folder)
     require_schema(table, StoredRunTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):
         if table["kind"] not in KINDS:
@@ -84,10 +77,6 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
         kind = find_kind(table["kind"])
         about: dict[str, Any] = {key: table[key] for key in _PLAIN}
         faults = [RunFault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
-        if changes:
-            about["run"] = {**about["run"], UNVERIFIED_KEY: list(changes)}
-            what = f"does not agree with its manifest: {', '.join(changes)}"
-            faults.append(RunFault(FaultKind.UNVERIFIED, what))
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
             columns = frames.get(name, ())
@@ -105,34 +94,8 @@ def restore_run(folder: Path, unverified: bool = False) -> Run:
         )
 
 
-def restore_runs(run: Path, unverified: bool = False) -> list[Run]:
-    """Return the stored run, or each of several runs that were reported together; else as `restore_run`."""
-    if not is_combined(run):
-        return [restore_run(run, unverified)]
-    require_unchanged(run, unverified)
-    parts = read_run(run)
-    first = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in parts]
-    found = []
-    for name in dict.fromkeys([*first, *parts]):
-        folder = run.parent / name
-        # A run repeated since the report of several would mix two states of the data.
-        if read_run(folder) != parts[name]:
-            raise DataError(
-                f"is not the run that `{run.name}` reports",
-                where=str(folder),
-                fix=f"run `needlefit validate {run.name}` again, or report the single runs",
-            )
-        found.append(restore_run(folder, unverified))
-    return found
-
-
-def is_combined(run: Path) -> bool:
-    """Return whether a folder is of several runs, which are reported together."""
-    return not is_file(run / RESULTS_FILE) and _holds_several_runs(read_run(run))
-
-
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return what the run in a folder was computed with: of one run, or of several by name.
+    """Return what the run in a folder was computed with.
 
     Raises DataError if its file is missing or damaged, or a value in it is of another type than needlefit
     writes.
@@ -141,18 +104,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     table = read_json(path, MAX_RUN_BYTES)
     if not isinstance(table, dict):
         raise DataError("holds no table", where=str(path), expected="a JSON object", fix="run it again")
-    if _holds_several_runs(table):
-        for name, part in table.items():
-            if fault := file_name_fault(name):  # each names the folder of its run
-                raise DataError(
-                    f"names a run {name!r:.40}: {fault}",
-                    where=str(path),
-                    expected=EXPECTED_FILE_NAME,
-                    fix="run it again, or take the file from a copy",
-                )
-            require_schema(part, RunTable, f"{path}, key {name:.40}")
-    else:
-        require_schema(table, RunTable, str(path))
+    require_schema(table, RunTable, str(path))
     return table
 
 
@@ -164,11 +116,6 @@ def read_timing(folder: Path) -> dict[str, Any]:
     table = read_json(path, MAX_RUN_BYTES)
     require_schema(table, TimingTable, str(path))
     return dict(table)
-
-
-def _holds_several_runs(table: dict[str, Any]) -> bool:
-    """Return whether a `run.json` is that of several runs, by name: of a single one some values are words."""
-    return bool(table) and all(isinstance(part, dict) for part in table.values())
 
 
 def require_schema(table: object, form: type[BaseModel], where: str) -> None:
@@ -211,8 +158,6 @@ def unpack(folder: Path) -> dict[str, Any]:
             fix="name the folder of a run",
         )
     data = _unzip(path)
-    if data.count(b"[") + data.count(b"{") > MAX_BRACKETS:
-        raise damage_error(path, f"it holds more than {MAX_BRACKETS} lists and tables")
     try:
         table = parse_json(data.decode("utf-8"), str(path))
     except UnicodeDecodeError:
@@ -261,6 +206,8 @@ def _pack_frame(frame: pd.DataFrame) -> dict[str, Any]:
 
 def _unpack_frame(table: Mapping[str, Any]) -> pd.DataFrame:
     columns = table["columns"]
+    if len(set(map(len, columns.values()))) > 1 or columns.keys() != table["types"].keys():
+        raise ValueError("columns are of different lengths, or without types")
     return pd.DataFrame(
         {name: pd.Series(columns[name], dtype=kind) for name, kind in table["types"].items()},
         columns=list(columns),

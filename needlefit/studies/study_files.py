@@ -1,12 +1,11 @@
 """Load and check a study file of any kind, find the data that it needs, and prepare the fit that it names."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from needlefit.datasets.sources import find_dataset_file, is_missing
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
@@ -73,25 +72,6 @@ def _record_type(table: Mapping[str, Any]) -> type[FileRecord]:
     if "observable" in table:
         return TrackStudyRecord
     return find_kind(table["kind"]).record if "kind" in table else StudyRecord
-
-
-def find_missing_data(path: Path) -> list[str]:
-    """Return the external datasets that a study file names and that are not there."""
-    named = dict.fromkeys(_datasets(read_study_table(path)))
-    return [name for name in named if is_missing(find_dataset_file(find_file("dataset", name)))]
-
-
-def _datasets(table: object) -> Iterator[str]:
-    """Yield the value of every key `dataset` in a table, however deep."""
-    if isinstance(table, Mapping):
-        for key, value in table.items():
-            if key == "dataset" and isinstance(value, str):
-                yield value
-            else:
-                yield from _datasets(value)
-    elif isinstance(table, list):
-        for value in table:
-            yield from _datasets(value)
 
 
 _NAMED_FILES: Mapping[str, FileKind] = {

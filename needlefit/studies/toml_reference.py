@@ -4,13 +4,12 @@ import ast
 import inspect
 import textwrap
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
-from typing import Any, Literal, Union, cast, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin
 
-from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -101,29 +100,17 @@ def _describe_record(
     for name, field in record.model_fields.items():
         key, record_in = field.alias or name, find_record(field.annotation)
         if record_in and record_in not in described:
-            inner.append((record_in, _table_path(path, key, field)))
-            described[record_in] = f"{title}: {inner[-1][1]}"
+            path_in = ".".join(filter(None, (path, key)))
+            inner.append((record_in, path_in))
+            described[record_in] = f"{title}: {path_in}"
         owner = find_owner(record, name)
-        value = _describe_value(key, field)
-        if name == "schema_":  # the versions of a file's layout that are read
-            value = f"up to `{cast(type[FileRecord], record).SCHEMA}`, **required**"
         meaning, place = _field_docstrings(owner)[name], described[record_in] if record_in else ""
+        value = f"up to {record.SCHEMA}, **required**" if name == "schema_" else _describe_value(field)  # type: ignore[attr-defined]
         keys.append(KeyDescription(key, value, meaning, owner, name, place))
     summary = " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
     yield TableDescription(described[record], summary, tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, described)
-
-
-def _table_path(path: str, key: str, field: FieldInfo) -> str:
-    kind = get_origin(_unwrap(field.annotation))
-    brackets = "[[{}]]" if kind is tuple else "[{}]"
-    outer = path.strip("[]")
-    name = f"{key}.NAME" if kind is dict else key
-    return brackets.format(f"{outer}.{name}" if outer else name)
-
-
-# --- meaning, type, default and bounds ------------------------------------------------------------------
 
 
 def find_owner(record: type[BaseModel], name: str) -> type[BaseModel]:
@@ -139,38 +126,28 @@ def _field_docstrings(record: type) -> dict[str, str]:
     if not issubclass(record, BaseModel) or record is BaseModel:
         return {}
     body = ast.parse(textwrap.dedent(inspect.getsource(record))).body[0].body  # type: ignore[attr-defined]
-    found = {}
-    for field, text in pairwise(body):
-        if (
-            isinstance(field, ast.AnnAssign)
-            and isinstance(text, ast.Expr)
-            and isinstance(text.value, ast.Constant)
-        ):
-            found[ast.unparse(field.target)] = " ".join(str(text.value.value).split())
-    return found  # fmt: skip
+    return {
+        ast.unparse(field.target): " ".join(str(text.value.value).split())
+        for field, text in pairwise(body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }
 
 
-UNITS = {
-    "mm": "mm", "deg": "°", "pa": "Pa", "gpa": "GPa", "nmm2": "N mm²", "hu": "HU", "percent": "%",
-}  # fmt: skip
-WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false", type(None): ""}
-LIMITS: Mapping[type, tuple[str, str]] = {
-    **{Ge: ("ge", "≥ {}"), Gt: ("gt", "> {}"), Le: ("le", "≤ {}"), Lt: ("lt", "< {}")},
-    **{MinLen: ("min_length", "at least {}"), MaxLen: ("max_length", "at most {}")},
+TYPES = {float: "float", int: "integer", str: "string", bool: "boolean"}  # as TOML calls them
+LIMITS = {
+    **{"ge": "≥ {:g}", "gt": "> {:g}", "le": "≤ {:g}", "lt": "< {:g}"},
+    **{"min_length": "at least {}", "max_length": "at most {}"},
 }
 
 
-def _describe_value(key: str, field: FieldInfo) -> str:
-    """Return type, unit, bounds and default of a key."""
-    unit = UNITS.get(key.rpartition("_")[2], "")
-    kind = _describe_type(field.annotation)
-    limits = [
-        words.format(f"{getattr(limit, name):g}")
-        for limit in field.metadata
-        for name, words in [LIMITS.get(type(limit), ("", ""))]
-        if name
-    ]
-    parts = [f"{kind} ({unit})" if unit else kind, *limits]
+def _describe_value(field: FieldInfo) -> str:
+    """Return type, bounds and default of a key."""
+    bounds = (
+        (words, getattr(limit, name, None)) for limit in field.metadata for name, words in LIMITS.items()
+    )
+    parts = [_describe_type(field.annotation), *(words.format(at) for words, at in bounds if at is not None)]
     if field.is_required():
         parts.append("**required**")
     else:
@@ -180,44 +157,27 @@ def _describe_value(key: str, field: FieldInfo) -> str:
     return ", ".join(parts)
 
 
-def _unwrap(annotation: Any) -> Any:  # noqa: ANN401 - whatever may stand in an annotation
-    """Return an annotation without `None` and without what `Annotated` adds."""
-    if get_origin(annotation) in (Union, types.UnionType):
-        given = [one for one in get_args(annotation) if one is not type(None)]
-        return _unwrap(given[0]) if len(given) == 1 else annotation
-    return _unwrap(get_args(annotation)[0]) if hasattr(annotation, "__metadata__") else annotation
-
-
 def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand in an annotation
     """Return what a key takes, in words."""
-    kind = _unwrap(annotation)
-    origin, inner = get_origin(kind), get_args(kind)
+    origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         return " or ".join(f"`{format_value(one)}`" for one in inner)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(_describe_type(one) for one in inner if one is not type(None)))
+    if hasattr(annotation, "__metadata__"):  # of Annotated
+        return _describe_type(inner[0])
     if origin is dict:
-        return f"table of {_plural(_describe_type(inner[1]))} by name"
-    if origin is tuple and inner[-1] is Ellipsis:
-        return f"list of {_plural(_describe_type(inner[0]))}"
+        return f"table of {_describe_type(inner[1])} by name"
     if origin is tuple:
-        return f"list of {len(inner)} {_plural(_describe_type(inner[0]))}"
-    if inspect.isclass(kind) and issubclass(kind, BaseModel):
-        return "table"
-    return WORDS.get(kind, "value")
-
-
-def _plural(words: str) -> str:
-    head, space, rest = words.partition(" of ")
-    return f"{head}s{space}{rest}" if head in ("number", "whole number", "table", "list") else words
+        return f"array of {_describe_type(inner[0])}" + (f" × {len(inner)}" if inner[-1] is not ... else "")
+    return "table" if find_record(annotation) else TYPES.get(annotation, "value")
 
 
 def find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever may stand in an annotation
     """Return the record within an annotation, also in a list or a table."""
-    kind = _unwrap(annotation)
-    if inspect.isclass(kind) and issubclass(kind, BaseModel):
-        return kind
-    return next((found for one in get_args(kind) if (found := find_record(one))), None)
+    if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := find_record(one))), None)
 
 
 def format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value

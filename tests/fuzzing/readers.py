@@ -73,9 +73,7 @@ def _scene(path: Path) -> object:
 
 
 def _study(path: Path) -> object:
-    study = _late("studies.study_files.load_study")(path)
-    _late("studies.study_files.find_missing_data")(path)
-    return study
+    return _late("studies.study_files.load_study")(path)
 
 
 def _medium(path: Path) -> object:
@@ -114,7 +112,8 @@ def _mesh(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    return _late("studies.store.restore_runs")(folder, unverified=True)
+    _late("project.folders.write_manifest")(folder)
+    return _late("studies.store.restore_run")(folder)
 
 
 def _checkpoint(folder: Path) -> object:

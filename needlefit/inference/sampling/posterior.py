@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 #: distribution, 0.7 % exceed it. The means of the parts then have an SD of 0.2 of the draws', not of 0.1
 MAX_R_HAT = 1.02
 LOG_POSTERIOR = "log posterior"
+UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: of parameters, by the endings of their names
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
 
 
@@ -68,7 +69,7 @@ class Posterior:
         return {name: tuple(column.tolist()) for name, column in zip(self.names, table.T, strict=True)}
 
     def to_xarray(self) -> "xarray.DataTree":
-        """Return the groups of the netCDF file that `save` writes: draws in Pa and mm, by chain and draw."""
+        """Return the groups of the netCDF file that `save` writes: draws by chain and draw, with `units`."""
         import xarray
 
         return xarray.DataTree.from_dict(_make_datasets(self))
@@ -163,5 +164,6 @@ def _make_datasets(posterior: Posterior) -> "dict[str, xarray.Dataset]":
     found: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     for key, array in numbers.items():
         group, name = key.split("/")
-        found[group][name] = (tuple(coordinates[group])[: array.ndim], array)
+        unit = UNITS.get(name.rpartition("_")[2], "1")
+        found[group][name] = (tuple(coordinates[group])[: array.ndim], array, {"units": unit})
     return {group: xarray.Dataset(found[group], coordinates[group], header) for group in GROUPS}
