@@ -14,8 +14,9 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
+from scipy.sparse import csr_array
 
-from needlefit.arrays import Bools, Floats, Ints
+from needlefit.arrays import Bools, Floats
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, correlation_factor
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, Rod
@@ -282,7 +283,7 @@ class _SliceProblem:
             [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / SCAN_SDS]
         )
 
-    def project(self, theta: Floats) -> tuple[Ints, Floats]:
+    def project(self, theta: Floats) -> csr_array:
         """Return the metal on the rays."""
         across, along, end, _ = self.split(theta)
         return self.rod.lengths(
@@ -294,13 +295,13 @@ class _SliceProblem:
         """Brightness of the surroundings (K, S, 1)."""
         return np.asarray(self.shown[..., self.rim].mean(axis=-1, keepdims=True))
 
-    def image(self, metal: tuple[Ints, Floats], theta: Floats, aside: float = 0.0) -> Floats:
+    def image(self, metal: csr_array, theta: Floats, aside: float = 0.0) -> Floats:
         """Return what slices show (K, S, U) where `metal` is on the rays."""
         over = self.rod.show(metal, self.split(theta)[-1], aside)
         over = over - over[..., self.rim].mean(axis=-1, keepdims=True)
         return np.clip(over + self.level, *self.cut)
 
-    def slopes(self, theta: Floats, metal: tuple[Ints, Floats], here: Floats) -> Floats:
+    def slopes(self, theta: Floats, metal: csr_array, here: Floats) -> Floats:
         """Return the derivatives of what slices show (K, S, U, P)."""
         count = self.at.shape[1]
         shift = (self.image(metal, theta, 0.05) - here) / 0.05
