@@ -354,10 +354,8 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     after = files(tmp_path)
     pages = {name for name in after if name.startswith("out.refused/")}
     assert {name: after[name] for name in after.keys() - pages} == before
-    assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
+    assert "out.refused/refused.csv" in pages
     assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
-    if "scans.csv" in before:
-        assert {"tube", "ball", "entry"} <= {*pd.read_csv(tmp_path / "out.refused/candidates.csv")["kind"]}
 
 
 @pytest.mark.sweep

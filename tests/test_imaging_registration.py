@@ -50,7 +50,6 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     assert proper(registration.rotation)
     assert registration.fre < 1e-9
     assert registration.warnings == ()
-    assert np.all(registration.leave_one_out < 1e-9)
 
 
 @settings(max_examples=20)
@@ -85,11 +84,6 @@ def test_missing_spurious_and_moved_markers_are_left_out_and_named():
     assert any(
         re.search(r"found marker 3 .*\b2\.00 mm .*known marker 3", text) for text in registration.warnings
     )
-    moved = LAYOUT.copy()
-    moved[3] += [0, 0, 0.3]
-    registration = register(moved, LAYOUT, 0.1)
-    assert registration.leave_one_out[3] == pytest.approx(0.3, abs=1e-9)
-    assert np.isnan(register(LAYOUT[:3], LAYOUT[:3], 0.1).leave_one_out).all()
 
 
 # predicted errors
@@ -202,23 +196,3 @@ def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
 
 
 # pairings
-
-
-@pytest.mark.parametrize(
-    ("layout", "turns"),
-    [
-        (CUBE, 24),
-        (CUBE[[0, 3, 5, 6]], 12),  # a regular tetrahedron
-        (np.diag([30.0, 30.0, 30.0]), 6),  # an equilateral triangle, turned over too
-        (np.array([[0, 0, 0], [60, 0, 0], [30, 50, 0]], dtype=float), 2),  # isosceles
-        (LAYOUT, 1),
-        (
-            np.array([[0, 0, 0], [60, 0, 0], [30, 50, 0], [30, 10, 40]], dtype=float),
-            1,
-        ),  # mirror image alone
-    ],
-)
-def test_the_symmetry_group_of_a_layout(layout, turns):
-    found = pairing.find_symmetries(layout, 0.1)
-    assert len(found) == turns
-    assert found[0].tolist() == list(range(len(layout)))

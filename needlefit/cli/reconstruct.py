@@ -216,8 +216,6 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
-        if found and "corrections" in found.frames:
-            about["corrections"] = found.frames["corrections"].to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()

@@ -22,7 +22,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
-from needlefit.imaging.corrections import compare_reconstructions
+from needlefit.imaging.corrections import describe_changes
 from needlefit.imaging.entry import EntryCandidate, list_candidates
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.reconstruct import Examination, VolumeSearch, add_views, examine
@@ -332,7 +332,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Resu
             return one
         plain = replace(scan, corrections=None)
         before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
-        return replace(one, changes=compare_reconstructions(before, one))
+        return replace(one, warnings=(describe_changes(before, one), *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     return ReconstructionFailure(scan, failed, collect_findings(search, found) if collect else None)
 

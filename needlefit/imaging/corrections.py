@@ -18,7 +18,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
-from needlefit.imaging.reconstruction import Change, Reconstruction
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.scans import PLACED_CONTACT, Corrections, Scan
@@ -158,25 +158,13 @@ def _require_correctable(scans: dict[str, Scan], id_: str, found: Corrections) -
     return scan
 
 
-def compare_reconstructions(before: Reconstruction | None, after: Reconstruction) -> tuple[Change, ...]:
-    """Return what corrections changed; `before`: without them, None if the scan was refused."""
-
-    def describe(one: Reconstruction) -> dict[str, float]:
-        sizes = {"inserted length": one.depth, "tip deflection": one.deflection}
-        if one.registration is not None:
-            sizes["FRE"] = one.registration.fre
-        depths = enumerate(one.layers.boundaries.tolist(), start=1)
-        return sizes | {f"crossing {n}": depth for n, depth in depths}
-
-    now = describe(after)
+def describe_changes(before: Reconstruction | None, after: Reconstruction) -> str:
+    """Return in words what corrections changed; `before`: without them, None if the scan was refused."""
     if before is None:
-        return tuple(Change(name, np.nan, size, np.nan) for name, size in now.items())
-    then = describe(before)
-    tip = after.needle_axis.tip - before.needle_axis.tip
+        return "corrected; without its corrections the scan is refused"
     entries = [one.patient.to_local(one.points[:1])[0] for one in (before, after)]
-    moves = {"tip": tip, "entry": entries[1] - entries[0]}
-    rows = [Change(name, np.nan, np.nan, float(np.linalg.norm(move))) for name, move in moves.items()]
-    for name in dict.fromkeys((*now, *then)):
-        first, second = then.get(name, np.nan), now.get(name, np.nan)
-        rows.append(Change(name, first, second, second - first))
-    return tuple(rows)
+    moved = {"entry": entries[1] - entries[0], "tip": after.needle_axis.tip - before.needle_axis.tip}
+    words = [f"{name} moved by {np.linalg.norm(move):.2f} mm" for name, move in moved.items()]
+    for name, value in {"inserted length": "depth", "tip deflection": "deflection"}.items():
+        words.append(f"{name} {getattr(before, value):.2f} -> {getattr(after, value):.2f} mm")
+    return f"corrected: {', '.join(words)}"
