@@ -225,15 +225,12 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections)
+    own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections, scan.mask)
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        if scan.mask is None:
-            tubes = search.find_tubes()
-            parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
-        else:
-            parts = segmentation.list_mask_needles(search.volume, scan.mask, search.recipe)
+        tubes = search.find_tubes()
+        parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
         points = segmentation.locate_needles(search.volume, parts)
         if len(points) > 1:
             ones = enumerate(points, start=1)

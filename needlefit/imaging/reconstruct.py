@@ -51,12 +51,11 @@ from needlefit.imaging.markers import (
 )
 from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.follow import follow_points, select_rod
+from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
     find_tubes,
-    read_mask_component,
     select_needle,
 )
 from needlefit.imaging.needle.tip import END_LENGTH_MM
@@ -426,15 +425,14 @@ class VolumeSearch:
 
 
 def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
-    """Return the needle: by a person's mask or points on it, else among the tubes of the volume."""
+    """Return the needle: along points on it or a mask, else among the tubes of the volume."""
     recipe, points = search.recipe, None if scan.corrections is None else scan.corrections.axis
-    if points is None and scan.mask is not None and is_list_of_points(scan.mask):
-        points = read_markers(scan.mask)
+    if points is None and scan.mask is not None:
+        listed = is_list_of_points(scan.mask)
+        points = read_markers(scan.mask) if listed else read_mask_points(search.volume, scan.mask)
     if points is not None:
         axis = follow_points(search.volume, points, recipe)
         return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
-    if scan.mask is not None:
-        return NeedleSelection(read_mask_component(search.volume, scan.mask, recipe, scan.needle_at))
     return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
 
 
@@ -694,8 +692,7 @@ def examine(
     with found.step():
         require_within(volume, moved)
     with found.step():
-        if scan.mask is None or is_list_of_points(scan.mask) or moved.axis is not None:
-            require_hounsfield(volume, str(scan.volume))
+        require_hounsfield(volume, str(scan.volume))
     with found.step():
         found.selection = choose_needle(search, scan)
     selection = found.selection
