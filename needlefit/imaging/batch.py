@@ -114,12 +114,8 @@ def _try(step: Callable[[], T]) -> T | None:
 
 
 def _list_tubes(search: VolumeSearch, found: segmentation.NeedleSelection | None) -> tuple[TubeFinding, ...]:
-    """Return the needle and the other tubes, or, where none is one, the longest bright components."""
-    if found is not None:
-        parts = [found.needle, *found.others]
-    else:
-        longest = partial(segmentation.find_longest, search.volume, search.recipe)
-        parts = _try(search.find_tubes) or _try(longest) or []
+    """Return the needle and the other tubes, or, where none is chosen, all."""
+    parts = [found.needle, *found.others] if found is not None else _try(search.find_tubes) or []
     chosen = None if found is None else found.needle
     return tuple(
         TubeFinding(segmentation.find_ends(search.volume, part), part.length, part.width, part is chosen)

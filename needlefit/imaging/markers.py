@@ -7,7 +7,6 @@ higher level is a part of that list, so that no second array of the volume's siz
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -140,35 +139,29 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-# Balls whose diameter is measured: those that the stated one explains best; and among how many candidates.
-MEASURED_BALLS, MEASURABLE_BALLS = 3, 6
+# Balls whose diameter is measured: those that the stated one explains best.
+MEASURED_BALLS = 3
 DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does not explain, in parts of it
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
-# Where nothing of about the stated diameter is a ball, candidates of so many times that are measured.
-OTHER_FACTORS = (0.6, 1.6)
 FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
 Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and what its fit gave
 
 
 def _measure_diameter(
-    volume: Volume, candidates: Iterable[Candidate], max_misfit: float, fit: FitSphere
+    volume: Volume, balls: Iterable[tuple[Blob, SphereFit]], fit: FitSphere
 ) -> tuple[float, float] | None:
-    """Return the diameter of the balls among candidates, and its deviation, mm; None if none shows it."""
-    balls: list[tuple[float, float]] = []
-    for blob, _ in sorted(candidates, key=lambda one: one[1].misfit)[:MEASURABLE_BALLS]:
-        ball, middle = fit(volume, blob, None), to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        resolved = ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur
-        if resolved and _find_fault(volume, ball, middle, _limit_misfit(ball, max_misfit)) is None:
-            balls.append((ball.diameter, ball.diameter_sd))
-        if len(balls) == MEASURED_BALLS:
-            break
-    if not balls:
+    """Return the diameter of balls, and its deviation, mm; None where the blur hides it."""
+    found: list[tuple[float, float]] = []
+    for blob, _ in sorted(balls, key=lambda one: one[1].misfit)[:MEASURED_BALLS]:
+        ball = fit(volume, blob, None)
+        if ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur:
+            found.append((ball.diameter, ball.diameter_sd))
+    if not found:
         return None
     # of small balls a few are off by many of their deviations
-    diameter, sd = np.median(balls, axis=0)
-    # to a hundredth, as it is printed
-    return round(float(diameter), 2), float(np.hypot(sd, DIAMETER_ERROR * diameter))
+    diameter, sd = np.median(found, axis=0)
+    return float(diameter), float(np.hypot(sd, DIAMETER_ERROR * diameter))
 
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
@@ -187,7 +180,7 @@ def find_markers(
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
     volume cuts: its centre would be pulled aside. The diameter of a few is measured: one that contradicts the
-    stated one is a warning, or, where too few have the stated one, is named if enough have it.
+    stated one is a warning.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     `fit`: `fit_sphere`, or what keeps its results.
@@ -206,35 +199,20 @@ def find_markers(
                 or place the fiducials by hand
             where: markers in the volume""")
 
-    def search(size: float) -> Iterator[Candidate]:
-        return _fit_balls(volume, find_blobs(volume, listed, size, exclude), size, rules.max_misfit, fit)
-
-    def measure(candidates: Iterable[Candidate]) -> tuple[float, float] | None:
-        return _measure_diameter(volume, candidates, rules.max_misfit, fit)
-
-    found = list(search(diameter))
-    balls = [one for _, one in found if isinstance(one, SphereFit)]
+    blobs = find_blobs(volume, listed, diameter, exclude)
+    found = list(_fit_balls(volume, blobs, diameter, rules.max_misfit, fit))
+    shown = [(blob, one) for blob, one in found if isinstance(one, SphereFit)]
+    balls = [ball for _, ball in shown]
     rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
     centers = [ball.center for ball in balls]
     spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
     warnings: list[str] = []
-    works: float | None = None
-    if len(balls) >= MIN_MARKERS:
-        measured = measure((blob, one) for blob, one in found if isinstance(one, SphereFit))
-        if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
-            warnings.append(
-                f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but "
-                f"{diameter:g} mm are stated: check markers.diameter_mm"
-            )
-    else:
-        others = (search(factor * diameter) for factor in OTHER_FACTORS)
-        for candidates in chain([found], others):
-            if (measured := measure(candidates)) is None:
-                continue
-            shown = (one for _, one in search(measured[0]) if isinstance(one, SphereFit))
-            if len(list(islice(shown, MIN_MARKERS))) == MIN_MARKERS:
-                works = measured[0]
-                break
+    measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
+    if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
+        warnings.append(
+            f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "
+            "are stated: check markers.diameter_mm"
+        )
     return MarkerResult(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
@@ -244,7 +222,6 @@ def find_markers(
         # with a wrong diameter the blur is wrong
         spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls and not warnings else None,
         warnings=tuple(warnings),
-        working_diameter=works,
     )
 
 
@@ -278,8 +255,6 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
     what = f"{len(found.centers)} balls of {rules.diameter_mm:g} mm were found"
     if len(found.misfits):
         what += f" (misfit {found.misfits.min():.2f} to {found.misfits.max():.2f})"
-    if found.working_diameter is not None:
-        what += f"; balls of {found.working_diameter:.2f} mm are there: state that as markers.diameter_mm"
     nearest = sorted(found.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES_NAMED]
     if not found.rejected:
         return f"{what}, nothing else of about that size"

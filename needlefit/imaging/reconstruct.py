@@ -35,7 +35,6 @@ from needlefit.imaging.entry import (
     move_to_surface,
     pose_from_shaft,
     pose_from_stage,
-    require_agreement,
     usable_length,
 )
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
@@ -188,9 +187,9 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
             "depth; the stage's axis is more accurate, where it is known"
         )
     elif one.shaft is not None:
-        apart = compare_poses(one.pose, one.shaft)
-        if apart.worst > MAX_DISAGREEMENT_SD:
-            yield apart.sentence
+        worst, sentence = compare_poses(one.pose, one.shaft)
+        if worst > MAX_DISAGREEMENT_SD:
+            yield sentence
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     own = any(surface.into == 1 for surface in one.layers.surfaces)
     source = "its own surface (into = 1)" if own else ""
@@ -470,7 +469,7 @@ def estimate_first_contact(
     if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
         return stage, None, ()
     other = pose_from_shaft(outside, stage.along_sd)
-    require_agreement(stage, other)
+    compare_poses(stage, other)
     return stage, other, ()
 
 

@@ -43,8 +43,6 @@ class MarkerResult:
     rejected: tuple[RejectedMarker, ...] = ()  # other candidates in the volume
     spread: PointSpread | None = None  # the scanner's, as the balls show it
     warnings: tuple[str, ...] = ()  # what a person should know of the balls
-    # Where too few have the stated diameter: another, mm, of which enough were found.
-    working_diameter: float | None = None
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
     if empty:
         raise refusal(f"""no voxel belongs to segment {", ".join(empty)}
             expected: voxels in every segment
-            fix: remove the empty segments, or fill them""")
+            fix: fill the empty segments, or leave them out, or {SEGMENTS_FIX}""")
     unnamed = sorted(set(present) - {segment.value for segment in stated})
     if unnamed:
         raise refusal(f"""voxels have the labels {", ".join(map(str, unnamed))}, which no segment has

@@ -146,15 +146,6 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             or points on the needle""")
 
 
-def find_longest(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
-    """Return the bright components at the lowest threshold, the longest first; for a person to look at.
-
-    DataError if nothing is as bright as metal.
-    """
-    parts = cut_components(volume, find_components(volume, *list_thresholds(volume, recipe)[-1]), recipe)
-    return sorted(parts, key=lambda part: part.length, reverse=True)
-
-
 def _grow_tube(
     volume: Volume, tube: Component, levels: Sequence[float], recipe: ReconstructionRecord
 ) -> Component:
