@@ -25,7 +25,7 @@ from needlefit.imaging.entry import (
 )
 from needlefit.imaging.reconstruct import examine, reconstruct
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
-from needlefit.imaging.scans import LayerSource, Scan
+from needlefit.imaging.scans import Corrections, LayerSource, Scan
 from needlefit.imaging.volume_files import write_volume
 
 FREE = 95.0
@@ -183,7 +183,9 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
 def test_a_contact_lies_before_the_tip(before_tip, words):
     placed = np.array([11.0, 11.0, 40.0 - before_tip])
     volume = cases.scan(cases.axis())
-    found = examine(volume, Scan("one", Path("one.nrrd"), "box", contact=placed), cases.RECIPE)
+    found = examine(
+        volume, Scan("one", Path("one.nrrd"), "box", corrections=Corrections(entry=placed)), cases.RECIPE
+    )
     if words:
         assert found.error is not None and re.search(words, found.error.what)
     else:

@@ -1,8 +1,5 @@
 """What a reconstruction leaves behind: its page, its curves and bodies in Slicer, its tables."""
 
-from pathlib import Path
-
-import ct_cases
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,20 +8,10 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from needlefit.datasets.formats.mrk_json import read_mrk_json
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.batch import ReconstructionFailure, collect_findings
-from needlefit.imaging.reconstruct import VolumeSearch, examine
-from needlefit.imaging.scans import Scan
 from needlefit.studies.kinds.reconstruction import KIND
-from needlefit.studies.kinds.reconstruction.pages import (
-    list_facts,
-    list_finding_facts,
-)
-from needlefit.studies.kinds.reconstruction.report import (
-    tabulate_batch,
-    write_refused,
-)
+from needlefit.studies.kinds.reconstruction.pages import list_facts
+from needlefit.studies.kinds.reconstruction.report import tabulate_batch
 from needlefit.studies.report import write_files
 from needlefit.studies.slicer import write_scan
 
@@ -115,39 +102,3 @@ def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
     assert scans.loc[0, "fre_mm"] == pytest.approx(rms, rel=1e-6)
     assert crossings.loc[0, ["out_of", "into"]].tolist() == [1, 2]
     assert (scans["origin"] == "synthetic").all()
-
-
-SCAN = Scan("one", Path("scans/one.nrrd"), "gel", origin="synthetic")
-ERROR = DataError("no markers", where="here", expected="some", fix="add them")
-
-
-def findings(volume):
-    examined = examine(volume, SCAN, ct_cases.RECIPE)
-    return collect_findings(VolumeSearch(volume, ct_cases.RECIPE), examined)
-
-
-@pytest.fixture(scope="module")
-def found():
-    return findings(cases.small_scan())
-
-
-def test_a_scan_that_is_refused_shows_what_is_in_it(found):
-    (tube,) = found.tubes
-    assert tube.chosen
-    assert abs(tube.length - 40) < 2
-    assert np.linalg.norm(found.needle[-1] - [11, 14, 40]) < 0.3
-    (entry,) = found.entries
-    assert abs(entry.depth - 28.3) < 0.5
-    assert len(list_finding_facts(found)) == 4
-
-
-@pytest.mark.parametrize("readable", [True, False])
-def test_a_refused_scan_has_one_page_and_its_reason(found, tmp_path, readable):
-    failure = ReconstructionFailure(SCAN, ERROR, found if readable else None)
-    for name in ("first", "second"):
-        write_refused([failure], tmp_path / name)
-    pages = [(tmp_path / name / "quality" / "one.pdf").read_bytes() for name in ("first", "second")]
-    assert pages[0] == pages[1]
-    assert pages[0].count(b"/Type /Page\n") or pages[0].count(b"/Type/Page/") == 1
-    refused = pd.read_csv(tmp_path / "first" / "refused.csv").iloc[0]
-    assert all(text in refused["note"] for text in (ERROR.what, ERROR.expected, ERROR.fix))

@@ -15,6 +15,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.refusals import refusal
 from needlefit.schemas.dataset import (
@@ -225,7 +226,7 @@ def assemble_checked(
             expected=faults[0].expected,
             fix=faults[0].fix,
         )
-        failures.append(ReconstructionFailure(one.scan, error))
+        failures.append(ReconstructionFailure(one.scan, error, list_control_points(one)))
     if kept:
         if len(kept) > 1 and (faults := _find_faults(kept, recipe, description)):
             raise as_error(faults, Path(description.name))

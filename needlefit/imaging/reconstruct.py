@@ -75,7 +75,7 @@ from needlefit.imaging.registration.register import (
     scan_frame,
     to_world,
 )
-from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Corrections, Scan
+from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, to_index
 from needlefit.imaging.volume_files import read_volume
@@ -171,8 +171,8 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
         "the needle": None if scan.divided else scan.needle_at,
         "points on the needle": listed if moved.axis is None else moved.axis,
         "the markers": scan.fiducials if moved.balls is None else moved.balls,
-        "the first contact": scan.contact,
-        "the tip": scan.tip,
+        "the first contact": moved.entry,
+        "the tip": moved.tip,
     }
     by_hand = [name for name, given in placed.items() if given is not None]
     if by_hand:
@@ -498,12 +498,13 @@ def _locate_tissue(
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
     """
-    if scan.contact is not None:
+    contact = None if scan.corrections is None else scan.corrections.entry
+    if contact is not None:
         points = found.axis.points
         s = arc_length(points)
         fine = np.arange(0.0, s[-1], 0.05)
-        away = np.linalg.norm(interpolate_at_arc(points, fine) - scan.contact, axis=1)
-        beyond = float((scan.contact - points[-1]) @ normalize(points[-1] - points[-2]))
+        away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
+        beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
         off = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
         if away.min() > MAX_ENTRY_DISTANCE_MM:
             off = f"{away.min():.1f} mm beside the needle"
@@ -511,7 +512,7 @@ def _locate_tissue(
             raise refusal(f"""the first contact that was placed lies {off}
                 expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
-                where: {", ".join(CONTACT_COLUMNS)}""")
+                where: entry of the corrections""")
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
@@ -685,8 +686,6 @@ def examine(
     `search`: of the volume, with what was found in it before.
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
-    tip, contact = (a if b is None else b for a, b in ((scan.tip, moved.tip), (scan.contact, moved.entry)))
-    scan = replace(scan, tip=tip, contact=contact)
     found = Examination(scan)
     with found.step():
         require_within(volume, moved)
@@ -702,7 +701,7 @@ def examine(
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
             rough = selection.axis or selection.needle
-            found.needle_axis = trace_needle(volume, rough, recipe, spread, scan.tip)
+            found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
     with found.step():
         if found.markers is not None and scan.markers is not None:
             found.registration = register_scan(found.markers, scan.markers, recipe)

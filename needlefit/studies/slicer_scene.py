@@ -15,7 +15,7 @@ from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.datasets.markups import Markups
 from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh, map_surface
-from needlefit.imaging.corrections import LIST_NAME, make_control_points
+from needlefit.imaging.corrections import LIST_NAME, list_control_points
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.volume import Volume
@@ -66,13 +66,6 @@ class _SlicerScene:
         return self.add(tag, name, references=f"display:{seen};storage:{kept};")
 
 
-def make_scan_control_points(one: Reconstruction) -> Markups | None:
-    """Return the control points by which a reconstruction is corrected, LPS."""
-    (entry,) = one.patient.to_local(one.points[:1])
-    balls = np.empty((0, 3)) if one.markers is None else one.markers.centers
-    return make_control_points(one.scan.id, one.needle_axis.points, entry, balls)
-
-
 def write_control_points(points: Markups | None, folder: Path) -> None:
     """Write the control points of a scan, if there are any, to `<id>.corrections.mrk.json`."""
     if points is not None:
@@ -102,7 +95,7 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
         selected["references"] = f"ActiveVolume:{volume_id};"
         ElementTree.SubElement(scene.root, "Selection", selected)
         lists = list(make_scan_markups(one))
-        if (points := make_scan_control_points(one)) is not None:
+        if (points := list_control_points(one)) is not None:
             lists.append((points, CONTROL_POINT_STYLE))
         for number, (markups, style) in enumerate(lists, start=1):
             file, colour = f"markups{number}.mrk.json", _format_colour(style.colour)

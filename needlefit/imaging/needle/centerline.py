@@ -135,7 +135,7 @@ def trace_needle(
             raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
                 expected: a point on the needle, LPS, mm
                 fix: place it on the needle, or place points along the needle; RAS turns the signs of x, y
-                where: tip_x_mm, tip_y_mm, tip_z_mm""")
+                where: tip of the corrections""")
         at = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)

@@ -10,18 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.arrays import Floats
-from needlefit.errors import NeedlefitError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.batch import Findings, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction, ScanView
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import to_index
 from needlefit.project.folders import replace_file
 from needlefit.reporting import document
 from needlefit.reporting.figures.scan_views import (
     ENTRY_COLOUR,
     LAYER_COLOUR,
-    MARKER_COLOUR,
     NEEDLE_COLOUR,
     TIP_COLOUR,
     join_needle,
@@ -37,10 +33,6 @@ MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch
 _CAPTION = (
     "The scan in slabs that follow the needle (crosses: centres of markers nearby); below, its deflection "
     "and the brightness around it. Lines: entry, layers, tip. Bands: 95 %."
-)
-_REFUSED_CAPTION = (
-    "Largest brightness through the scan, along j, i and k. Lines: tubes (bold: taken as the needle); "
-    "circles: balls (filled: markers); diamonds: where soft material begins."
 )
 _SOURCES = {
     **{"stage": "the stage", "shaft": "the straight shaft outside"},
@@ -58,19 +50,6 @@ def write_quality(one: Reconstruction, path: Path) -> Path:
     warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
     words = (f"Reconstruction of {one.scan.id}", list_facts(one), warnings, _CAPTION)
     return _write_page(path, one.scan, words, partial(paint_needle_section, one))
-
-
-def write_refused_pages(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write `<id>.pdf` (A4) of each refused scan into a folder, with everything that was found in it.
-
-    ConfigError if nothing can be written there.
-    """
-    folder.mkdir(exist_ok=True)
-    for failure in failures:
-        scan, found = failure.scan, failure.findings
-        facts = [[("scan", "could not be read")]] if found is None else list_finding_facts(found)
-        words = (f"Refused: {scan.id}", facts, list_reasons(failure.error), _REFUSED_CAPTION)
-        _write_page(folder / f"{scan.id}.pdf", scan, words, partial(paint_findings, found))
 
 
 def _write_page(
@@ -137,44 +116,11 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
     ]
 
 
-def list_finding_facts(found: Findings) -> list[list[Fact]]:
-    """Return the facts of the page of a refused scan, in groups."""
-    spacing = " × ".join(f"{edge:.3g}" for edge in found.grid.spacing)
-    size = " × ".join(str(count) for count in found.grid.size)
-    tubes, balls, entries = list[Fact](), list[Fact](), list[Fact]()
-    for n, tube in enumerate(found.tubes, start=1):
-        first, last = (_place(end) for end in tube.ends)
-        words = f"{tube.length:.1f} mm long, {tube.width:.1f} wide; L, P, S {first} to {last}"
-        tubes.append((f"tube {n}" + " (needle)" * tube.chosen, words))
-    for n, ball in enumerate(found.balls, start=1):
-        words = f"{ball.diameter:.1f} mm; L, P, S {_place(ball.center)}"
-        balls.append((f"ball {n}" + " (marker)" * ball.marker, words))
-    for n, one in enumerate(found.entries, start=1):
-        words = f"{one.depth:.2f} ± {one.sd:.2f} mm before the tip, {one.run.level:.0f} HU"
-        entries.append((f"entry {n}", words))
-    return [
-        [("voxels", f"{size}, {spacing} mm")],
-        tubes or [("tubes", "none")],
-        balls or [("balls", "none found, or none needed")],
-        entries or [("entry", "not looked for: no needle" if found.needle is None else "none")],
-    ]
-
-
-def _place(at: Floats) -> str:
-    return ", ".join(f"{x:.0f}" for x in at)
-
-
 def _with_sd(value: float, sd: float) -> str:
     return f"{format_mm(value)} ± {format_mm(sd)} mm"
 
 
-def list_reasons(error: NeedlefitError) -> list[str]:
-    """Return the parts of an error, each in words."""
-    named = {"where": error.where, "expected": error.expected, "fix": error.fix}
-    return [f"refused: {error.what}", *(f"{name}: {text}" for name, text in named.items() if text)]
-
-
-# ---- the pictures
+# ---- the picture
 
 Span = tuple[float, float]
 
@@ -293,54 +239,3 @@ def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
     axes.annotate(
         "← base", (left, top), xytext=(0, 2.5), textcoords="offset points", va="bottom", fontsize=7,
     )  # fmt: skip
-
-
-_WINDOW_HU = (-700.0, 3000.0)
-_VIEW_WIDTH_MM, _VIEW_HEIGHT_MM, _VIEW_LEFT_MM, _VIEW_BOTTOM_MM = 75.0, 78.0, 15.0, 9.0
-_AXES = "ijk"
-# By the axis along which the scan is projected: the axes of the voxels to the right and upwards.
-_VIEWS = {1: (0, 2), 0: (1, 2), 2: (0, 1)}
-
-
-def paint_findings(found: Findings | None) -> Figure:
-    """Draw the three projections of a refused scan with all candidates."""
-    figure = make_figure_mm(180.0, 175.0)
-    if found is None:
-        return figure
-    extent = np.array(found.grid.size) * found.grid.spacing
-    for n, (through, (right, up)) in enumerate(_VIEWS.items()):
-        scale = min(_VIEW_WIDTH_MM / extent[right], _VIEW_HEIGHT_MM / extent[up])
-        left = _VIEW_LEFT_MM + n % 2 * (_VIEW_WIDTH_MM + _VIEW_LEFT_MM)
-        bottom = _VIEW_BOTTOM_MM + (1 - n // 2) * (_VIEW_HEIGHT_MM + _VIEW_BOTTOM_MM)
-        axes = add_panel_mm(figure, (left, bottom, scale * extent[right], scale * extent[up]))
-        axes.imshow(
-            found.projections[2 - through], cmap="gray", vmin=_WINDOW_HU[0], vmax=_WINDOW_HU[1],
-            origin="lower", extent=(0.0, extent[right], 0.0, extent[up]), interpolation="nearest",
-            aspect="equal",
-        )  # fmt: skip
-        _mark_candidates(axes, found, (right, up))
-        axes.set(xlim=(0, extent[right]), ylim=(0, extent[up]))
-        axes.set(xlabel=f"along {_AXES[right]} (mm)", ylabel=f"along {_AXES[up]} (mm)")
-    return figure
-
-
-def _mark_candidates(axes: Axes, found: Findings, shown: tuple[int, int]) -> None:
-    """Draw and number all candidates over two axes of the voxels, mm from the first voxel's corner."""
-
-    def place(points: Floats) -> Floats:
-        return np.asarray((to_index(found.grid, points) + 0.5) * found.grid.spacing)[:, shown]
-
-    for n, tube in enumerate(found.tubes, start=1):
-        ends = place(tube.ends)
-        axes.plot(*ends.T, color=NEEDLE_COLOUR, lw=1.4 if tube.chosen else 0.7)
-        axes.annotate(str(n), ends[0], color=NEEDLE_COLOUR, fontsize=7, fontweight="bold")
-    for n, ball in enumerate(found.balls, start=1):
-        (at,) = place(ball.center[None])
-        fill = MARKER_COLOUR if ball.marker else "none"
-        axes.plot(*at, "o", mec=MARKER_COLOUR, mfc=fill, ms=4, mew=0.9)
-        axes.annotate(str(n), at, (3, 2), textcoords="offset points", color=MARKER_COLOUR, fontsize=7)
-    if found.needle is not None:
-        axes.plot(*place(found.needle[-1:])[0], "o", color=TIP_COLOUR, ms=3, mew=0)
-    for n, at in enumerate(place(found.entry_points), start=1):
-        axes.plot(*at, "D", mec=ENTRY_COLOUR, mfc="none", ms=4, mew=0.9)
-        axes.annotate(str(n), at, (3, -7), textcoords="offset points", color=ENTRY_COLOUR, fontsize=7)

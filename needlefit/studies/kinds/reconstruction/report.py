@@ -12,10 +12,10 @@ from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure, add_findings
-from needlefit.imaging.corrections import make_control_points
+from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
+from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scans import VECTORS, write_scan_table
+from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
@@ -28,19 +28,18 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
-from needlefit.studies.kinds.reconstruction.pages import list_reasons, write_quality, write_refused_pages
+from needlefit.studies.kinds.reconstruction.pages import write_quality
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import (
-    make_scan_control_points,
     write_control_points,
     write_slicer_scene,
 )
 
 SCANS_FILE = "scans.csv"
-TIP_COLUMNS = VECTORS["tip"]
+TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 # Of the scene of a scan: modulus of the tissue, Pa, its thickness beside the needle, and the bevel's offset,
 # mm, as of the paper's soft layers.
 ASSUMED_MU_PA, ASSUMED_TISSUE_MM, ASSUMED_OFFSET_MM = 5e4, 40.0, 0.085
@@ -172,8 +171,12 @@ def describe_scan(one: Reconstruction) -> Row:
 
 def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame:
     """Return the table of refused scans: why, and what would fix it."""
-    why = [(one.scan.id, one.scan.volume.name, ". ".join(list_reasons(one.error))) for one in failures]
-    return pd.DataFrame(why, columns=list(_REFUSED_COLUMNS))
+    rows = []
+    for one in failures:
+        named = {"where": one.error.where, "expected": one.error.expected, "fix": one.error.fix}
+        parts = [f"refused: {one.error.what}", *(f"{name}: {text}" for name, text in named.items() if text)]
+        rows.append((one.scan.id, one.scan.volume.name, ". ".join(parts)))
+    return pd.DataFrame(rows, columns=list(_REFUSED_COLUMNS))
 
 
 # ---- the report
@@ -252,16 +255,14 @@ def write_reconstruction(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`, also
-    of the scans that were `refused`; `slicer/`, with `scenes` also `<id>.mrb`; and the files of every run.
+    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`;
+    `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
-        by_id = {one.scan.id: one for one in ones}
-        failures = tuple(add_findings(one, by_id[one.scan.id], recipe) for one in failures)
         if not kept:
             return None, failures
         refused = (*refused, *failures)
@@ -274,7 +275,7 @@ def write_reconstruction(
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            write_control_points(make_scan_control_points(one), fresh / "slicer")
+            write_control_points(list_control_points(one), fresh / "slicer")
             if scenes:
                 volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
@@ -288,8 +289,8 @@ def write_reconstruction(
         result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
-            write_refused_pages(refused, fresh / "quality")
-            write_refused_points(refused, fresh / "slicer")
+            for one in refused:
+                write_control_points(one.points, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
 
@@ -325,22 +326,12 @@ def write_planned_scene(one: Reconstruction, recipe: ReconstructionRecord, path:
     path.write_text(dumps(tables), encoding="utf-8")
 
 
-def write_refused_points(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write the control points of what was found in refused scans to `<id>.corrections.mrk.json`."""
-    for failure in failures:
-        if (found := failure.findings) is None:
-            continue
-        entry = found.entry_points[-1] if found.entries else None
-        balls = np.array([ball.center for ball in found.balls if ball.marker]).reshape(-1, 3)
-        write_control_points(make_control_points(failure.scan.id, found.needle, entry, balls), folder)
-
-
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write a folder of refused scans alone: `quality/`, `slicer/` and `refused.csv`.
+    """Write a folder of refused scans alone: `slicer/` and `refused.csv`.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
-        write_refused_pages(failures, fresh / "quality")
-        write_refused_points(failures, fresh / "slicer")
+        for failure in failures:
+            write_control_points(failure.points, fresh / "slicer")
         write_csv(tabulate_failures(failures), fresh / "refused.csv")
