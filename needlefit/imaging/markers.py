@@ -1,23 +1,21 @@
 """Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres.
 
 A ball that hangs together with its neighbour at one level stands alone at a higher one, a dull one only
-shows at a low one. The bright voxels of the lowest level are listed once, with which of them touch; every
-higher level is a part of that list, so that no second array of the volume's size is needed.
+shows at a low one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
@@ -27,8 +25,8 @@ from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit,
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
+LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 # Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it.
 MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
 # By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur.
@@ -38,28 +36,10 @@ MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a vo
 BLOOM_EXTENT_MM = 0.25
 
 
-@dataclass
-class BrightVoxels:
-    """The bright voxels of a volume, whichever balls are looked for: flat indices (N,), ascending."""
-
-    flat: Ints
-    values: NDArray[np.float32]  # (N,)
-    pairs: Ints  # (E, 2); which of them touch
-    levels: Sequence[float]  # HU, from that which all exceed on
-    _labels: dict[float, NDArray[np.int32]] = field(default_factory=dict)
-
-    def label(self, level: float) -> NDArray[np.int32]:
-        """Return what hangs together above a level: a number for each voxel (N,)."""
-        if level not in self._labels:
-            pairs = self.pairs[(self.values > level)[self.pairs].all(axis=1)]
-            shape = (len(self.flat), len(self.flat))
-            links = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=shape)
-            self._labels[level] = connected_components(links, directed=False)[1]
-        return self._labels[level]
-
-
-def find_blobs(volume: Volume, bright: BrightVoxels, diameter: float, exclude: Ints | None) -> list[Blob]:
-    """Return the components that may be a ball, the most similar in size first.
+def find_blobs(
+    volume: Volume, bright: BrightVoxels, levels: Sequence[float], diameter: float, exclude: Ints | None
+) -> list[Blob]:
+    """Return the components above one of the levels (HU) that may be a ball, the most similar in size first.
 
     `diameter`: of the ball, mm.
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
@@ -68,61 +48,39 @@ def find_blobs(volume: Volume, bright: BrightVoxels, diameter: float, exclude: I
     forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
     found = [
         blob
-        for level in bright.levels
+        for level in levels
         for blob in _find_blobs_at(volume, bright, level, diameter, forbidden)
         if _is_round(volume, blob)
     ]
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
-def list_bright_voxels(volume: Volume, threshold: float | None) -> BrightVoxels:
-    """Return the voxels above the lowest level that shows separate things.
-
-    `threshold`: the one level to look at, HU; None: levels from the volume.
-    """
+def list_levels(volume: Volume) -> list[float]:
+    """Return the levels at which balls are looked for, HU, to the brightest voxel."""
     start, top = median_tissue_hu(volume), float(volume.values.max())
     count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
-    levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]  # to the brightest voxel
-    levels = levels if threshold is None else [threshold]
-    while True:
-        above = [np.flatnonzero(s > levels[0]) + k * s.size for k, s in enumerate(volume.values)]
-        flat = np.concatenate(above)
-        if len(flat) <= MAX_BRIGHT_VOXELS:
-            break
-        if len(levels) == 1:
-            return BrightVoxels(flat, np.empty(0, np.float32), np.empty((0, 2), np.int64), levels)
-        levels = levels[1:]
-    _, rows, columns = volume.values.shape
-    pairs = []
-    for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
-        at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
-        touch = flat[at] == flat + stride
-        if size is not None:  # the last of a row and the first of the next do not touch
-            touch &= flat // stride % size < size - 1
-        pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
-    return BrightVoxels(flat, volume.values.reshape(-1)[flat], np.concatenate(pairs), levels)
+    return [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]
 
 
 def _find_blobs_at(
     volume: Volume, bright: BrightVoxels, level: float, diameter: float, forbidden: NDArray[np.bool_]
 ) -> Iterator[Blob]:
     """Yield what hangs together above `level`, has a ball's size and holds no forbidden voxel."""
-    above, labels = bright.values > level, bright.label(level)
-    size = np.bincount(labels[above], minlength=labels.max() + 1)
+    at, labels = bright.label(level)
+    size = np.bincount(labels)
     low, high = (
         _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
         _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM)),
     )
     fits = (size >= low) & (size <= high)
-    fits[labels[forbidden & above]] = False
-    members = np.flatnonzero(above & fits[labels])
+    fits[labels[forbidden[at]]] = False
+    members = np.flatnonzero(fits[labels])
     members = members[np.argsort(labels[members], kind="stable")]
     for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
         if len(group):
-            k, j, i = np.unravel_index(bright.flat[group], volume.values.shape)
             # diameter of a ball of the same volume
             own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
-            yield Blob(np.stack([i, j, k], axis=1), level, own)
+            yield Blob(bright.place(at[group]), level, own)
 
 
 def _is_round(volume: Volume, blob: Blob) -> bool:
@@ -189,17 +147,22 @@ def find_markers(
     DataError if nothing in the volume is bright enough.
     """
     rules = recipe.markers
-    diameter, listed = rules.diameter_mm, bright or list_bright_voxels(volume, rules.threshold_hu)
-    wanted, count = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter), len(listed.flat)
-    if not wanted <= count <= MAX_BRIGHT_VOXELS:
-        raise refusal(f"""{count} voxels exceed {listed.levels[0]:.0f} HU
+    diameter, levels = rules.diameter_mm, list_levels(volume)
+    if rules.threshold_hu is not None:
+        levels = [rules.threshold_hu]
+    listed = bright if bright and bright.level <= levels[0] else list_bright_voxels(volume, levels[0])
+    while len(levels) > 1 and np.count_nonzero(listed.values > levels[0]) > MAX_BRIGHT_VOXELS:
+        levels = levels[1:]
+    wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
+    if not wanted <= (count := np.count_nonzero(listed.values > levels[0])) <= MAX_BRIGHT_VOXELS:
+        raise refusal(f"""{count} voxels exceed {levels[0]:.0f} HU
             expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
                 {MAX_BRIGHT_VOXELS:.0g} in all
             fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe,
                 or place the fiducials by hand
             where: markers in the volume""")
 
-    blobs = find_blobs(volume, listed, diameter, exclude)
+    blobs = find_blobs(volume, listed, levels, diameter, exclude)
     found = list(_fit_balls(volume, blobs, diameter, rules.max_misfit, fit))
     shown = [(blob, one) for blob, one in found if isinstance(one, SphereFit)]
     balls = [ball for _, ball in shown]

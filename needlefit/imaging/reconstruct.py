@@ -24,6 +24,7 @@ from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_len
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
@@ -43,7 +44,6 @@ from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
     is_list_of_points,
-    list_bright_voxels,
     make_fiducials,
     read_markers,
     refine_fiducials,
@@ -55,6 +55,7 @@ from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
     find_tubes,
+    median_tissue_hu,
     select_needle,
 )
 from needlefit.imaging.needle.tip import END_LENGTH_MM
@@ -385,6 +386,7 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
+BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
 T = TypeVar("T")
 
 
@@ -397,14 +399,17 @@ class VolumeSearch:
 
     def find_tubes(self) -> list[Component]:
         """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", partial(find_tubes, self.volume, self.recipe))
+        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
+
+    @property
+    def bright(self) -> BrightVoxels:
+        """The bright voxels, in which needle and balls are looked for."""
+        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
+        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
-        bright = self._once(
-            "bright", partial(list_bright_voxels, self.volume, self.recipe.markers.threshold_hu)
-        )
-        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, bright)
+        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
         work = partial(fit_sphere, volume, blob, radius)

@@ -3,16 +3,14 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, find_objects, label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.axis_spline import AxisSpline
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -21,7 +19,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 # Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
 # would take several times the volume's memory.
 MAX_BOX_VOXELS = 2**24
-MAX_LISTED_VOXELS = 500_000  # bright voxels whose neighbours are looked up one by one, at most
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
@@ -52,33 +49,6 @@ def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
     labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=np.bool_))
     for number, box in enumerate(find_objects(labels), start=1):
         yield np.argwhere(labels[box] == number) + np.array([side.start for side in box])
-
-
-def _list_bright_parts(values: NDArray[np.float32], level: float) -> Iterator[Ints]:
-    """Yield the voxels (n, 3), k, j, i, of each part above a level (HU), as `_list_parts` does.
-
-    Only the bright voxels are looked at: to label a whole volume takes seconds.
-    """
-    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(values)])
-    if len(flat) > MAX_LISTED_VOXELS:
-        yield from _list_parts(values > level)
-        return
-    places = np.stack(np.unravel_index(flat, values.shape), axis=1)
-    pairs = []
-    for step in list(product((-1, 0, 1), repeat=3))[14:]:  # of opposite steps one
-        there = places + step
-        at = np.flatnonzero(((there >= 0) & (there < values.shape)).all(axis=1))
-        wanted = np.ravel_multi_index(tuple(there[at].T), values.shape)
-        found = np.minimum(np.searchsorted(flat, wanted), len(flat) - 1)
-        touch = flat[found] == wanted
-        pairs.append(np.stack([at[touch], found[touch]]))
-    links = np.concatenate(pairs, axis=1)
-    shape = (len(flat), len(flat))
-    labels = connected_components(coo_array((np.ones(links.shape[1], np.int8), links), shape=shape), False)[1]
-    order = np.argsort(labels, kind="stable")
-    for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
-        if len(members):
-            yield places[members]
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
@@ -119,14 +89,18 @@ class Component:
     on_face: float  # part of the voxels that lie on the volume's faces
 
 
-def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
+def find_tubes(
+    volume: Volume, recipe: ReconstructionRecord, bright: BrightVoxels | None = None
+) -> list[Component]:
     """Return the components that may be the needle, each with the pieces that lie on its curve.
+
+    `bright`: voxels above a level, where they were listed already.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     levels = list_thresholds(volume, recipe)
     for n, (low, high) in enumerate(levels):
-        parts = cut_components(volume, find_components(volume, low, high), recipe)
+        parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         # a holder, or the change from one slice to the next, may leave short pieces only
         seeds = [part for part in parts if is_tube(part, recipe, SEED_PART)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
@@ -246,15 +220,21 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     return pairs
 
 
-def find_components(volume: Volume, low: float, high: float) -> list[Component]:
+def find_components(
+    volume: Volume, low: float, high: float, bright: BrightVoxels | None = None
+) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
+
+    `bright`: voxels above a level, where they were listed already.
 
     DataError if no voxel exceeds `high`.
     """
+    if bright is None or bright.level > low:
+        bright = list_bright_voxels(volume, low)
     parts = [
-        measure_component(volume, kji[:, ::-1])
-        for kji in _list_bright_parts(volume.values, low)
-        if len(kji) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(kji.T)] > high)
+        measure_component(volume, ijk)
+        for ijk in bright.list_parts(low, corners=True)
+        if len(ijk) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
         raise refusal(f"""no voxels exceed {high:.0f} HU
