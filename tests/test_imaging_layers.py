@@ -289,7 +289,7 @@ def test_layers_counted_must_be_met_and_those_not_crossed_are_reported_with_the_
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(0),), EXACT)
     assert check_layer_count(scan(layers=2), layers, NEEDLE) == ()
     assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE) == ()
-    with pytest.raises(DataError, match=r"2 layers \(1 > 2; .*\b10\.00 mm\).*\b3\b"):
+    with pytest.raises(DataError, match=r"2 layers.*\b10\.00 mm.*\b3\b"):
         check_layer_count(scan(layers=3), layers, NEEDLE)
     with pytest.raises(DataError, match=r"\b2 were counted"):
         check_layer_count(scan(layers=2), sheet_at(55, 0, 0), NEEDLE)

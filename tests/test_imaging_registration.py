@@ -133,12 +133,7 @@ def refused(*arguments, **keywords):
         (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers"),
         (LAYOUT, LAYOUT[:2], 0.1, "every marker"),
         ([], LAYOUT, 0.1, "0 markers"),
-        (LAYOUT[:, :2], LAYOUT, 0.1, "no list of finite points"),
-        (np.where(LAYOUT == 5, np.nan, LAYOUT), LAYOUT, 0.1, "no list of finite points"),
         (LAYOUT, LAYOUT, 0.0, "zero"),
-        (LAYOUT, LAYOUT, -0.1, "negative"),
-        (LAYOUT, LAYOUT, [0.1, 0.1], "6 markers"),
-        (LAYOUT, LAYOUT, np.nan, "deviations"),
     ],
 )
 def test_markers_that_cannot_be_registered_are_refused(found, known, sd, word):

@@ -238,8 +238,8 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     entry, profile = None, found.profile
     if needle is not None and profile is not None:
         length = float(arc_length(needle)[-1])
-        for one in _try(lambda: list_candidates(profile, length)) or ():
-            (entry,) = interpolate_at_arc(needle, [one.at])  # of the last, as tissue holds the tip
+        for rise in _try(lambda: list_candidates(profile, length)) or ():
+            (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
     points = make_control_points(scan.id, needle, entry, balls)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings)
 

@@ -17,7 +17,7 @@ MAX_LISTED_VOXELS = 500_000  # voxels whose neighbours are looked up one by one,
 # Steps to neighbours, of opposite ones one: those that share a face, and all.
 ALL_STEPS = [step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
 FACE_STEPS = [step for step in ALL_STEPS if sum(map(abs, step)) == 1]
-Labels = tuple[Ints, NDArray[np.int32]]
+Labels = tuple[Ints, Ints]
 
 
 @dataclass
@@ -42,7 +42,7 @@ class BrightVoxels:
                 mask = np.zeros(self.shape, dtype=np.bool_)
                 mask.reshape(-1)[flat] = True
                 parts, _ = label(mask, generate_binary_structure(3, 3 if corners else 1))
-                self._labels[level, corners] = at, parts.reshape(-1)[flat]
+                self._labels[level, corners] = at, parts.reshape(-1)[flat].astype(np.int64)
                 return self._labels[level, corners]
             places, pairs = np.stack(np.unravel_index(flat, self.shape), axis=1), []
             for step in ALL_STEPS if corners else FACE_STEPS:
@@ -54,7 +54,8 @@ class BrightVoxels:
                 pairs.append(np.stack([inside[touch], found[touch]]))
             links = np.concatenate(pairs, axis=1)
             graph = coo_array((np.ones(links.shape[1], np.int8), links), shape=(len(flat), len(flat)))
-            self._labels[level, corners] = at, connected_components(graph, directed=False)[1]
+            labels = connected_components(graph, directed=False)[1]
+            self._labels[level, corners] = at, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]
 
     def list_parts(self, level: float, *, corners: bool = False) -> Iterator[Ints]:

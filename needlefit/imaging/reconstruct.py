@@ -264,30 +264,24 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
 
 
 def check_layer_count(scan: Scan, layers: Layers, points: Floats) -> tuple[str, ...]:
-    """Return warnings about the number of layers that a needle (N, 3), world, crosses.
-
-    Nothing, where there are as many as somebody counted.
+    """Return a warning about a needle (N, 3), world, that crosses none of the layers.
 
     DataError if somebody counted the layers and these are not as many.
     """
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
-    if len(layers.sequence) in counted:
-        return ()
-    notes: tuple[str, ...] = ()
+    count = len(layers.sequence)
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
-    if beyond and not len(layers.boundaries):
+    if not counted and beyond and not len(layers.boundaries):
         away = find_nearest(points, beyond).distances.min()
-        notes = (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
-    if not counted:
-        return notes
-    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries)
-    where = f"; interfaces at {depths} mm" if depths else ""
-    order = " > ".join(map(str, layers.sequence))
+        return (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
+    if not counted or count in counted:
+        return ()
+    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "no depth"
     expected = " or ".join(map(str, sorted(counted)))
-    raise refusal(f"""{scan.id} meets {len(layers.sequence)} layer{"s" * bool(depths)} ({order}{where}), but
-            {expected} were counted{"".join(f"; {one}" for one in notes)}
+    raise refusal(f"""{scan.id} meets {count} layer{"s" * (count > 1)}, with interfaces at {depths} mm, but
+            {expected} were counted
         expected: {expected} layers
-        fix: correct the count or the surfaces; look at both together in 3D Slicer""")
+        fix: correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)""")
 
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.

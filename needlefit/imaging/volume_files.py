@@ -225,9 +225,8 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
-    are kept, others rounded to 1/65535 of the range of the values. NIfTI stores its geometry in single
-    precision (1e-5 mm), the others in double.
+    NRRD, NIfTI and MetaImage keep values to the bit, DICOM whole HU in 16 bits. NIfTI stores its geometry in
+    single precision (1e-5 mm), the others in double.
 
     DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
     or the packages that write scans are not installed.

@@ -30,7 +30,7 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
     MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
@@ -321,9 +321,11 @@ def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> 
     """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
 
     The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
-    shows that.
+    shows that, and thin slices show the needle in several.
     """
     thick, wide = volume.slice_distance, recipe.needle.diameter_mm
+    if thick <= MIN_SLICE_MM:
+        return 0.0
     ends = axis.spline(np.array([0.0, axis.length]))
     steep = float((ends[1] - ends[0]) @ volume.normal) / float(np.linalg.norm(ends[1] - ends[0]))
     left = recipe.centerline.knot_spacing_mm * steep / thick

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
 from scipy.special import chdtri, elliprg
 
-from needlefit.arrays import Floats, are_bounded
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.refusals import refusal
@@ -78,17 +78,16 @@ class MarkerSets:
 def make_marker_sets(
     found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
 ) -> MarkerSets:
-    """Check and return both sets of markers.
+    """Return both sets of markers, (M, 3) and (N, 3), mm.
 
-    A deviation is one number, or one per marker (M,); mm, in any one direction, not of the length of the
-    error.
+    A deviation is one number, or one per marker; mm, in any one direction, not of the length of the error.
 
-    DataError if a set has fewer than three markers, a number is not finite, or the deviations are not
-    positive.
+    DataError if a set has fewer than three markers, or the deviations of both are zero.
     """
     places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
     deviations = [
-        _check_deviations(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+        np.broadcast_to(np.asarray(sd, dtype=np.float64), len(points))
+        for sd, points in zip((found_sd, known_sd), places, strict=True)
     ]
     sets = MarkerSets(*places, *deviations)
     if sets.variance.min() <= 0:
@@ -105,31 +104,13 @@ def mirror(sets: MarkerSets) -> MarkerSets:
 
 
 def _check_points(given: ArrayLike, name: str) -> Floats:
-    points = np.asarray(given, dtype=np.float64)
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3 or not are_bounded(points):
-        raise refusal(f"""the array of shape {points.shape} is no list of finite points
-            expected: three finite coordinates per marker, mm
-            fix: look for empty cells and for columns that are no coordinates
-            where: {name}""")
+    points = np.asarray(given, dtype=np.float64).reshape(-1, 3)
     if len(points) < MIN_MARKERS:
         raise refusal(f"""{len(points)} markers are too few
             expected: at least three markers that are not on a line
             fix: {TOO_FEW_FIXES[name]}
             where: {name}""")
     return points
-
-
-def _check_deviations(given: ArrayLike, count: int) -> Floats:
-    sd = np.asarray(given, dtype=np.float64)
-    if sd.shape not in ((), (count,)) or not (are_bounded(sd) and (sd >= 0).all()):
-        raise refusal(f"""deviations of shape {sd.shape} are not those of {count} markers, or negative or not
-                finite
-            expected: a number, or an array of shape ({count},)
-            fix: state the deviation of a marker's centre per direction, mm
-            where: deviations of the markers""")
-    return np.broadcast_to(sd, (count,))
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:

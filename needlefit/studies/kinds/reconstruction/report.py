@@ -289,8 +289,8 @@ def write_reconstruction(
         result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
-            for one in refused:
-                write_control_points(one.points, fresh / "slicer")
+            for failure in refused:
+                write_control_points(failure.points, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
 
