@@ -79,7 +79,7 @@ SYSTEMATIC_WIDTH_RATIO = 0.03
 # A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-SYSTEMATIC_SD_MM = 0.015  # deviation of an edge that no scatter along the needle shows, mm
+SYSTEMATIC_SD_MM = 0.025  # deviation of an edge that no scatter along the needle shows, mm
 
 
 Kind = Literal["air", "soft", "metal"]

@@ -127,7 +127,7 @@ Span = tuple[float, float]
 NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0  # of the figure, mm
 OUT_OF_PLANE_COLOUR = "#D55E00"
 # mm around and between the panels
-_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 8.0, 2.5
+_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 11.0, 2.5
 _PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
 _NORMAL_95_HALF_WIDTH_SD = 1.96
 
