@@ -212,21 +212,18 @@ def _fit_balls(
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
     """Return a sentence about what was seen where balls were looked for."""
-    rules = recipe.markers
     if found.source == "fiducials":
         return f"{len(found.centers)} fiducials were placed by hand"
-    what = f"{len(found.centers)} balls of {rules.diameter_mm:g} mm were found"
-    if len(found.misfits):
-        what += f" (misfit {found.misfits.min():.2f} to {found.misfits.max():.2f})"
-    nearest = sorted(found.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES_NAMED]
+    what = f"{len(found.centers)} balls of {recipe.markers.diameter_mm:g} mm were found"
     if not found.rejected:
         return f"{what}, nothing else of about that size"
-    others = "; ".join(
-        f"{one.diameter:.1f} mm wide with its blur at L, P, S = {', '.join(f'{x:.0f}' for x in one.center)}: "
-        f"{REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)}"
-        for one in nearest
+    one = min(found.rejected, key=lambda one: one.misfit / one.max_misfit)
+    place = ", ".join(f"{x:.0f}" for x in one.center)
+    reason = REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)
+    return (
+        f"{what}; {len(found.rejected)} other candidates, the most similar {one.diameter:.1f} mm wide with "
+        f"its blur at L, P, S = {place}: {reason}"
     )
-    return f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
 
 
 REASONS = {
@@ -235,7 +232,6 @@ REASONS = {
     "moved": "no ball of this size explains it",
     "edge": "cut by the volume's face",
 }
-MAX_CANDIDATES_NAMED = 3
 CANDIDATE_FIX = (
     "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
     "fiducials by hand"

@@ -323,11 +323,11 @@ def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> 
     The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
     shows that, and thin slices show the needle in several.
     """
-    thick, wide = volume.slice_distance, recipe.needle.diameter_mm
+    thick, wide = volume.grid.slice_distance, recipe.needle.diameter_mm
     if thick <= MIN_SLICE_MM:
         return 0.0
     ends = axis.spline(np.array([0.0, axis.length]))
-    steep = float((ends[1] - ends[0]) @ volume.normal) / float(np.linalg.norm(ends[1] - ends[0]))
+    steep = float((ends[1] - ends[0]) @ volume.grid.normal) / float(np.linalg.norm(ends[1] - ends[0]))
     left = recipe.centerline.knot_spacing_mm * steep / thick
     return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
 

@@ -212,8 +212,8 @@ def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -
     Where the needle lies flattest: its direction right at a hidden end is what is least known.
     """
     s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
-    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.normal).min())
-    thick = needle.diameter_mm + volume.slice_distance
+    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.grid.normal).min())
+    thick = needle.diameter_mm + volume.grid.slice_distance
     return thick / max(steep, 1e-6)
 
 
@@ -239,7 +239,7 @@ class TipProblem:
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
-        frame, normal = axis_frames(axis, np.array([guess])), volume.normal
+        frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
@@ -428,7 +428,7 @@ def _prior(
     cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
     dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
     if spread is None:
-        slice_blur = np.log(expected_slice_blur(volume.slice_distance))
+        slice_blur = np.log(expected_slice_blur(volume.grid.slice_distance))
         seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
         seen_sd = [BLUR_SD, BOOST_SD, SLICE_BLUR_SD]
     else:
