@@ -16,7 +16,8 @@ and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true ent
 `crossing` the largest distance of a point at which a layer is crossed. `bevel_deg` is the error of the
 bevel's side; `bevel_stated`: whether one is stated. With `--seeds`, `side` and `normal` are the parts of
 `axis` in the slices and along their normal, `tip_side` and `tip_normal` those of the tip; `crossed` is how
-many slices the needle crosses, and `in_68`, `in_95` which part lies within 1 and 1.96 stated deviations.
+many slices the needle crosses, `in_68`, `in_95` which part lies within 1 and 1.96 stated deviations, `rms`
+the root mean square of errors in deviations.
 """
 
 import argparse
@@ -166,8 +167,12 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
 
 
 def _count_inside(name: str, errors: Floats, sd: Floats) -> dict[str, object]:
-    """Return which part of `errors` lies within 1 and 1.96 stated deviations: 68 and 95 % of a Gaussian."""
-    return {f"in_{q}_{name}": float(np.mean(np.abs(errors) <= k * sd)) for q, k in ((68, 1.0), (95, 1.96))}
+    """Return which part of `errors` lies within 1 and 1.96 stated deviations: 68 and 95 % of a Gaussian.
+
+    And the root mean square of errors in deviations, which is 1 where these are right.
+    """
+    parts = {f"in_{q}_{name}": float(np.mean(np.abs(errors) <= k * sd)) for q, k in ((68, 1.0), (95, 1.96))}
+    return {**parts, f"rms_{name}": float(np.sqrt(np.mean((errors / sd) ** 2)))}
 
 
 def _beside(points: Floats, axis: Floats, case: Case, at: int | None = None) -> Floats:

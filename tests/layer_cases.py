@@ -51,11 +51,8 @@ def save(path, volume):
     return path
 
 
-def save_segments(path, volumes, segments, planes=None):
-    """Write what 3D Slicer writes: one layer of voxels, or several where segments overlap; (value, name)s.
-
-    `planes` says in which one of several layers each segment lies, by default in the first.
-    """
+def save_segments(path, volumes, segments):
+    """Write what 3D Slicer writes: one layer of voxels, or several where segments overlap; (value, name)s."""
     first, several = volumes[0], len(volumes) > 1
     values = np.stack([volume.values for volume in volumes], axis=-1) if several else first.values
     steps = [f"({','.join(map(repr, step))})" for step in (first.direction * first.spacing).T.tolist()]
@@ -72,7 +69,7 @@ def save_segments(path, volumes, segments, planes=None):
     ]
     for n, (value, name) in enumerate(segments):
         head += [f"Segment{n}_ID:=Segment_{n + 1}", f"Segment{n}_LabelValue:={value}"]
-        head += [f"Segment{n}_Layer:={planes[n] if planes else 0}", f"Segment{n}_Name:={name}"]
+        head += [f"Segment{n}_Layer:=0", f"Segment{n}_Name:={name}"]
     data = gzip.compress(values.astype(np.uint8).tobytes(), 1)
     path.write_bytes("\n".join(head).encode() + b"\n\n" + data)
     return path

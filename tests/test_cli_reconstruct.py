@@ -221,15 +221,10 @@ def two_needles(folder):
     return [spoiled(folder, change)]
 
 
-@pytest.mark.parametrize("masked", [False, True])
-def test_every_needle_of_a_scan_is_an_insertion_with_the_same_markers(tmp_path, masked) -> None:
+def test_every_needle_of_a_scan_is_an_insertion_with_the_same_markers(tmp_path) -> None:
     (path,) = two_needles(tmp_path)
-    volume, words = read_volume(path), []
-    if masked:
-        mask = Volume(np.float32(volume.values > 1500), volume.origin, volume.spacing, volume.direction)
-        write_volume(mask, tmp_path / "mask.nrrd")
-        words = ["--mask", tmp_path / "mask.nrrd"]
-    assert run("reconstruct", path, "--all", *words, "--out", tmp_path / "both", "-q") == 0
+    volume = read_volume(path)
+    assert run("reconstruct", path, "--all", "--out", tmp_path / "both", "-q") == 0
     found = read_dataset(tmp_path / "both").insertions
     assert [one.id for one in found] == ["spoiled-1", "spoiled-2"]
     rows = pd.read_csv(tmp_path / "both" / "scans.csv")
@@ -354,10 +349,7 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     after = files(tmp_path)
     pages = {name for name in after if name.startswith("out.refused/")}
     assert {name: after[name] for name in after.keys() - pages} == before
-    assert {"out.refused/refused.csv", "out.refused/candidates.csv"} < pages
-    assert sum(name.startswith("out.refused/quality/") for name in pages) == 1
-    if "scans.csv" in before:
-        assert {"tube", "ball", "entry"} <= {*pd.read_csv(tmp_path / "out.refused/candidates.csv")["kind"]}
+    assert "out.refused/refused.csv" in pages
 
 
 @pytest.mark.sweep

@@ -15,7 +15,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import examine
-from needlefit.imaging.scans import Scan
+from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.volume import Volume
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -134,13 +134,13 @@ def test_what_is_no_needle_is_refused():
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis()), recipe))
 
 
-@pytest.mark.parametrize("contact", [None, cases.ENTRY])
-def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, contact):
+@pytest.mark.parametrize("moved", [None, Corrections(entry=cases.ENTRY)])
+def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, moved):
     """The base lies in air, 28 mm before the face; the volume ends 5 or 12 mm before the tip."""
     for top in (35.0, 28.0):
         size = (48, 48, int((top + 22.0) / cases.SPACING))
         cut = cases.scan(cases.axis(), grid=cases.grid(size=size, origin=np.array([0, 0, -22.0])))
-        scan = Scan("cut", tmp_path / "cut.nrrd", "box", contact=contact)
+        scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections=moved)
         refused = examine(cut, scan, cases.RECIPE).error
         assert refused is not None and "entry_direction" in refused.fix
         soft = [float(length) for length in re.findall(r"(\d+) mm", refused.what)]

@@ -13,8 +13,11 @@ from test_cli_reconstruct import MARKERS, VOLUME, two_needles
 
 from needlefit.errors import DataError
 from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
+from needlefit.imaging.needle.segmentation import find_ends, find_tubes
 from needlefit.imaging.scans import make_scans, read_scans
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
+from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.slicer_scene import write_control_points
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -135,8 +138,8 @@ def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
     (path,) = two_needles(tmp_path)
     words = ["reconstruct", path, "-q", "--out"]
     assert run(*map(str, [*words, tmp_path / "out"])) == 3
-    refused = pd.read_csv(tmp_path / "out.refused/candidates.csv")
-    ends = refused[refused["number"] == 1][["x_mm", "y_mm", "z_mm"]].to_numpy()
+    volume, recipe = read_volume(path), ReconstructionRecord(schema=1)
+    ends = find_ends(volume, find_tubes(volume, recipe)[0])
     points = [
         {"label": "axis", "position": (ends[0] + t * (ends[1] - ends[0])).tolist()} for t in (0.2, 0.5, 0.8)
     ]
@@ -149,5 +152,5 @@ def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
     file = tmp_path / "mine.mrk.json"
     file.write_text(json.dumps({"markups": [one]}))
     assert run(*map(str, [*words, tmp_path / "out", "--corrections", file])) == 0
-    rows = pd.read_csv(tmp_path / "out/corrections.csv").set_index("quantity")
-    assert np.isnan(rows.loc["inserted length", "before_mm"]) and rows.loc["inserted length", "after_mm"] > 20
+    (row,) = pd.read_csv(tmp_path / "out/reconstruction.csv").to_dict(orient="records")
+    assert row["depth_mm"] > 20 and "correct" in row["warnings"]

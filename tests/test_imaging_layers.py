@@ -39,7 +39,6 @@ from needlefit.imaging.reconstruct import check_layer_count, refuse_tunnels
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import LayerSource, StagePose
-from needlefit.imaging.segmentations import read_labels
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -133,7 +132,7 @@ def test_layers_are_closed_at_the_volume_s_face_keep_planes_and_round_edges(tmp_
 @pytest.mark.parametrize(
     ("parts", "planes", "segments", "words"),
     [
-        (1, 2, [(1, "fat"), (1, "muscle")], "overlap: fat, muscle"),
+        (1, 2, [(1, "fat"), (1, "muscle")], "overlap"),
         (1, 1, [(1, "fat"), (2, "muscle")], "segment muscle (label 2)"),
         (1, 1, [(2, "muscle")], "muscle (label 2)"),
         (2, 1, [(1, "fat")], " labels 2, "),
@@ -143,25 +142,6 @@ def test_segments_that_are_not_those_of_the_voxels_are_refused(tmp_path, parts, 
     volume = labelled(lambda p: parts - 1 + (p[:, 0] > 0))
     message = refused(save_segments(tmp_path / "l.seg.nrrd", planes * [volume], segments))
     assert words in message and ("Segment Editor" in message) == ("overlap" in words)
-
-
-def test_segments_of_several_layers_that_do_not_overlap_are_read(tmp_path):
-    """3D Slicer keeps a layer for each group of segments that ever overlapped, with values of its own."""
-    whole = labelled(lambda p: 1 + (p[:, 0] > 0) + (p[:, 0] > 4))
-    names = [(1, "fat"), (1, "muscle"), (2, "bone")]
-    planes = [dataclasses.replace(whole, values=np.where(whole.values == n, 1, 0)) for n in (1, 2)]
-    planes[0] = dataclasses.replace(planes[0], values=planes[0].values + 2 * (whole.values == 3))
-    path = save_segments(tmp_path / "two.seg.nrrd", planes, names, planes=(0, 1, 0))
-    found = read_labels(path)
-    np.testing.assert_array_equal(found.volume.values, whole.values)
-    assert [(one.value, one.name) for one in found.segments] == [(1, "fat"), (2, "muscle"), (3, "bone")]
-    assert found.volume.origin.tolist() == whole.origin.tolist()
-    for wrong, words in (((0, 1, 1), "no segment has"), ((0, 3, 0), "layer 3, of 2")):
-        save_segments(path, planes, names, planes=wrong)
-        assert words in refused(path)
-    both = [planes[0], dataclasses.replace(planes[1], values=np.ones_like(planes[1].values))]
-    save_segments(path, both, names, planes=(0, 1, 0))
-    assert "overlap: fat, muscle" in refused(path)
 
 
 @pytest.mark.parametrize(
@@ -309,7 +289,7 @@ def test_layers_counted_must_be_met_and_those_not_crossed_are_reported_with_the_
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(0),), EXACT)
     assert check_layer_count(scan(layers=2), layers, NEEDLE) == ()
     assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE) == ()
-    with pytest.raises(DataError, match=r"2 layers \(1 > 2; .*\b10\.00 mm\).*\b3\b"):
+    with pytest.raises(DataError, match=r"2 layers.*\b10\.00 mm.*\b3\b"):
         check_layer_count(scan(layers=3), layers, NEEDLE)
     with pytest.raises(DataError, match=r"\b2 were counted"):
         check_layer_count(scan(layers=2), sheet_at(55, 0, 0), NEEDLE)

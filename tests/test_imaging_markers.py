@@ -2,7 +2,6 @@
 
 import json
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
-    describe_candidates,
     find_markers,
     make_fiducials,
     read_markers,
@@ -103,31 +101,6 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     caught = refusal(DataError, "", find_markers, dull, RECIPE)
     assert caught.expected
     assert caught.fix
-
-
-@pytest.mark.parametrize(
-    ("stated", "radius", "hu"),
-    [
-        (5.0, 1.5, 5000.0),  # cut at 3071 HU
-        pytest.param(5.1, 1.5, 1500.0, marks=pytest.mark.sweep),  # no candidate is so large
-        pytest.param(2.7, 0.8, 2500.0, marks=pytest.mark.sweep),
-    ],
-)
-def test_a_diameter_that_works_is_named_where_the_stated_one_does_not(stated, radius, hu):
-    volume, fits = with_balls(radius=radius, hu=hu), []
-
-    def fit(*given):
-        fits.append(spheres.fit_sphere(*given))
-        return fits[-1]
-
-    found = find_markers(volume, recipe(markers={"diameter_mm": stated}), fit=fit)
-    assert len(found.centers) < 3
-    assert found.working_diameter == pytest.approx(2 * radius, rel=0.1)
-    assert f"{found.working_diameter:.2f} mm" in describe_candidates(found, RECIPE)
-    assert f"{found.working_diameter:.2f} mm" in describe_candidates(replace(found, rejected=()), RECIPE)
-    assert len(fits) <= 4 + 3 + 4  # as stated, measured, as named: an answer may take 2 s
-    right = find_markers(volume, recipe(markers={"diameter_mm": found.working_diameter}))
-    assert len(right.centers) == 4 and not right.warnings
 
 
 def test_derivatives_of_the_model_are_those_of_the_model():

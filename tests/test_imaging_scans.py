@@ -103,11 +103,6 @@ def test_every_column_comes_through_and_has_a_default(folder):
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,-0.1,1", "pose_shift_sd_mm is negative"),
         (f"scan,{STAGE},bevel_x,bevel_y,bevel_z", "one.nrrd,1,2,3,0,0,1,0.1,1,0,0,-2", "bevel is parallel"),
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,0.1,", "pose_angle_sd_deg are empty"),
-        (
-            f"scan,{STAGE},contact_x_mm,contact_y_mm,contact_z_mm",
-            "one.nrrd,1,2,3,0,0,1,0.1,1,4,5,6",
-            "contact_x_mm",
-        ),
     ],
 )
 def test_a_wrong_cell_is_named_with_its_line(folder, columns, cells, words):

@@ -21,7 +21,9 @@ def make_rod(radius, thick=1.0):
 @pytest.mark.parametrize("drift", [0.0, 0.05])
 def test_rays_across_and_along_a_rod_pass_its_chord_and_its_length(drift):
     rod, radius = make_rod(0.635), 0.635
-    planes, metal = rod.lengths(drift * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
+    stored = rod.lengths(drift * COLUMNS, np.full(len(COLUMNS), 1.0), 30.0, 0.0)
+    planes = np.flatnonzero(np.diff(stored.indptr))
+    metal = stored.toarray()[planes]
     away = rod.planes[planes] - 1.0
     views = np.split(metal, np.cumsum(rod.seen[1])[:-1], axis=1)
     chords = 2 * np.sqrt(np.clip(radius**2 - away**2, 0, None)) * np.sqrt(1 + drift**2)

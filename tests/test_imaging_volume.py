@@ -321,8 +321,8 @@ def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name,
         volume, signs = read_volume(tmp_path / name), np.ones(3)
     assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx(signs * [1.8, 2.5 + lean, 3.9], abs=1e-5)
     assert to_index(volume, to_patient(volume, [[2.5, 1.25, 0.75]]))[0] == pytest.approx([2.5, 1.25, 0.75])
-    assert volume.slice_distance == pytest.approx(0.9, abs=1e-6)
-    assert volume.normal == pytest.approx([0, 0, 1], abs=1e-6)
+    assert volume.grid.slice_distance == pytest.approx(0.9, abs=1e-6)
+    assert volume.grid.normal == pytest.approx([0, 0, 1], abs=1e-6)
     assert np.array_equal(volume.values, VALUES)
 
 

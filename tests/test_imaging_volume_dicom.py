@@ -222,7 +222,7 @@ def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path, degrees):
     tilt = np.radians(degrees)
     volume = read_volume(save(tmp_path, turned_slices(tilt, [0, 0, 2])))
     assert np.array_equal(volume.values, NUMBERS) and not volume.warnings
-    assert volume.slice_distance == pytest.approx(2 * np.cos(tilt), abs=1e-6)
+    assert volume.grid.slice_distance == pytest.approx(2 * np.cos(tilt), abs=1e-6)
     expected = [0.8, 0.5 * np.cos(tilt), 0.5 * np.sin(tilt) + 6]
     assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx(expected, abs=1e-5)
     assert to_index(volume, [expected])[0] == pytest.approx([2, 1, 3], abs=1e-5)

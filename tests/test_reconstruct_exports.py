@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import slicerio
 import trimesh
 from test_cli import run
 
@@ -50,7 +49,7 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
             role, _, ids = part.partition(":")
             assert role in ("display", "storage", "ActiveVolume") and set(ids.split()) <= set(nodes)
     tags = [node.tag for node in root]
-    counts = {"Volume": 1, "Segmentation": 1, "Model": 2, "MarkupsCurve": 4}
+    counts = {"Volume": 1, "Model": 4, "MarkupsCurve": 4}
     assert {tag: tags.count(tag) for tag in counts} == counts
     for file in (tmp_path / "sample/Data").glob("*.mrk.json"):
         assert len(json.loads(file.read_text())["markups"]) == 1
@@ -65,21 +64,6 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     lists = [one for file in (tmp_path / "sample/Data").glob("*.mrk.json") for one in read_mrk_json(file)]
     (curve,) = [one for one in lists if " inserted" in one.name]
     np.testing.assert_allclose(curve.points, insertion.patient.to_local(insertion.centerline), atol=1e-3)
-
-
-def test_the_segmentation_marks_the_needle_and_the_closed_layer(exported, tmp_path):
-    with zipfile.ZipFile(exported / "one/slicer/sample.mrb") as archive:
-        archive.extract("sample/Data/segmentation.seg.nrrd", tmp_path)
-    path = tmp_path / "sample/Data/segmentation.seg.nrrd"
-    found = slicerio.read_segmentation(str(path))
-    names = [segment["name"] for segment in found["segments"]]
-    assert names[-1] == "needle" and names[0].startswith("layer 4")
-    volume = np.asarray(found["voxels"])
-    counts = {s["name"]: int((volume == s["labelValue"]).sum()) for s in found["segments"]}
-    shaft = 38.9  # mm of the needle that the scan shows
-    voxel = float(np.prod(read_volume(exported / "scans/volumes/sample").spacing))
-    assert counts["needle"] * voxel == pytest.approx(np.pi / 4 * 1.27**2 * shaft, rel=0.08)
-    assert counts[names[0]] * voxel == pytest.approx(np.prod(BOX_MM), rel=0.08)
 
 
 def test_the_same_scan_gives_the_same_bytes(exported):

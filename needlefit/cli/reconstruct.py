@@ -108,10 +108,9 @@ def reconstruct(
         from needlefit.imaging.batch import (
             ReconstructionBatch,
             ReconstructionFailure,
-            add_findings,
             reconstruct_all,
         )
-        from needlefit.imaging.corrections import correct_scans
+        from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (
             open_checkpoint,
@@ -133,7 +132,7 @@ def reconstruct(
         place = out.resolve()
         require_file_name(place.name, str(out))
         keep = place.with_name(f"{place.name}.partial")
-        refused = place.with_name(f"{place.name}.refused")  # pages of scans without a dataset
+        refused = place.with_name(f"{place.name}.refused")  # scans without a dataset
         require_own_checkpoint(keep)
         for folder in (out, refused):
             require_replaceable(folder)
@@ -163,12 +162,13 @@ def reconstruct(
                         out, ones, record, about, report, refused=failed, scenes=scene
                     )
                 except DataError as error:  # it belongs to no single scan
-                    whole = [ReconstructionFailure(one.scan, error) for one in ones]
-                    faulty = [add_findings(*pair, record) for pair in zip(whole, ones, strict=True)]
+                    faulty = [
+                        ReconstructionFailure(one.scan, error, list_control_points(one)) for one in ones
+                    ]
                 failed = [*failed, *faulty]
             if failed and not written:
                 write_refused(failed, refused)
-            else:  # pages of an earlier run would be taken for this one's
+            else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
     warnings = check_all(out)[1] if written else []
     if written and not invocation.json:
@@ -216,8 +216,6 @@ def _show(
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
-        if found and "corrections" in found.frames:
-            about["corrections"] = found.frames["corrections"].to_dict(orient="records")
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif found:
         screen.print_line()
@@ -230,7 +228,7 @@ def _show(
             screen.print_text(f"next: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}")
 
 
-def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", pages: Path) -> None:
+def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
     """Print the error of each scan, and what to do about it."""
     from needlefit.imaging.scans import scan_id
 
@@ -239,12 +237,10 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
         ids, scan = join_names([one.scan.id for one in ones]), ones[0].scan
         named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id == ids
         screen.print_note(f"needlefit: {error if named else f'{ids}: {error}'}")
-        for warning in ones[0].findings.warnings if ones[0].findings else ():
+        for warning in ones[0].warnings:
             screen.print_note(f"needlefit: {ids}: {warning}")
-    if failed:
-        screen.print_note(f"needlefit: pages of refused scans: {pages}/quality/")
-    if any(one.findings for one in failed):  # others cannot be read
-        screen.print_note(f"needlefit: move what was found in 3D Slicer: {pages}/slicer/, then --corrections")
+    if any(one.points for one in failed):
+        screen.print_note(f"needlefit: move what was found in 3D Slicer: {out}/slicer/, then --corrections")
     if failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

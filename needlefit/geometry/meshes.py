@@ -14,7 +14,7 @@ from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface, make_mesh
 
 if TYPE_CHECKING:
-    import trimesh
+    pass
 
 TUBE_FACETS = 12  # number of corners of a tube's cross-section
 
@@ -142,22 +142,4 @@ def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
     turns = np.zeros((rows, columns + 1), dtype=np.int32)
     np.add.at(turns, (row, column), 1)
     inside: NDArray[np.bool_] = np.cumsum(turns, axis=1)[:, :columns] % 2 == 1
-    return inside
-
-
-def fill_mesh(mesh: "trimesh.Trimesh", size: tuple[int, int, int]) -> NDArray[np.bool_]:
-    """Return the voxels (K, J, I) whose centres lie inside a closed surface.
-
-    `mesh`: its vertices are voxel indices i, j, k.
-    `size`: voxels along i, j, k.
-    """
-    import trimesh  # takes its time to load, and outlines need none
-
-    columns, rows, slices = size
-    inside = np.zeros((slices, rows, columns), dtype=np.bool_)
-    moved = trimesh.Trimesh(mesh.vertices + _SHIFT, mesh.faces, process=False)
-    low, high = moved.bounds[:, 2]
-    for k in range(max(0, int(np.ceil(low))), min(slices, int(np.floor(high)) + 1)):
-        lines = trimesh.intersections.mesh_plane(moved, (0.0, 0.0, 1.0), (0.0, 0.0, float(k)))
-        inside[k] = fill_outline(lines[:, :, :2], (rows, columns))
     return inside

@@ -1,6 +1,5 @@
 """Write reconstructions as a dataset, without those that `needlefit check` would refuse."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.refusals import refusal
 from needlefit.schemas.dataset import (
@@ -201,11 +201,6 @@ def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
     return [f"{medium}_{name}" for name in own]
 
 
-_FAULT_LOCATION = re.compile(
-    r"(centerlines|sections)/(?P<curve>[^/]+)\.(csv|toml)|insertions\.csv:(?P<line>\d+)"
-)
-
-
 def assemble_checked(
     folder: Path,
     reconstructions: Sequence[Reconstruction],
@@ -216,36 +211,33 @@ def assemble_checked(
 
     Where all have a fault, nothing is written and the first tuple is empty.
 
-    DataError if a fault belongs to no single insertion.
+    DataError if the dataset of those without faults has one.
     """
-    left, failures = list(reconstructions), list[ReconstructionFailure]()
-    # again after each removal: a faulty insertion may hide the fault of another one
-    while left:
-        faults = _find_faults(left, recipe, description)
+    kept, failures = list[Reconstruction](), list[ReconstructionFailure]()
+    for one in reconstructions:
+        faults = _find_faults([one], recipe, description)
         if not faults:
-            assemble_dataset(folder, left, recipe, description)
-            return tuple(left), tuple(failures)
-        owners = [_find_owner(fault, left) for fault in faults]
-        if None in owners:
+            kept.append(one)
+            continue
+        what = "; ".join(dict.fromkeys(fault.what for fault in faults))
+        error = DataError(
+            f"gives no insertion that a dataset may hold: {what}",
+            where=str(one.scan.volume),
+            expected=faults[0].expected,
+            fix=faults[0].fix,
+        )
+        failures.append(ReconstructionFailure(one.scan, error, list_control_points(one)))
+    if kept:
+        if len(kept) > 1 and (faults := _find_faults(kept, recipe, description)):
             raise as_error(faults, Path(description.name))
-        for one in [one for one in left if one in owners]:
-            left.remove(one)
-            own = [fault for fault, owner in zip(faults, owners, strict=True) if owner is one]
-            what = "; ".join(dict.fromkeys(fault.what for fault in own))
-            error = DataError(
-                f"gives no insertion that a dataset may hold: {what}",
-                where=str(one.scan.volume),
-                expected=own[0].expected,
-                fix=own[0].fix,
-            )
-            failures.append(ReconstructionFailure(one.scan, error))
-    return (), tuple(failures)
+        assemble_dataset(folder, kept, recipe, description)
+    return tuple(kept), tuple(failures)
 
 
 def _find_faults(
     reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, description: DatasetDescription
 ) -> list[Fault]:
-    """Return the faults of the dataset that some insertions make, their places without the trial folder."""
+    """Return the faults of the dataset of insertions, their places without the trial folder."""
     with TemporaryDirectory(prefix="needlefit-") as trial:
         assemble_dataset(Path(trial), reconstructions, recipe, description)
         return [
@@ -256,14 +248,3 @@ def _find_faults(
             )
             for fault in check(Path(trial))
         ]
-
-
-def _find_owner(fault: Fault, reconstructions: Sequence[Reconstruction]) -> Reconstruction | None:
-    """Return the insertion in whose row or centreline a fault stands."""
-    place = _FAULT_LOCATION.search(Path(fault.where).as_posix())
-    if place is None:
-        return None
-    if place["line"]:
-        # lines count from 1, and the first one is the header
-        return reconstructions[int(place["line"]) - 2]
-    return next((one for one in reconstructions if one.scan.id == place["curve"]), None)

@@ -16,19 +16,18 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
+from needlefit.datasets.markups import Markups
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
-from needlefit.imaging.corrections import compare_reconstructions
-from needlefit.imaging.entry import EntryCandidate, list_candidates
+from needlefit.imaging.corrections import describe_changes, make_control_points
+from needlefit.imaging.entry import list_candidates
 from needlefit.imaging.needle import segmentation
-from needlefit.imaging.reconstruct import Examination, VolumeSearch, add_views, examine
-from needlefit.imaging.reconstruction import IntensityProfile, Reconstruction
+from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import VoxelGrid, list_series_files
+from needlefit.imaging.volume import list_series_files
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
@@ -37,73 +36,7 @@ from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MAX_TUBES, MAX_BALLS = 6, 20  # largest numbers of candidates that are kept
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class TubeFinding:
-    """A long bright component: its ends (2, 3), LPS, its length and width, mm; whether it was the needle."""
-
-    ends: Floats
-    length: float
-    width: float
-    chosen: bool
-
-
-@dataclass(frozen=True)
-class BallFinding:
-    """What has about a marker's size: its centre (3,), LPS, and diameter, mm; whether it is a marker."""
-
-    center: Floats
-    diameter: float
-    marker: bool
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What a scan shows; what could not be found is empty or None."""
-
-    grid: VoxelGrid  # the scan's voxels
-    # Largest values along k (J, I), along j (K, I) and along i (K, J), HU.
-    projections: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-    tubes: tuple[TubeFinding, ...] = ()  # the longest first
-    balls: tuple[BallFinding, ...] = ()  # the markers first; none where the scan needs no markers
-    needle: Floats | None = None  # (N, 3) or None; the axis from base to tip, LPS, mm
-    profile: IntensityProfile | None = None  # along the needle, from its first point
-    entries: tuple[EntryCandidate, ...] = ()  # places where soft material begins around the needle
-    warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
-
-    @property
-    def entry_points(self) -> Floats:
-        """Where the entries lie (n, 3), LPS, mm."""
-        if self.needle is None or not self.entries:
-            return np.empty((0, 3))
-        return interpolate_at_arc(self.needle, np.array([one.at for one in self.entries]))
-
-
-def collect_findings(search: VolumeSearch, examined: Examination) -> Findings:
-    """Return what a scan shows, for its page."""
-    volume = search.volume
-    projections = (volume.values.max(axis=0), volume.values.max(axis=1), volume.values.max(axis=2))
-    axis, profile, found = examined.needle_axis, examined.profile, examined.markers
-    size, rejected = search.recipe.markers.diameter_mm, () if found is None else found.rejected
-    balls = [BallFinding(center, size, True) for center in (() if found is None else found.centers)]
-    for one in sorted(rejected, key=lambda one: abs(np.log(one.diameter / size))):  # the most alike first
-        balls.append(BallFinding(one.center, one.diameter, False))
-    entries: tuple[EntryCandidate, ...] = ()
-    if axis is not None and profile is not None:
-        entries = _try(lambda: list_candidates(profile, float(arc_length(axis.points)[-1]))) or ()
-    return Findings(
-        volume.grid,
-        projections,
-        _list_tubes(search, examined.selection),
-        tuple(balls[:MAX_BALLS]),
-        None if axis is None else axis.points,
-        profile,
-        entries,
-        volume.warnings,
-    )
 
 
 def _try(step: Callable[[], T]) -> T | None:
@@ -111,20 +44,6 @@ def _try(step: Callable[[], T]) -> T | None:
     with suppress(NeedlefitError):
         return step()
     return None
-
-
-def _list_tubes(search: VolumeSearch, found: segmentation.NeedleSelection | None) -> tuple[TubeFinding, ...]:
-    """Return the needle and the other tubes, or, where none is one, the longest bright components."""
-    if found is not None:
-        parts = [found.needle, *found.others]
-    else:
-        longest = partial(segmentation.find_longest, search.volume, search.recipe)
-        parts = _try(search.find_tubes) or _try(longest) or []
-    chosen = None if found is None else found.needle
-    return tuple(
-        TubeFinding(segmentation.find_ends(search.volume, part), part.length, part.width, part is chosen)
-        for part in parts[:MAX_TUBES]
-    )
 
 
 SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file
@@ -201,11 +120,12 @@ VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", 
 
 @dataclass(frozen=True)
 class ReconstructionFailure:
-    """A scan that could not be reconstructed, why, and what was found in it, where it could be read."""
+    """A scan that could not be reconstructed, and why."""
 
     scan: Scan
     error: NeedlefitError
-    findings: Findings | None = None
+    points: Markups | None = None  # control points of what was found in it, LPS, mm
+    warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
 
 
 @dataclass(frozen=True)
@@ -225,15 +145,12 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
 
     So is one of which something is stated that only one needle has, or in which nothing is found.
     """
-    own = (scan.needle_at, scan.contact, scan.tip, scan.stage, scan.corrections)
+    own = (scan.needle_at, scan.stage, scan.corrections, scan.mask)
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        if scan.mask is None:
-            tubes = search.find_tubes()
-            parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
-        else:
-            parts = segmentation.list_mask_needles(search.volume, scan.mask, search.recipe)
+        tubes = search.find_tubes()
+        parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
         points = segmentation.locate_needles(search.volume, parts)
         if len(points) > 1:
             ones = enumerate(points, start=1)
@@ -260,7 +177,7 @@ def reconstruct_all(
     batch.progress("reconstructing", len(found), len(scans))
     remaining = [scans[n] for n in left]
     items = PackedScans(remaining) if batch.pool.remote else remaining
-    work = partial(reconstruct_needles, recipe=recipe, collect=True, every=batch.every)
+    work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
     for at, results in batch.pool.run(work, items, batch.stop):
         scan = remaining[at]
         ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
@@ -281,16 +198,13 @@ def _move_to(one: Result, scan: Scan) -> Result:
 
 
 def reconstruct_needles(
-    scan: Scan | PackedScan, recipe: ReconstructionRecord, collect: bool = False, every: bool = False
+    scan: Scan | PackedScan, recipe: ReconstructionRecord, every: bool = False
 ) -> tuple[Result, ...]:
-    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds.
-
-    `collect`: a failure comes with what was found in the scan.
-    """
+    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds."""
     if isinstance(scan, Scan):
-        return _reconstruct_needles(scan, recipe, collect, every)
+        return _reconstruct_needles(scan, recipe, every)
     with unpack_scan(scan) as (unpacked, folder):
-        found = _reconstruct_needles(unpacked, recipe, collect, every)
+        found = _reconstruct_needles(unpacked, recipe, every)
     return tuple(
         replace(one, error=scan.original(one.error, folder))
         if isinstance(one, ReconstructionFailure)
@@ -299,32 +213,17 @@ def reconstruct_needles(
     )
 
 
-def add_findings(
-    failure: ReconstructionFailure, one: Reconstruction, recipe: ReconstructionRecord
-) -> ReconstructionFailure:
-    """Return the failure of a scan that was reconstructed (`one`), with what was found in it."""
-    try:
-        volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
-    except NeedlefitError:  # the scan was moved: its page says why it is refused, and no more
-        return failure
-    profile = replace(one.profile, s=one.profile.s - one.profile.s[0])
-    found = Examination(one.scan, None, one.needle_axis, one.markers, one.registration, profile)
-    return replace(failure, findings=collect_findings(VolumeSearch(volume, recipe), found))
-
-
 @one_thread
-def _reconstruct_needles(
-    scan: Scan, recipe: ReconstructionRecord, collect: bool, every: bool
-) -> tuple[Result, ...]:
+def _reconstruct_needles(scan: Scan, recipe: ReconstructionRecord, every: bool) -> tuple[Result, ...]:
     read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
     search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
     if isinstance(search, ReconstructionFailure):
         return (search,)
     needles = divide_scan(search, scan) if every else (scan,)
-    return tuple(_try_step(one, partial(_reconstruct_needle, search, one, collect)) for one in needles)
+    return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
 
 
-def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Result:
+def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     found = examine(search.volume, scan, search.recipe, search)
     if found.error is None and found.reconstruction is not None:
         one = add_views(found.reconstruction, search.volume)
@@ -332,9 +231,17 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan, collect: bool) -> Resu
             return one
         plain = replace(scan, corrections=None)
         before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
-        return replace(one, changes=compare_reconstructions(before, one))
+        return replace(one, warnings=(describe_changes(before, one), *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
-    return ReconstructionFailure(scan, failed, collect_findings(search, found) if collect else None)
+    needle = None if found.needle_axis is None else found.needle_axis.points
+    balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
+    entry, profile = None, found.profile
+    if needle is not None and profile is not None:
+        length = float(arc_length(needle)[-1])
+        for rise in _try(lambda: list_candidates(profile, length)) or ():
+            (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
+    points = make_control_points(scan.id, needle, entry, balls)
+    return ReconstructionFailure(scan, failed, points, search.volume.warnings)
 
 
 def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:

@@ -14,14 +14,13 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.markups import Markups
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
-from needlefit.imaging.reconstruction import Change, Reconstruction
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
-from needlefit.imaging.scans import PLACED_CONTACT, Corrections, Scan
+from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan
 AXIS_POINTS = 8  # control points on the needle, at even distances
@@ -56,6 +55,13 @@ def make_control_points(
     found = tuple("found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*at) for at in places.tolist())
     labels = tuple(label for label, _ in points)
     return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=found)
+
+
+def list_control_points(one: Reconstruction) -> Markups | None:
+    """Return the control points by which a reconstruction is corrected, LPS."""
+    (entry,) = one.patient.to_local(one.points[:1])
+    balls = np.empty((0, 3)) if one.markers is None else one.markers.centers
+    return make_control_points(one.scan.id, one.needle_axis.points, entry, balls)
 
 
 def read_corrections(path: Path) -> dict[str, Corrections]:
@@ -153,30 +159,19 @@ def _require_correctable(scans: dict[str, Scan], id_: str, found: Corrections) -
             expected: {MIN_MARKERS} or more that are not on a line: they register the scan to the world
             fix: leave the others in the list""")
     if found.entry is not None and scan.stage is not None:
-        what, expected, fix = PLACED_CONTACT
-        raise DataError(what, expected=expected, fix=fix)
+        raise refusal("""the entry is stated by the stage (entry_x_mm ...) and was moved by hand
+            expected: one of both
+            fix: move the entry back, or empty entry_x_mm ... pose_angle_sd_deg""")
     return scan
 
 
-def compare_reconstructions(before: Reconstruction | None, after: Reconstruction) -> tuple[Change, ...]:
-    """Return what corrections changed; `before`: without them, None if the scan was refused."""
-
-    def describe(one: Reconstruction) -> dict[str, float]:
-        sizes = {"inserted length": one.depth, "tip deflection": one.deflection}
-        if one.registration is not None:
-            sizes["FRE"] = one.registration.fre
-        depths = enumerate(one.layers.boundaries.tolist(), start=1)
-        return sizes | {f"crossing {n}": depth for n, depth in depths}
-
-    now = describe(after)
+def describe_changes(before: Reconstruction | None, after: Reconstruction) -> str:
+    """Return in words what corrections changed; `before`: without them, None if the scan was refused."""
     if before is None:
-        return tuple(Change(name, np.nan, size, np.nan) for name, size in now.items())
-    then = describe(before)
-    tip = after.needle_axis.tip - before.needle_axis.tip
+        return "corrected; without its corrections the scan is refused"
     entries = [one.patient.to_local(one.points[:1])[0] for one in (before, after)]
-    moves = {"tip": tip, "entry": entries[1] - entries[0]}
-    rows = [Change(name, np.nan, np.nan, float(np.linalg.norm(move))) for name, move in moves.items()]
-    for name in dict.fromkeys((*now, *then)):
-        first, second = then.get(name, np.nan), now.get(name, np.nan)
-        rows.append(Change(name, first, second, second - first))
-    return tuple(rows)
+    moved = {"entry": entries[1] - entries[0], "tip": after.needle_axis.tip - before.needle_axis.tip}
+    words = [f"{name} moved by {np.linalg.norm(move):.2f} mm" for name, move in moved.items()]
+    for name, value in {"inserted length": "depth", "tip deflection": "deflection"}.items():
+        words.append(f"{name} {getattr(before, value):.2f} -> {getattr(after, value):.2f} mm")
+    return f"corrected: {', '.join(words)}"

@@ -62,30 +62,6 @@ class OutsideShaft:
     turn: float
 
 
-@dataclass(frozen=True)
-class Disagreement:
-    """The difference of two axes at first contact: distance (mm) and angle (rad), each with its deviation."""
-
-    offset: float
-    offset_sd: float
-    turn: float
-    turn_sd: float
-
-    @property
-    def worst(self) -> float:
-        """The larger of both differences, in standard deviations."""
-        return max(self.offset / self.offset_sd, self.turn / self.turn_sd)
-
-    @property
-    def sentence(self) -> str:
-        """The difference in words."""
-        turn, turn_sd = np.degrees([self.turn, self.turn_sd])
-        return (
-            f"the shaft outside the tissue stands {self.offset:.2f} +- {self.offset_sd:.2f} mm beside the "
-            f"stage's axis and is turned by {turn:.2f} +- {turn_sd:.2f} degrees against it"
-        )
-
-
 def pose_from_stage(stage: StagePose, registration: Registration | None, patient_entry: Floats) -> EntryPose:
     """Return the pose that the stage states, with its deviations against the centreline.
 
@@ -152,29 +128,28 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     )
 
 
-def compare_poses(stage: EntryPose, shaft: EntryPose) -> Disagreement:
-    """Return the difference of the shaft outside the tissue from the stage's axis, at first contact."""
+def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:
+    """Return how far the shaft outside the tissue is from the stage's axis, in deviations, and in words.
+
+    DataError if stage and shaft cannot belong to the same needle.
+    """
     apart = shaft.origin - stage.origin
-    offset = apart - (apart @ stage.direction) * stage.direction
+    offset = float(np.linalg.norm(apart - (apart @ stage.direction) * stage.direction))
     turn = float(np.arccos(np.clip(stage.direction @ shaft.direction, -1, 1)))
-    return Disagreement(
-        offset=float(np.linalg.norm(offset)),
-        offset_sd=float(np.hypot(stage.shift_sd, shaft.shift_sd)),
-        turn=turn,
-        turn_sd=float(np.hypot(stage.angle_sd, shaft.angle_sd)),
+    offset_sd = float(np.hypot(stage.shift_sd, shaft.shift_sd))
+    turn_sd = float(np.hypot(stage.angle_sd, shaft.angle_sd))
+    sentence = (
+        f"the shaft outside the tissue stands {offset:.2f} +- {offset_sd:.2f} mm beside the stage's axis and "
+        f"is turned by {np.degrees(turn):.2f} +- {np.degrees(turn_sd):.2f} degrees against it"
     )
-
-
-def require_agreement(stage: EntryPose, shaft: EntryPose) -> None:
-    """Raise DataError if stage and shaft cannot belong to the same needle."""
-    found = compare_poses(stage, shaft)
-    if found.worst <= MAX_AXIS_DISAGREEMENT_SD:
-        return
-    raise refusal(f"""{found.sentence}
-        expected: the axis on which the needle was pushed
-        fix: check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and
-            the deviations stated; or leave the stage out, and the shaft is taken
-        where: entry pose""")
+    worst = max(offset / offset_sd, turn / turn_sd)
+    if worst > MAX_AXIS_DISAGREEMENT_SD:
+        raise refusal(f"""{sentence}
+            expected: the axis on which the needle was pushed
+            fix: check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS),
+                and the deviations stated; or leave the stage out, and the shaft is taken
+            where: entry pose""")
+    return worst, sentence
 
 
 def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:

@@ -2,14 +2,12 @@
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
-from numpy.typing import NDArray
 
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
@@ -36,12 +34,11 @@ _COMPRESSION_LEVEL = 1
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
 
-def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
+def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> dict[str, Any]:
     """Read an NRRD or MetaImage file: add the array "values"; return its grid, warnings, and segments' texts.
 
     `stored`: bytes of the file, with that of its voxels.
-    `layers`: whether the file holds labels, of which a voxel may have several; the values then have a fourth
-    axis for them.
+    `labels`: whether the file holds labels.
 
     DataError if the file is none, is cut short, has not three dimensions, does not say in which coordinate
     system it stands, or claims an absurd size.
@@ -59,8 +56,13 @@ def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> 
             raise unreadable_header(_last_line(error)) from error
         bits = re.search(r"(\d+)-bit", sitk.GetPixelIDValueAsString(reader.GetPixelID()))
         parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
-        if reader.GetDimension() != 3 or bits is None or (parts != 1 and not layers):
+        if reader.GetDimension() != 3 or bits is None or parts != 1:
             size = " x ".join(map(str, reader.GetSize()))
+            if labels and parts != 1:
+                raise refusal(f"""its segments overlap, or once did: they lie in {parts} layers
+                    expected: every voxel in one layer
+                    fix: in the Segment Editor set "Modify other segments" to "Overwrite all", collapse the
+                        layers of the segmentation, and save it again""")
             raise not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
         columns, rows, slices = reader.GetSize()
         origin, spacing, direction = map(
@@ -68,8 +70,7 @@ def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> 
         )
         grid = VoxelGrid((columns, rows, slices), origin, spacing, direction.reshape(3, 3))
         check_grid(grid)
-        shape = (*grid.size[::-1], parts) if layers else grid.size[::-1]
-        content, memory = (math.prod(shape) * size for size in (int(bits[1]) // 8, 4))
+        content, memory = (math.prod(grid.size) * size for size in (int(bits[1]) // 8, 4))
         check_expansion(content, memory, stored)
         texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
         if reader.GetImageIO() == "NrrdImageIO":  # MetaImage is LPS by its definition
@@ -80,8 +81,8 @@ def read_image(arrays: Arrays, path: str, stored: int, layers: bool = False) -> 
         except RuntimeError as error:
             raise missing_voxels(f" ({_last_line(error)})") from error
         # SimpleITK's arrays are indexed k, j, i: the reverse of its sizes
-        values = sitk.GetArrayViewFromImage(image).reshape(shape).astype(np.float32)
-        fill_unknown(values, notes, labels=layers)
+        values = sitk.GetArrayViewFromImage(image).astype(np.float32)
+        fill_unknown(values, notes, labels=labels)
     arrays["values"] = values
     grid = replace(grid, direction=orthogonalize(grid.direction))
     segments = {key: text for key, text in texts.items() if re.fullmatch(r"Segment\d{1,4}_\w+", key)}
@@ -97,18 +98,12 @@ def write_image(volume: Volume, path: Path, description: str) -> None:
     with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
         whole = volume.values.astype(np.int16)
     key = "ITK_FileNotes" if ".nii" in path.name.lower() else "description"
-    values = whole if np.array_equal(whole, volume.values) else volume.values
-    write_labels(values, volume.grid, {key: description} if description else {}, path)
-
-
-def write_labels(values: NDArray[Any], grid: VoxelGrid, entries: Mapping[str, str], path: Path) -> None:
-    """Write voxels (K, J, I), such as labels, as a compressed file, with entries in its header."""
-    image = sitk.GetImageFromArray(values)
-    image.SetOrigin(grid.origin.tolist())
-    image.SetSpacing(grid.spacing.tolist())
-    image.SetDirection(grid.direction.ravel().tolist())
-    for key, text in entries.items():
-        image.SetMetaData(key, text)
+    image = sitk.GetImageFromArray(whole if np.array_equal(whole, volume.values) else volume.values)
+    image.SetOrigin(volume.origin.tolist())
+    image.SetSpacing(volume.spacing.tolist())
+    image.SetDirection(volume.direction.ravel().tolist())
+    if description:
+        image.SetMetaData(key, description)
     with replace_file(path) as fresh:
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 

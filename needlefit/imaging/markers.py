@@ -1,24 +1,21 @@
 """Find the markers in a scan: spheres in the volume, or fiducials placed by hand and moved to spheres.
 
 A ball that hangs together with its neighbour at one level stands alone at a higher one, a dull one only
-shows at a low one. The bright voxels of the lowest level are listed once, with which of them touch; every
-higher level is a part of that list, so that no second array of the volume's size is needed.
+shows at a low one.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import chain, islice
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
@@ -28,8 +25,8 @@ from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit,
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
+LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 # Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it.
 MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
 # By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur.
@@ -39,28 +36,10 @@ MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a vo
 BLOOM_EXTENT_MM = 0.25
 
 
-@dataclass
-class BrightVoxels:
-    """The bright voxels of a volume, whichever balls are looked for: flat indices (N,), ascending."""
-
-    flat: Ints
-    values: NDArray[np.float32]  # (N,)
-    pairs: Ints  # (E, 2); which of them touch
-    levels: Sequence[float]  # HU, from that which all exceed on
-    _labels: dict[float, NDArray[np.int32]] = field(default_factory=dict)
-
-    def label(self, level: float) -> NDArray[np.int32]:
-        """Return what hangs together above a level: a number for each voxel (N,)."""
-        if level not in self._labels:
-            pairs = self.pairs[(self.values > level)[self.pairs].all(axis=1)]
-            shape = (len(self.flat), len(self.flat))
-            links = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=shape)
-            self._labels[level] = connected_components(links, directed=False)[1]
-        return self._labels[level]
-
-
-def find_blobs(volume: Volume, bright: BrightVoxels, diameter: float, exclude: Ints | None) -> list[Blob]:
-    """Return the components that may be a ball, the most similar in size first.
+def find_blobs(
+    volume: Volume, bright: BrightVoxels, levels: Sequence[float], diameter: float, exclude: Ints | None
+) -> list[Blob]:
+    """Return the components above one of the levels (HU) that may be a ball, the most similar in size first.
 
     `diameter`: of the ball, mm.
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
@@ -69,61 +48,39 @@ def find_blobs(volume: Volume, bright: BrightVoxels, diameter: float, exclude: I
     forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
     found = [
         blob
-        for level in bright.levels
+        for level in levels
         for blob in _find_blobs_at(volume, bright, level, diameter, forbidden)
         if _is_round(volume, blob)
     ]
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
-def list_bright_voxels(volume: Volume, threshold: float | None) -> BrightVoxels:
-    """Return the voxels above the lowest level that shows separate things.
-
-    `threshold`: the one level to look at, HU; None: levels from the volume.
-    """
+def list_levels(volume: Volume) -> list[float]:
+    """Return the levels at which balls are looked for, HU, to the brightest voxel."""
     start, top = median_tissue_hu(volume), float(volume.values.max())
     count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
-    levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]  # to the brightest voxel
-    levels = levels if threshold is None else [threshold]
-    while True:
-        above = [np.flatnonzero(s > levels[0]) + k * s.size for k, s in enumerate(volume.values)]
-        flat = np.concatenate(above)
-        if len(flat) <= MAX_BRIGHT_VOXELS:
-            break
-        if len(levels) == 1:
-            return BrightVoxels(flat, np.empty(0, np.float32), np.empty((0, 2), np.int64), levels)
-        levels = levels[1:]
-    _, rows, columns = volume.values.shape
-    pairs = []
-    for stride, size in ((1, columns), (columns, rows), (rows * columns, None)):
-        at = np.minimum(np.searchsorted(flat, flat + stride), len(flat) - 1)
-        touch = flat[at] == flat + stride
-        if size is not None:  # the last of a row and the first of the next do not touch
-            touch &= flat // stride % size < size - 1
-        pairs.append(np.stack([np.flatnonzero(touch), at[touch]], axis=1))
-    return BrightVoxels(flat, volume.values.reshape(-1)[flat], np.concatenate(pairs), levels)
+    return [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]
 
 
 def _find_blobs_at(
     volume: Volume, bright: BrightVoxels, level: float, diameter: float, forbidden: NDArray[np.bool_]
 ) -> Iterator[Blob]:
     """Yield what hangs together above `level`, has a ball's size and holds no forbidden voxel."""
-    above, labels = bright.values > level, bright.label(level)
-    size = np.bincount(labels[above], minlength=labels.max() + 1)
+    at, labels = bright.label(level)
+    size = np.bincount(labels)
     low, high = (
         _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
         _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM)),
     )
     fits = (size >= low) & (size <= high)
-    fits[labels[forbidden & above]] = False
-    members = np.flatnonzero(above & fits[labels])
+    fits[labels[forbidden[at]]] = False
+    members = np.flatnonzero(fits[labels])
     members = members[np.argsort(labels[members], kind="stable")]
     for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
         if len(group):
-            k, j, i = np.unravel_index(bright.flat[group], volume.values.shape)
             # diameter of a ball of the same volume
             own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
-            yield Blob(np.stack([i, j, k], axis=1), level, own)
+            yield Blob(bright.place(at[group]), level, own)
 
 
 def _is_round(volume: Volume, blob: Blob) -> bool:
@@ -140,35 +97,29 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
     return max(4.0, np.pi / 6 * diameter**3 / float(np.prod(volume.spacing)))
 
 
-# Balls whose diameter is measured: those that the stated one explains best; and among how many candidates.
-MEASURED_BALLS, MEASURABLE_BALLS = 3, 6
+# Balls whose diameter is measured: those that the stated one explains best.
+MEASURED_BALLS = 3
 DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does not explain, in parts of it
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
-# Where nothing of about the stated diameter is a ball, candidates of so many times that are measured.
-OTHER_FACTORS = (0.6, 1.6)
 FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
 Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and what its fit gave
 
 
 def _measure_diameter(
-    volume: Volume, candidates: Iterable[Candidate], max_misfit: float, fit: FitSphere
+    volume: Volume, balls: Iterable[tuple[Blob, SphereFit]], fit: FitSphere
 ) -> tuple[float, float] | None:
-    """Return the diameter of the balls among candidates, and its deviation, mm; None if none shows it."""
-    balls: list[tuple[float, float]] = []
-    for blob, _ in sorted(candidates, key=lambda one: one[1].misfit)[:MEASURABLE_BALLS]:
-        ball, middle = fit(volume, blob, None), to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        resolved = ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur
-        if resolved and _find_fault(volume, ball, middle, _limit_misfit(ball, max_misfit)) is None:
-            balls.append((ball.diameter, ball.diameter_sd))
-        if len(balls) == MEASURED_BALLS:
-            break
-    if not balls:
+    """Return the diameter of balls, and its deviation, mm; None where the blur hides it."""
+    found: list[tuple[float, float]] = []
+    for blob, _ in sorted(balls, key=lambda one: one[1].misfit)[:MEASURED_BALLS]:
+        ball = fit(volume, blob, None)
+        if ball.diameter > MIN_RESOLVED_BLURS * ball.spread.blur:
+            found.append((ball.diameter, ball.diameter_sd))
+    if not found:
         return None
     # of small balls a few are off by many of their deviations
-    diameter, sd = np.median(balls, axis=0)
-    # to a hundredth, as it is printed
-    return round(float(diameter), 2), float(np.hypot(sd, DIAMETER_ERROR * diameter))
+    diameter, sd = np.median(found, axis=0)
+    return float(diameter), float(np.hypot(sd, DIAMETER_ERROR * diameter))
 
 
 # A ball's misfit may be so many deviations of the noise around it, besides `markers.max_misfit`.
@@ -187,7 +138,7 @@ def find_markers(
 
     A ball is left out that hangs together with the needle however high the threshold, or that a face of the
     volume cuts: its centre would be pulled aside. The diameter of a few is measured: one that contradicts the
-    stated one is a warning, or, where too few have the stated one, is named if enough have it.
+    stated one is a warning.
 
     `exclude`: (N, 3); voxels i, j, k of the needle, never a marker.
     `fit`: `fit_sphere`, or what keeps its results.
@@ -196,45 +147,35 @@ def find_markers(
     DataError if nothing in the volume is bright enough.
     """
     rules = recipe.markers
-    diameter, listed = rules.diameter_mm, bright or list_bright_voxels(volume, rules.threshold_hu)
-    wanted, count = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter), len(listed.flat)
-    if not wanted <= count <= MAX_BRIGHT_VOXELS:
-        raise refusal(f"""{count} voxels exceed {listed.levels[0]:.0f} HU
+    diameter, levels = rules.diameter_mm, list_levels(volume)
+    if rules.threshold_hu is not None:
+        levels = [rules.threshold_hu]
+    listed = bright if bright and bright.level <= levels[0] else list_bright_voxels(volume, levels[0])
+    while len(levels) > 1 and np.count_nonzero(listed.values > levels[0]) > MAX_BRIGHT_VOXELS:
+        levels = levels[1:]
+    wanted = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
+    if not wanted <= (count := np.count_nonzero(listed.values > levels[0])) <= MAX_BRIGHT_VOXELS:
+        raise refusal(f"""{count} voxels exceed {levels[0]:.0f} HU
             expected: the {wanted:.0f} voxels or more of a ball of {diameter:g} mm, and no more than
                 {MAX_BRIGHT_VOXELS:.0g} in all
             fix: check that the scan holds the markers and is in HU; set markers.threshold_hu in the recipe,
                 or place the fiducials by hand
             where: markers in the volume""")
 
-    def search(size: float) -> Iterator[Candidate]:
-        return _fit_balls(volume, find_blobs(volume, listed, size, exclude), size, rules.max_misfit, fit)
-
-    def measure(candidates: Iterable[Candidate]) -> tuple[float, float] | None:
-        return _measure_diameter(volume, candidates, rules.max_misfit, fit)
-
-    found = list(search(diameter))
-    balls = [one for _, one in found if isinstance(one, SphereFit)]
+    blobs = find_blobs(volume, listed, levels, diameter, exclude)
+    found = list(_fit_balls(volume, blobs, diameter, rules.max_misfit, fit))
+    shown = [(blob, one) for blob, one in found if isinstance(one, SphereFit)]
+    balls = [ball for _, ball in shown]
     rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
     centers = [ball.center for ball in balls]
     spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
     warnings: list[str] = []
-    works: float | None = None
-    if len(balls) >= MIN_MARKERS:
-        measured = measure((blob, one) for blob, one in found if isinstance(one, SphereFit))
-        if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
-            warnings.append(
-                f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but "
-                f"{diameter:g} mm are stated: check markers.diameter_mm"
-            )
-    else:
-        others = (search(factor * diameter) for factor in OTHER_FACTORS)
-        for candidates in chain([found], others):
-            if (measured := measure(candidates)) is None:
-                continue
-            shown = (one for _, one in search(measured[0]) if isinstance(one, SphereFit))
-            if len(list(islice(shown, MIN_MARKERS))) == MIN_MARKERS:
-                works = measured[0]
-                break
+    measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
+    if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
+        warnings.append(
+            f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "
+            "are stated: check markers.diameter_mm"
+        )
     return MarkerResult(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
@@ -244,7 +185,6 @@ def find_markers(
         # with a wrong diameter the blur is wrong
         spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls and not warnings else None,
         warnings=tuple(warnings),
-        working_diameter=works,
     )
 
 
@@ -272,23 +212,18 @@ def _fit_balls(
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
     """Return a sentence about what was seen where balls were looked for."""
-    rules = recipe.markers
     if found.source == "fiducials":
         return f"{len(found.centers)} fiducials were placed by hand"
-    what = f"{len(found.centers)} balls of {rules.diameter_mm:g} mm were found"
-    if len(found.misfits):
-        what += f" (misfit {found.misfits.min():.2f} to {found.misfits.max():.2f})"
-    if found.working_diameter is not None:
-        what += f"; balls of {found.working_diameter:.2f} mm are there: state that as markers.diameter_mm"
-    nearest = sorted(found.rejected, key=lambda one: one.misfit / one.max_misfit)[:MAX_CANDIDATES_NAMED]
+    what = f"{len(found.centers)} balls of {recipe.markers.diameter_mm:g} mm were found"
     if not found.rejected:
         return f"{what}, nothing else of about that size"
-    others = "; ".join(
-        f"{one.diameter:.1f} mm wide with its blur at L, P, S = {', '.join(f'{x:.0f}' for x in one.center)}: "
-        f"{REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)}"
-        for one in nearest
+    one = min(found.rejected, key=lambda one: one.misfit / one.max_misfit)
+    place = ", ".join(f"{x:.0f}" for x in one.center)
+    reason = REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)
+    return (
+        f"{what}; {len(found.rejected)} other candidates, the most similar {one.diameter:.1f} mm wide with "
+        f"its blur at L, P, S = {place}: {reason}"
     )
-    return f"{what}; {len(found.rejected)} other candidates, the most similar {others}"
 
 
 REASONS = {
@@ -297,7 +232,6 @@ REASONS = {
     "moved": "no ball of this size explains it",
     "edge": "cut by the volume's face",
 }
-MAX_CANDIDATES_NAMED = 3
 CANDIDATE_FIX = (
     "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
     "fiducials by hand"

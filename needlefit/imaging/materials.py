@@ -75,11 +75,11 @@ EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model 
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
 # Deviation of an edge in parts of its blur: kernels and slices blur both sides of an edge differently.
-SYSTEMATIC_WIDTH_RATIO = 0.1
+SYSTEMATIC_WIDTH_RATIO = 0.03
 # A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-SYSTEMATIC_SD_MM = 0.03  # deviation of an edge that no scatter along the needle shows, mm
+SYSTEMATIC_SD_MM = 0.025  # deviation of an edge that no scatter along the needle shows, mm
 
 
 Kind = Literal["air", "soft", "metal"]

@@ -38,11 +38,11 @@ _MILLIMETRES = {"meter": 1e3, "mm": 1.0, "micron": 1e-3}  # one unit of a header
 _BLOCK_BYTES = 2**20
 
 
-def read_nifti(arrays: Arrays, path: str, stored: int, layers: bool = False) -> dict[str, Any]:
+def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> dict[str, Any]:
     """Read a NIfTI file: add the array "values"; return its grid, and warnings.
 
     `stored`: bytes of the file.
-    `layers`: whether the file holds labels; the values then have a fourth axis, as those of other formats.
+    `labels`: whether the file holds labels.
 
     DataError if the file is none, is cut short, has not three dimensions, does not say where the patient's
     left is, or says it twice and differently, or claims an absurd size.
@@ -90,8 +90,8 @@ def read_nifti(arrays: Arrays, path: str, stored: int, layers: bool = False) -> 
         if (proxy.slope, proxy.inter) != (1.0, 0.0):
             values *= np.float32(proxy.slope)
             values += np.float32(proxy.inter)
-        fill_unknown(values, notes, labels=layers)
-    arrays["values"] = values[..., None] if layers else values
+        fill_unknown(values, notes, labels=labels)
+    arrays["values"] = values
     grid = VoxelGrid(grid.size, grid.origin, grid.spacing, orthogonalize(grid.direction))
     return {**grid_to_json(grid), "warnings": notes}
 

@@ -24,6 +24,7 @@ from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_len
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import Surface, find_nearest
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
@@ -35,7 +36,6 @@ from needlefit.imaging.entry import (
     move_to_surface,
     pose_from_shaft,
     pose_from_stage,
-    require_agreement,
     usable_length,
 )
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
@@ -44,19 +44,18 @@ from needlefit.imaging.markers import (
     describe_candidates,
     find_markers,
     is_list_of_points,
-    list_bright_voxels,
     make_fiducials,
     read_markers,
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
-from needlefit.imaging.needle.follow import follow_points, select_rod
+from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
     find_tubes,
-    read_mask_component,
+    median_tissue_hu,
     select_needle,
 )
 from needlefit.imaging.needle.tip import END_LENGTH_MM
@@ -77,7 +76,7 @@ from needlefit.imaging.registration.register import (
     scan_frame,
     to_world,
 )
-from needlefit.imaging.scans import BEVEL_FIX, CONTACT_COLUMNS, Corrections, Scan
+from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, to_index
 from needlefit.imaging.volume_files import read_volume
@@ -173,8 +172,8 @@ def _input_warnings(one: Reconstruction) -> Iterator[str]:
         "the needle": None if scan.divided else scan.needle_at,
         "points on the needle": listed if moved.axis is None else moved.axis,
         "the markers": scan.fiducials if moved.balls is None else moved.balls,
-        "the first contact": scan.contact,
-        "the tip": scan.tip,
+        "the first contact": moved.entry,
+        "the tip": moved.tip,
     }
     by_hand = [name for name, given in placed.items() if given is not None]
     if by_hand:
@@ -189,9 +188,9 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
             "depth; the stage's axis is more accurate, where it is known"
         )
     elif one.shaft is not None:
-        apart = compare_poses(one.pose, one.shaft)
-        if apart.worst > MAX_DISAGREEMENT_SD:
-            yield apart.sentence
+        worst, sentence = compare_poses(one.pose, one.shaft)
+        if worst > MAX_DISAGREEMENT_SD:
+            yield sentence
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     own = any(surface.into == 1 for surface in one.layers.surfaces)
     source = "its own surface (into = 1)" if own else ""
@@ -265,30 +264,24 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
 
 
 def check_layer_count(scan: Scan, layers: Layers, points: Floats) -> tuple[str, ...]:
-    """Return warnings about the number of layers that a needle (N, 3), world, crosses.
-
-    Nothing, where there are as many as somebody counted.
+    """Return a warning about a needle (N, 3), world, that crosses none of the layers.
 
     DataError if somebody counted the layers and these are not as many.
     """
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
-    if len(layers.sequence) in counted:
-        return ()
-    notes: tuple[str, ...] = ()
+    count = len(layers.sequence)
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
-    if beyond and not len(layers.boundaries):
+    if not counted and beyond and not len(layers.boundaries):
         away = find_nearest(points, beyond).distances.min()
-        notes = (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
-    if not counted:
-        return notes
-    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries)
-    where = f"; interfaces at {depths} mm" if depths else ""
-    order = " > ".join(map(str, layers.sequence))
+        return (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
+    if not counted or count in counted:
+        return ()
+    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "no depth"
     expected = " or ".join(map(str, sorted(counted)))
-    raise refusal(f"""{scan.id} meets {len(layers.sequence)} layer{"s" * bool(depths)} ({order}{where}), but
-            {expected} were counted{"".join(f"; {one}" for one in notes)}
+    raise refusal(f"""{scan.id} meets {count} layer{"s" * (count > 1)}, with interfaces at {depths} mm, but
+            {expected} were counted
         expected: {expected} layers
-        fix: correct the count or the surfaces; look at both together in 3D Slicer""")
+        fix: correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)""")
 
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.
@@ -387,6 +380,7 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     return sample_profile(volume, points, arc_length(points))
 
 
+BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
 T = TypeVar("T")
 
 
@@ -399,14 +393,17 @@ class VolumeSearch:
 
     def find_tubes(self) -> list[Component]:
         """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", partial(find_tubes, self.volume, self.recipe))
+        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
+
+    @property
+    def bright(self) -> BrightVoxels:
+        """The bright voxels, in which needle and balls are looked for."""
+        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
+        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
-        bright = self._once(
-            "bright", partial(list_bright_voxels, self.volume, self.recipe.markers.threshold_hu)
-        )
-        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, bright)
+        return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
         work = partial(fit_sphere, volume, blob, radius)
@@ -426,15 +423,14 @@ class VolumeSearch:
 
 
 def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
-    """Return the needle: by a person's mask or points on it, else among the tubes of the volume."""
+    """Return the needle: along points on it or a mask, else among the tubes of the volume."""
     recipe, points = search.recipe, None if scan.corrections is None else scan.corrections.axis
-    if points is None and scan.mask is not None and is_list_of_points(scan.mask):
-        points = read_markers(scan.mask)
+    if points is None and scan.mask is not None:
+        listed = is_list_of_points(scan.mask)
+        points = read_markers(scan.mask) if listed else read_mask_points(search.volume, scan.mask)
     if points is not None:
         axis = follow_points(search.volume, points, recipe)
         return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
-    if scan.mask is not None:
-        return NeedleSelection(read_mask_component(search.volume, scan.mask, recipe, scan.needle_at))
     return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
 
 
@@ -472,7 +468,7 @@ def estimate_first_contact(
     if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
         return stage, None, ()
     other = pose_from_shaft(outside, stage.along_sd)
-    require_agreement(stage, other)
+    compare_poses(stage, other)
     return stage, other, ()
 
 
@@ -501,12 +497,13 @@ def _locate_tissue(
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
     """
-    if scan.contact is not None:
+    contact = None if scan.corrections is None else scan.corrections.entry
+    if contact is not None:
         points = found.axis.points
         s = arc_length(points)
         fine = np.arange(0.0, s[-1], 0.05)
-        away = np.linalg.norm(interpolate_at_arc(points, fine) - scan.contact, axis=1)
-        beyond = float((scan.contact - points[-1]) @ normalize(points[-1] - points[-2]))
+        away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
+        beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
         off = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
         if away.min() > MAX_ENTRY_DISTANCE_MM:
             off = f"{away.min():.1f} mm beside the needle"
@@ -514,7 +511,7 @@ def _locate_tissue(
             raise refusal(f"""the first contact that was placed lies {off}
                 expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
-                where: {", ".join(CONTACT_COLUMNS)}""")
+                where: entry of the corrections""")
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
@@ -688,14 +685,11 @@ def examine(
     `search`: of the volume, with what was found in it before.
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
-    tip, contact = (a if b is None else b for a, b in ((scan.tip, moved.tip), (scan.contact, moved.entry)))
-    scan = replace(scan, tip=tip, contact=contact)
     found = Examination(scan)
     with found.step():
         require_within(volume, moved)
     with found.step():
-        if scan.mask is None or is_list_of_points(scan.mask) or moved.axis is not None:
-            require_hounsfield(volume, str(scan.volume))
+        require_hounsfield(volume, str(scan.volume))
     with found.step():
         found.selection = choose_needle(search, scan)
     selection = found.selection
@@ -706,7 +700,7 @@ def examine(
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread
             rough = selection.axis or selection.needle
-            found.needle_axis = trace_needle(volume, rough, recipe, spread, scan.tip)
+            found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
     with found.step():
         if found.markers is not None and scan.markers is not None:
             found.registration = register_scan(found.markers, scan.markers, recipe)

@@ -43,8 +43,6 @@ class MarkerResult:
     rejected: tuple[RejectedMarker, ...] = ()  # other candidates in the volume
     spread: PointSpread | None = None  # the scanner's, as the balls show it
     warnings: tuple[str, ...] = ()  # what a person should know of the balls
-    # Where too few have the stated diameter: another, mm, of which enough were found.
-    working_diameter: float | None = None
 
 
 @dataclass(frozen=True)
@@ -94,17 +92,6 @@ class Layers:
 
 
 @dataclass(frozen=True)
-class Change:
-    """What the corrections of a scan changed of one quantity."""
-
-    quantity: str
-    # Before and after, mm; nan of a place, and of what is not there.
-    before: float
-    after: float
-    change: float  # after less before, or how far a place moved, mm
-
-
-@dataclass(frozen=True)
 class Reconstruction:
     """The complete reconstruction of one scan."""
 
@@ -135,7 +122,6 @@ class Reconstruction:
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside
     # included; None where no scan was traced.
     sections: SplineSections | None = None
-    changes: tuple[Change, ...] = ()  # by the corrections of the scan, if there are any
 
     @property
     def local(self) -> Floats:
@@ -155,24 +141,20 @@ PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
 SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
 # How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm.
 ENTRY_MARGIN_MM, TIP_MARGIN_MM, SIDE_MARGIN_MM = 35.0, 10.0, 10.0
-# Where the picture across the needle is taken, mm back from the tip: there even a long bevel is whole.
-TIP_SECTION_OFFSET_MM = 4.0
 
 
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:
-    """Return three images: the bending plane (x, y), across it (x, z), and near the tip (y, z).
+    """Return two images: the bending plane (x, y), and across it (x, z).
 
     `patient`: the scan's axes and origin in the world.
     `frame`: C in the world.
     `needle`: (N, 3); the whole needle from base to tip, LPS, mm.
     """
     local, turned = _to_constraint_frame(patient, frame, needle)
-    x, (y, z) = _pixels_along(local), (_pixels_across(local, side, SIDE_MARGIN_MM) for side in (1, 2))
-    end = np.full(len(y), local[-1, 0] - TIP_SECTION_OFFSET_MM)
+    x, z = _pixels_along(local), _pixels_across(local, 2, SIDE_MARGIN_MM)
     return (
         render_bending_plane(volume, patient, frame, needle),
         _average_slab(volume, turned, "xzy", (x, z, np.interp(x, local[:, 0], local[:, 1]))),
-        _average_slab(volume, turned, "yzx", (y, z, end)),
     )
 
 

@@ -109,10 +109,6 @@ class Scan:
     expected_depth: float | None = None
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: bool = False  # whether the scan's other needles are insertions too: the program set `needle_at`
-    # (3,) or None; where the needle enters the tissue, and where it ends, placed by hand in the scan, LPS,
-    # mm; None: they are looked for.
-    contact: Floats | None = None
-    tip: Floats | None = None
     origin: Literal["measured", "synthetic"] = "measured"
     corrections: Corrections | None = None  # as moved in 3D Slicer; no column of a table states them
 
@@ -124,21 +120,18 @@ class Scan:
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
-CONTACT_COLUMNS = ("contact_x_mm", "contact_y_mm", "contact_z_mm")
-# By the field of `Scan`: the columns of vectors (the points are placed by hand in the scan, LPS), of counts
+# By the field of `Scan`: the columns of vectors (the point is placed by hand in the scan, LPS), of counts
 # and of lengths, and of files.
 VECTORS = {
     "bevel": BEVEL_COLUMNS,
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
-    "contact": CONTACT_COLUMNS,
-    "tip": ("tip_x_mm", "tip_y_mm", "tip_z_mm"),
 }
 COUNTS = ("layers", "layers_alternative")
 LENGTHS = {"guide_distance": "guide_distance_mm", "expected_depth": "expected_depth_mm"}
 FILES = ("mask", "markers", "fiducials")
 NUMBER_COLUMNS = (
     *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, *LENGTHS.values()),
-    *(*VECTORS["needle_at"], *VECTORS["contact"], *VECTORS["tip"]),
+    *VECTORS["needle_at"],
 )
 # Every column of a table of scans; those of `insertions.csv` mean the same here.
 SCAN_COLUMNS = (
@@ -272,14 +265,6 @@ def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
     return Fault(where, what, "the known places of the markers, too", fix)
 
 
-# Of a first contact that was placed in a scan whose stage states it: what, expected, fix.
-PLACED_CONTACT = (
-    "the entry is stated by the stage (entry_x_mm ...) and placed by hand (contact_x_mm ...)",
-    "one of both",
-    "take the placed entry back, or empty entry_x_mm ... pose_angle_sd_deg",
-)
-
-
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
     """Yield what is wrong with words and files of a row, what is expected, and the fix."""
     for name, words in CHOICE_COLUMNS.items():
@@ -307,7 +292,6 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
         empty = [name for name in names if math.isnan(number[name])]
         what = f"{', '.join(empty)} are empty"
         yield 0 < len(empty) < len(names), what, "all of them, or none", "fill these, or empty the others"
-    yield not np.isnan(row.vector((*STAGE_COLUMNS, *CONTACT_COLUMNS))).any(), *PLACED_CONTACT
     length = float(np.linalg.norm(direction))  # nan, which no check finds wrong, where cells are empty
     what, expected = f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)"
     fix = "divide the three numbers by their length" if length else "give the direction of insertion"

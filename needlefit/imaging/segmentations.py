@@ -9,8 +9,8 @@ import numpy as np
 
 from needlefit.errors import DataError
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.volume import Volume, not_one_volume
-from needlefit.imaging.volume_files import is_image_file, open_member, read_planes, read_structures
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file, read_structures
 
 MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
 SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
@@ -21,16 +21,10 @@ SAVE_AGAIN_FIX = "save the segmentation again from 3D Slicer"
 
 @dataclass(frozen=True)
 class Segment:
-    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("" where there is
-    none).
-
-    `plane` is the one of several numbers of each voxel that holds the value, as 3D Slicer keeps segments that
-    were drawn over one another.
-    """
+    """One layer of tissue in a segmentation: the `value` of its voxels, and its name ("": there is none)."""
 
     value: int
     name: str
-    plane: int = 0
 
 
 @dataclass(frozen=True)
@@ -55,40 +49,10 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
         if not is_image_file(place):
             volume, found = read_structures(place, names)
             return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
-        planes, texts = read_planes(place)
-        stated = _parse_segments(texts)
-        if len(planes) == 1:
-            volume = planes[0]
-        elif stated:
-            volume, stated = _merge_planes(planes, stated)
-        else:
-            raise not_one_volume(f"{len(planes)} numbers a voxel")
-        labels = _check_labels(volume, stated)
+        volume, texts = read_labels_file(place)
+        labels = _check_labels(volume, _parse_segments(texts))
         chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)
         return replace(labels, segments=tuple(labels.segments[n] for n in chosen))
-
-
-def _merge_planes(
-    planes: Sequence[Volume], segments: Sequence[Segment]
-) -> tuple[Volume, tuple[Segment, ...]]:
-    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
-    values, labelled = np.zeros_like(planes[0].values), 0
-    for label, segment in enumerate(segments, 1):
-        if segment.plane >= len(planes):
-            raise refusal(f"""segment {segment.name} is in layer {segment.plane}, of {len(planes)} in
-                    the file
-                expected: layers that are there
-                fix: {SAVE_AGAIN_FIX}""")
-        inside = planes[segment.plane].values == segment.value
-        if met := int(values[inside].max(initial=0)):
-            raise _overlap_error([segments[met - 1].name, segment.name])
-        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
-    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
-        raise refusal(f"""voxels have labels that no segment has
-            expected: labels of the segments that the header names
-            fix: {SAVE_AGAIN_FIX}""")
-    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
-    return replace(planes[0], values=values), merged
 
 
 def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
@@ -115,7 +79,7 @@ def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
     if empty:
         raise refusal(f"""no voxel belongs to segment {", ".join(empty)}
             expected: voxels in every segment
-            fix: remove the empty segments, or fill them""")
+            fix: fill the empty segments, or leave them out, or {SEGMENTS_FIX}""")
     unnamed = sorted(set(present) - {segment.value for segment in stated})
     if unnamed:
         raise refusal(f"""voxels have the labels {", ".join(map(str, unnamed))}, which no segment has
@@ -133,11 +97,10 @@ def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
         Segment(
             _parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 2**16),
             texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
-            _parse_count(texts.get(f"Segment{n}_Layer", "0"), MAX_SEGMENTS),
         )
         for n in range(count)
     )
-    if len({(segment.plane, segment.value) for segment in segments}) < len(segments):
+    if len({segment.value for segment in segments}) < len(segments):
         raise _overlap_error([segment.name for segment in segments])
     return segments
 

@@ -338,7 +338,7 @@ def _make_tables(reach: float) -> SphereTables:
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     """Return the voxels around a blob, without those near other bright things."""
     middle, shape = blob.voxels.mean(axis=0), np.array(volume.values.shape[::-1])
-    axes = np.column_stack([volume.direction[:, :2], volume.normal])
+    axes = np.column_stack([volume.direction[:, :2], volume.grid.normal])
     steps = axes.T @ volume.direction * volume.spacing  # one step of i, j, k (columns) along the axes
     spacing = np.diag(steps).copy()
     reach = radius + FIT_MARGIN_MM * max(1.0, float(spacing.max()))

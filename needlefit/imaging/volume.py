@@ -239,16 +239,6 @@ class Volume:
         slices, rows, columns = self.values.shape
         return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
 
-    @property
-    def normal(self) -> Floats:
-        """The unit normal (3,) of the slices, on the side to which k grows."""
-        return self.grid.normal
-
-    @property
-    def slice_distance(self) -> float:
-        """The distance of the slices' planes, mm."""
-        return self.grid.slice_distance
-
     @cached_property
     def resampled_top(self) -> float | None:
         """At what values were cut before the scan was resampled, HU; None: they were not, or it was not.

@@ -72,7 +72,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         if place != path:
             place, series = _choose_member(place, series)
         if is_image_file(place):
-            return _build_volume(*_read_arrays(place, layers=False), place)
+            return _build_volume(*_read_arrays(place, labels=False), place)
         return _build_volume(*_read_series(place, series, acquisition), place)
 
 
@@ -132,16 +132,12 @@ def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
     return next(iter(images.values())), None
 
 
-def read_planes(path: Path) -> tuple[tuple[Volume, ...], dict[str, str]]:
-    """Read an image file whose voxels may have several numbers: one volume for each; see `read_volume`.
-
-    Also the texts of its header about segments, as 3D Slicer writes them.
-    """
+def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
+    """Read an image file of labels; see `read_volume`. Also the texts of its header about segments."""
     with explain_missing_packages(*CT_PACKAGES):
-        parts, arrays = _read_arrays(path, layers=True)
-    values = arrays["values"]
-    planes = (_build_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
-    return tuple(planes), {str(key): str(text) for key, text in parts.get("texts", {}).items()}
+        parts, arrays = _read_arrays(path, labels=True)
+    texts = {str(key): str(text) for key, text in parts.get("texts", {}).items()}
+    return _build_volume(parts, arrays, path), texts
 
 
 def read_structures(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
@@ -177,14 +173,14 @@ def is_image_file(place: Path) -> bool:
     return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
 
 
-def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
+def _read_arrays(path: Path, labels: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
     """Return the header of an image file, and its voxels as "values"."""
     with open_regular(path, sys.maxsize) as file:
         stored = file.seek(0, os.SEEK_END)
     if path.suffix.lower() in (".nhdr", ".mhd"):  # its voxels are in another file beside it
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
     seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
-    arguments = {"path": str(path), "stored": stored, "layers": layers}
+    arguments = {"path": str(path), "stored": stored, "labels": labels}
     nifti = path.name.lower().endswith((".nii", ".nii.gz"))
     reader = "nifti_files:read_nifti" if nifti else "image_files:read_image"
     return read_in_process(f"needlefit.imaging.{reader}", path, arguments, seconds=seconds)
@@ -229,9 +225,8 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
-    are kept, others rounded to 1/65535 of the range of the values. NIfTI stores its geometry in single
-    precision (1e-5 mm), the others in double.
+    NRRD, NIfTI and MetaImage keep values to the bit, DICOM whole HU in 16 bits. NIfTI stores its geometry in
+    single precision (1e-5 mm), the others in double.
 
     DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
     or the packages that write scans are not installed.

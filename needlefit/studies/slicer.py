@@ -35,16 +35,16 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), the edges of the
     95 % band and its median. The band of a held-out needle is the predicted one of its
     measurement, that of a fitted needle the one of the parameters. `<id>.needle.ply` is the fitted needle's
-    body, `<id>.band.ply` the space that it takes when it goes through the band.
+    body.
     """
     folder.mkdir(exist_ok=True)
     summary = " (synthetic)" if synthetic else ""
     for needle in read_needles(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
-        for name, points, widths in _needle_bodies(needle):
-            comments = (f"needlefit: {needle.insertion}, {name}{summary}, mm",)
-            body = make_tube(points, widths, needle.toward)
-            write_ply(*body, folder / f"{needle.insertion}.{name}.ply", comments)
+        if needle.fitted is not None:
+            comments = (f"needlefit: {needle.insertion}, needle{summary}, mm",)
+            body = make_tube(needle.fitted, needle.diameter / 2, needle.toward)
+            write_ply(*body, folder / f"{needle.insertion}.needle.ply", comments)
 
 
 def write_scene(
@@ -98,17 +98,6 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
         yield curve, CurveStyle(rgb(colour), thickness)
 
 
-def _needle_bodies(needle: NeedleInScan) -> Iterator[tuple[str, Floats, Floats]]:
-    """Yield the name, axis (K, 3) and half widths (K, 2) of each body: in its plane, and across it."""
-    radius = needle.diameter / 2
-    if needle.fitted is not None:
-        yield "needle", needle.fitted, np.array([radius, radius])
-    if needle.band is not None:
-        half = np.linalg.norm(needle.band.high - needle.band.low, axis=1) / 2
-        axis = (needle.band.high + needle.band.low) / 2
-        yield "band", axis, np.column_stack([half + radius, np.full(len(half), radius)])
-
-
 def _place_simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, Floats]:
     """Return points (K, 3) from base to tip, LPS, and their distances from the entry (K,), mm."""
     before = np.linspace(shape.x[0], 0.0, POINTS_BEFORE_ENTRY) if shape.x[0] < 0 else np.zeros(1)
@@ -129,7 +118,7 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
 
 
 POINT_SIZE_MM = 1.5  # points, mm
-_WHOLE_COLOUR, _INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
+_WHOLE_COLOUR, INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
 LAYER_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
 _NORMAL_95_HALF_WIDTH_SD = 1.96
 
@@ -139,25 +128,16 @@ def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) 
 
     `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its 95 % band toward and
     away from the bending side, entry and tip, where layers are crossed, and the markers found.
-    `<id>.needle.ply` is the needle's body, of `diameter` (mm), `<id>.band.ply` the space that its inserted
-    part takes when it goes through the band.
+    `<id>.needle.ply` is the needle's body, of `diameter` (mm).
     """
     folder.mkdir(parents=True, exist_ok=True)
     name = reconstruction.scan.id
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
-    curves = folder / f"{name}.mrk.json"
-    write_mrk_json(curves, make_scan_markups(reconstruction))
-    files = [curves]
-    whole, wide = reconstruction.needle_axis.points, _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
-    bodies = (
-        ("needle", whole, np.full((len(whole), 2), diameter / 2)),
-        ("band", _inserted_needle(reconstruction), np.column_stack([diameter / 2 + wide] * 2)),
-    )
-    for body, points, radius in bodies:
-        files.append(folder / f"{name}.{body}.ply")
-        toward = _band_direction(reconstruction)
-        write_ply(*make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{summary}, mm",))
-    return tuple(files)
+    files = folder / f"{name}.mrk.json", folder / f"{name}.needle.ply"
+    write_mrk_json(files[0], make_scan_markups(reconstruction))
+    body = make_tube(reconstruction.needle_axis.points, diameter / 2, _band_direction(reconstruction))
+    write_ply(*body, files[1], (f"needlefit: {name}, needle{summary}, mm",))
+    return files
 
 
 def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:
@@ -169,7 +149,7 @@ def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markup
     along = arc_length(whole)
     curves = [
         ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),
-        ("inserted", inserted, arc_length(inserted), _INSERTED_COLOUR, LINE_WIDTH_MM),
+        ("inserted", inserted, arc_length(inserted), INSERTED_COLOUR, LINE_WIDTH_MM),
         ("95 % band, low", inserted - half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
         ("95 % band, high", inserted + half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
     ]

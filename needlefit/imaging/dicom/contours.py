@@ -17,7 +17,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.meshes import fill_outline
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.segmentations import SEGMENTS_FIX, choose_segments
+from needlefit.imaging.segmentations import choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json
 from needlefit.project.input_files import is_file, list_files, open_regular
 from needlefit.project.reader_process import Arrays
@@ -28,8 +28,6 @@ MAX_ROIS = 1000
 MAX_CONTOURS = 200_000
 # A point may stand this far from its plane, and a plane from its place among even steps, mm.
 PLANE_TOLERANCE_MM = 0.1
-# Neighbours may share this part of their voxels: contours drawn twice along one boundary do.
-MAX_SHARED_FRACTION = 0.02
 AXIS_COSINE = 1 - 1e-6  # a normal nearer than this to an axis of the patient is that axis
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR")
 
@@ -62,16 +60,13 @@ def mark_regions(regions: Sequence[ContouredRegion]) -> tuple[VoxelGrid, NDArray
 
     Of two that share voxels the later one has them.
 
-
-    DataError if contours are not parallel, flat and in even steps, or regions overlap without one in the
-    other.
+    DataError if contours are not parallel, flat and in even steps.
     """
     normal = _find_normal([one for region in regions for one in region.contours])
     axes = _make_axes(normal)
     turned = [[one @ axes for one in region.contours] for region in regions]
     grid = _make_grid(turned, axes)
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
-    counts: list[int] = []
     for label, (region, contours) in enumerate(zip(regions, turned, strict=True), 1):
         columns, rows, slices = grid.size
         inside = np.zeros((slices, rows, columns), dtype=np.bool_)
@@ -82,13 +77,8 @@ def mark_regions(regions: Sequence[ContouredRegion]) -> tuple[VoxelGrid, NDArray
         for k, outlines in planes.items():
             lines = [np.stack([one, np.roll(one, -1, axis=0)], axis=1) for one in outlines]
             inside[k] = fill_outline(np.concatenate(lines), (rows, columns))
-        # slice by slice: counting takes eight times the memory of what is counted
-        pairs = zip(values, inside, strict=True)
-        shared = np.sum([np.bincount(one[mask], minlength=label) for one, mask in pairs], axis=0)
-        counts.append(int(np.count_nonzero(inside)))
-        _check_shared(shared, counts, [one.name for one in regions])
         values[inside] = label
-        if not counts[-1]:
+        if not inside.any():
             raise _contour_error(f"region {region.name} holds no voxel of {grid.spacing.tolist()} mm")
     return grid, values
 
@@ -139,25 +129,6 @@ def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats) -> VoxelGrid:
     return grid
 
 
-def _check_shared(shared: NDArray[np.int64], counts: Sequence[int], names: Sequence[str]) -> None:
-    """Refuse a region that shares voxels with an earlier one, unless it lies in it.
-
-    `shared`: its voxels by the labels that they have; `counts`: voxels of the regions, its own the last.
-    """
-    label = len(counts)
-    for earlier, count in enumerate(counts[:-1], 1):
-        own, its = shared[earlier] / max(counts[-1], 1), shared[earlier] / count
-        if its >= 1 - MAX_SHARED_FRACTION:
-            raise refusal(f"""region {names[earlier - 1]} lies inside {names[label - 1]}, which comes after it
-                expected: outer layers before inner ones: of two regions the later one has the shared voxels
-                fix: {SEGMENTS_FIX}""")
-        if own < 1 - MAX_SHARED_FRACTION and max(own, its) > MAX_SHARED_FRACTION:
-            raise refusal(f"""regions {names[earlier - 1]} and {names[label - 1]} overlap: they share
-                    {100 * max(own, its):.0f} % of the smaller one
-                expected: regions beside each other, or one inside the other
-                fix: {SEGMENTS_FIX}""")
-
-
 def _contour_error(what: str) -> DataError:
     return refusal(f"""{what}
         expected: closed, flat, parallel contours in even steps
@@ -204,7 +175,7 @@ def read_structures(arrays: Arrays, path: str, names: Sequence[str] = ()) -> dic
     `path`: the file, or a folder with one in it or below.
     `names`: regions that are read, in this order; empty: all.
 
-    DataError if there is no structure set or several, a name is not in it, or regions overlap.
+    DataError if there is no structure set or several, or a name is not in it.
     """
     place = Path(path)
     found = [one for one in ([place] if is_file(place) else list_files(place)) if _holds_structures(one)]

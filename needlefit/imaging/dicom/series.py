@@ -300,7 +300,6 @@ def _unreadable_voxels_error(item: DicomSlice) -> DataError:
         where: {item.file}""")
 
 
-_INT16_LEVELS = 2**16 - 1
 _UID_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "needlefit")
 
 
@@ -312,8 +311,8 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
     ConfigError if the folder is there and not empty: a second series in it would make both unreadable.
     """
     require_new(folder)
-    numbers, slope, intercept = _to_int16(volume.values)
-    series = _common_dataset(volume, description, slope, intercept)
+    numbers = np.clip(np.rint(volume.values), -(2**15), 2**15 - 1).astype(np.int16)
+    series = _common_dataset(volume, description)
     content = hashlib.sha256(series.to_json().encode())
     content.update(np.ascontiguousarray(numbers, dtype="<i2").data)
     for array in (volume.origin, volume.spacing, volume.direction):
@@ -343,21 +342,7 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
             data.save_as(file, enforce_file_format=True)
 
 
-def _to_int16(values: NDArray[np.float32]) -> tuple[NDArray[np.int16], float, float]:
-    """Return `values` as int16, with the slope and the intercept that give them back."""
-    least, most = float(values.min()), float(values.max())
-    limits = np.iinfo(np.int16)
-    if limits.min <= least and most <= limits.max:
-        whole = values.astype(np.int16)
-        if np.array_equal(whole, values):
-            return whole, 1.0, 0.0
-    slope = float(DSfloat((most - least) / _INT16_LEVELS, auto_format=True)) or 1.0
-    intercept = float(DSfloat(least - limits.min * slope, auto_format=True))
-    planes = [np.rint((plane.astype(np.float64) - intercept) / slope) for plane in values]
-    return np.array([np.clip(p, limits.min, limits.max).astype(np.int16) for p in planes]), slope, intercept
-
-
-def _common_dataset(volume: Volume, description: str, slope: float, intercept: float) -> Dataset:
+def _common_dataset(volume: Volume, description: str) -> Dataset:
     """Return what all slices have in common."""
     data = Dataset()
     data.SpecificCharacterSet = "ISO_IR 192"
@@ -375,7 +360,7 @@ def _common_dataset(volume: Volume, description: str, slope: float, intercept: f
     data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
     data.Rows, data.Columns = volume.values.shape[1:]
     data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
-    data.RescaleSlope, data.RescaleIntercept, data.RescaleType = _decimal(slope), _decimal(intercept), "HU"
+    data.RescaleSlope, data.RescaleIntercept, data.RescaleType = 1, 0, "HU"
     return data
 
 

@@ -30,7 +30,7 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
     MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
@@ -135,7 +135,7 @@ def trace_needle(
             raise refusal(f"""the tip that was placed lies {beside:.1f} mm beside the needle
                 expected: a point on the needle, LPS, mm
                 fix: place it on the needle, or place points along the needle; RAS turns the signs of x, y
-                where: tip_x_mm, tip_y_mm, tip_z_mm""")
+                where: tip of the corrections""")
         at = np.array([place])
         sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
         point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
@@ -321,11 +321,13 @@ def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> 
     """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
 
     The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
-    shows that.
+    shows that, and thin slices show the needle in several.
     """
-    thick, wide = volume.slice_distance, recipe.needle.diameter_mm
+    thick, wide = volume.grid.slice_distance, recipe.needle.diameter_mm
+    if thick <= MIN_SLICE_MM:
+        return 0.0
     ends = axis.spline(np.array([0.0, axis.length]))
-    steep = float((ends[1] - ends[0]) @ volume.normal) / float(np.linalg.norm(ends[1] - ends[0]))
+    steep = float((ends[1] - ends[0]) @ volume.grid.normal) / float(np.linalg.norm(ends[1] - ends[0]))
     left = recipe.centerline.knot_spacing_mm * steep / thick
     return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
 

@@ -1,6 +1,7 @@
-"""Follow a needle along points that a person placed on it, where no threshold separates it from the rest."""
+"""Follow a needle along points on it, placed or taken from a mask, where no threshold separates it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -21,10 +22,12 @@ from needlefit.imaging.needle.segmentation import (
     measure_component,
     principal_axes,
 )
-from needlefit.imaging.refusals import refusal
-from needlefit.imaging.volume import Volume, to_index
+from needlefit.imaging.refusals import located, refusal
+from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
+from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
+MIN_MASK_VOXELS, MASK_PIECE_MM = 8, 4.0  # of a mask; length along it of which one point is taken, mm
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 ROUNDS = 3  # of moving the places to the needle's middle
@@ -34,6 +37,29 @@ MIN_RELATIVE_AMPLITUDE = 0.3
 MAX_FAINT_MM = 3.0
 END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predicted, mm
 MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the needle must show
+
+
+def read_mask_points(volume: Volume, path: Path) -> Floats:
+    """Return points (N, 3), LPS, mm, along the needle that a mask marks: what is above 0 in a volume.
+
+    The mask is an image or an RTSTRUCT file, or a .zip of one; it may stand on other voxels than the scan's.
+
+    DataError if it marks nothing, or states another frame of reference than the scan.
+    """
+    mask = read_mask(path)
+    with located(path):
+        require_same_frame(mask, volume.frame_of_reference)
+        marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
+        if len(marked) < MIN_MASK_VOXELS:
+            raise refusal(f"""the mask marks {len(marked)} voxels
+                expected: the needle's voxels above 0, all others 0
+                fix: segment the needle in this scan, and save the segmentation as NRRD or NIfTI""")
+        center, axes = principal_axes(marked)
+        piece = np.floor((marked - center) @ axes[0] / MASK_PIECE_MM).astype(np.int64)
+        piece -= piece.min()
+        count = np.bincount(piece)
+        sums = np.stack([np.bincount(piece, axis) for axis in marked.T], axis=1)
+        return np.asarray(sums[count > 0] / count[count > 0, None])
 
 
 def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:

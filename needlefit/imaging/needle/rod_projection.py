@@ -99,8 +99,8 @@ class Rod:
             self._back_projections[aside] = csr_array((parts.ravel(), columns.ravel(), ends), shape=shape)
         return self._back_projections[aside]
 
-    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> tuple[Ints, Floats]:
-        """Return the planes (A,) that meet a rod, and the metal (A, N) on the rays of all views' parts, mm.
+    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> csr_array:
+        """Return the metal of a rod (P, N) in every plane, on the rays of all views' parts, mm.
 
         `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
         from the direction across.
@@ -116,61 +116,56 @@ class Rod:
         lean = chord * max(abs(np.cos(roll)), 0.05)
         face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
         part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
-        inside = (chord > 0) & (part > 0)
-        active = np.flatnonzero(inside.any(axis=1))
-        plane, c = np.nonzero(inside[active])
-        chord, part, slant = chord[active[plane], c], part[active[plane], c], np.sqrt(1 + drift[c] ** 2)
+        plane, c = np.nonzero((chord > 0) & (part > 0))
+        chord, part, slant = chord[plane, c], part[plane, c], np.sqrt(1 + drift[c] ** 2)
         width = 2 * chord * part * slant
         place = across[c] + np.sign(np.cos(roll)) * chord * (1 - part) * slant
-        # every piece is a parallelogram, whose image is a trapezoid: the sum of four ramps
+        # every piece is a parallelogram, whose image is a trapezoid
         sine, cosine = np.sin(self.views[0]), np.cos(self.views[0])
         low, count = self.seen
         width = width[:, None]
         long = np.maximum(width * np.abs(cosine) / CELL_MM, 0.5)
         wide = np.maximum(np.abs(drift[c][:, None] * cosine - sine) * COLUMN_MM / CELL_MM, 0.5)
         middle = (place[:, None] * cosine - self.columns[c][:, None] * sine) / CELL_MM + self.half - low
-        height = width * COLUMN_MM / CELL_MM / (long * wide)
-        outer, inner = (long + wide) / 2, (wide - long) / 2
-        ends = np.stack([middle - outer, middle + inner, middle - inner, middle + outer])  # (4, pieces, V)
-        first = np.floor(ends)
-        ends -= first
-        weights = np.stack([height, -height, -height, height])
-        beyond = weights * ends
-        weights -= beyond
-        # one cell later: of the two sums below each begins with its own cell
-        cells = np.clip(first + 1, 0, count - 2).astype(np.int64)
-        cells += plane[:, None] * count.sum() + np.cumsum(count) - count
-        size = len(active) * int(count.sum())
-        ramps = np.bincount(cells.ravel(), weights.ravel(), minlength=size)
-        ramps[1:] += np.bincount(cells.ravel(), beyond.ravel(), minlength=size)[:-1]
-        metal = ramps.reshape(len(active), -1)
-        for _ in range(2):
-            np.cumsum(metal, axis=-1, out=metal)
-        return active, np.clip(metal, 0, None).astype(np.float32)
+        height, outer = width * COLUMN_MM / CELL_MM / (long * wide), (long + wide) / 2
+        first = np.ceil(middle - outer)
+        covered = np.arange(int(2 * outer.max(initial=0)) + 1)[:, None, None]  # cells, from the first on
+        parts = height * np.clip(outer - np.abs(first - middle + covered), 0, np.minimum(long, wide))
+        # of each plane and view the cells from the first to the last that a piece covers are stored
+        met, starts, pieces = np.unique(plane, return_index=True, return_counts=True)
+        first = np.clip(first, 0, count - len(covered)).astype(np.int64)
+        begin = np.minimum.reduceat(first, starts)
+        stored = np.maximum.reduceat(first, starts) + len(covered) - begin
+        place_of = np.cumsum(stored).reshape(stored.shape) - stored - begin
+        cells = np.repeat(place_of, pieces, axis=0) + first + covered
+        values = np.bincount(cells.ravel(), parts.ravel(), minlength=int(stored.sum()))
+        shift = (place_of - (np.cumsum(count) - count)).ravel()
+        columns = np.arange(len(values)) - np.repeat(shift, stored.ravel())
+        ends = np.zeros(len(self.planes) + 1, dtype=np.int64)
+        ends[met + 1] = stored.sum(axis=1)
+        return csr_array((values.astype(np.float32), columns, np.cumsum(ends)), (len(ends) - 1, count.sum()))
 
-    def show(self, metal: tuple[Ints, Floats], scan: Floats, aside: float = 0.0) -> Floats:
+    def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
         attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
         away = np.abs(np.arange(1 - self.in_slice, self.in_slice)) / self.in_slice
         profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
-        active, lengths = metal
-        mix = np.zeros((len(self.heights), len(self.planes)))
+        mix = np.zeros((len(self.heights), len(self.planes)), dtype=np.float32)
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()
-        mix = mix[:, active]
-        rows = np.flatnonzero(mix.any(axis=1))
         # an attenuation that is gamma distributed over the spectrum: the beam hardens
-        passed = np.log1p(lengths * np.float32(attenuation * variance / linear))
-        passed = np.exp(passed * np.float32(-1 / variance))
-        parts = np.tensordot(mix[rows].astype(np.float32), passed, 1)
-        parts += (1 - mix[rows].sum(axis=1)).astype(np.float32)[:, None]
+        passed = np.log1p(metal.data * np.float32(attenuation * variance / linear)) * np.float32(1 / variance)
+        stopped = csr_array((-np.expm1(-passed), metal.indices, metal.indptr), shape=metal.shape)
+        stopped = (csr_array(mix) @ stopped).toarray()
+        rows = np.flatnonzero(stopped.any(axis=1))
+        stopped = stopped[rows]
+        # a cell's aperture; views begin and end without metal
+        stopped[:, 1:-1] = stopped[:, 1:-1] / 2 + (stopped[:, 2:] + stopped[:, :-2]) / 4
+        seen = -np.log1p(stopped * np.float32(-1 / (1 + scatter)))
         low, count = self.seen
-        signal = np.ones((len(rows), len(low), 2 * self.half), dtype=np.float32)
-        for view, part in enumerate(np.split(parts, np.cumsum(count)[:-1], axis=1)):
-            signal[:, view, low[view] : low[view] + count[view]] = part
-        # a cell's aperture
-        signal[..., 1:-1] = signal[..., 1:-1] / 2 + (signal[..., 2:] + signal[..., :-2]) / 4
-        logs = -np.log((signal + np.float32(scatter)) / np.float32(1 + scatter))
+        logs = np.zeros((len(rows), len(low), 2 * self.half), dtype=np.float32)
+        for view, part in enumerate(np.split(seen, np.cumsum(count)[:-1], axis=1)):
+            logs[:, view, low[view] : low[view] + count[view]] = part
         frequencies, ramp = self._ramp
         x2 = (frequencies / cutoff) ** 2
         window = (ramp * (1 + scan[5] * x2) * np.exp(-x2)).astype(np.float32)
@@ -179,6 +174,6 @@ class Rod:
         filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]
         filtered = filtered * (weights * linear / WATER_PER_MM).astype(np.float32)[:, None]
         image = np.zeros((len(self.heights), *self.side.shape))
-        sums = [self.back_projection(aside) @ one for one in filtered.reshape(len(rows), -1)]
-        image[rows] = np.reshape(sums, (len(rows), *self.side.shape))
+        sums = self.back_projection(aside) @ filtered.reshape(len(rows), -1).T
+        image[rows] = sums.T.reshape(len(rows), *self.side.shape)
         return image

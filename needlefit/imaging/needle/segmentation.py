@@ -1,30 +1,24 @@
-"""Find the needle's voxels: tubes above thresholds, cut off from what is wider, or a mask made elsewhere."""
+"""Find the needle's voxels: tubes above thresholds, cut off from what is wider."""
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.ndimage import distance_transform_edt, find_objects, label
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
-from needlefit.errors import DataError
+from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.axis_spline import AxisSpline
-from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
-from needlefit.imaging.volume_files import read_mask
+from needlefit.imaging.refusals import refusal
+from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 # Of a component whose box holds more, wide parts are looked for on every second, third, ... voxel: distances
 # would take several times the volume's memory.
 MAX_BOX_VOXELS = 2**24
-MAX_LISTED_VOXELS = 500_000  # bright voxels whose neighbours are looked up one by one, at most
 
 
 def cut_wide_parts(volume: Volume, voxels: Ints, max_width: float) -> list[Ints]:
@@ -55,33 +49,6 @@ def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
     labels, _ = label(mask, structure=np.ones((3, 3, 3), dtype=np.bool_))
     for number, box in enumerate(find_objects(labels), start=1):
         yield np.argwhere(labels[box] == number) + np.array([side.start for side in box])
-
-
-def _list_bright_parts(values: NDArray[np.float32], level: float) -> Iterator[Ints]:
-    """Yield the voxels (n, 3), k, j, i, of each part above a level (HU), as `_list_parts` does.
-
-    Only the bright voxels are looked at: to label a whole volume takes seconds.
-    """
-    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(values)])
-    if len(flat) > MAX_LISTED_VOXELS:
-        yield from _list_parts(values > level)
-        return
-    places = np.stack(np.unravel_index(flat, values.shape), axis=1)
-    pairs = []
-    for step in list(product((-1, 0, 1), repeat=3))[14:]:  # of opposite steps one
-        there = places + step
-        at = np.flatnonzero(((there >= 0) & (there < values.shape)).all(axis=1))
-        wanted = np.ravel_multi_index(tuple(there[at].T), values.shape)
-        found = np.minimum(np.searchsorted(flat, wanted), len(flat) - 1)
-        touch = flat[found] == wanted
-        pairs.append(np.stack([at[touch], found[touch]]))
-    links = np.concatenate(pairs, axis=1)
-    shape = (len(flat), len(flat))
-    labels = connected_components(coo_array((np.ones(links.shape[1], np.int8), links), shape=shape), False)[1]
-    order = np.argsort(labels, kind="stable")
-    for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
-        if len(members):
-            yield places[members]
 
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
@@ -122,14 +89,18 @@ class Component:
     on_face: float  # part of the voxels that lie on the volume's faces
 
 
-def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
+def find_tubes(
+    volume: Volume, recipe: ReconstructionRecord, bright: BrightVoxels | None = None
+) -> list[Component]:
     """Return the components that may be the needle, each with the pieces that lie on its curve.
+
+    `bright`: voxels above a level, where they were listed already.
 
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     levels = list_thresholds(volume, recipe)
     for n, (low, high) in enumerate(levels):
-        parts = cut_components(volume, find_components(volume, low, high), recipe)
+        parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         # a holder, or the change from one slice to the next, may leave short pieces only
         seeds = [part for part in parts if is_tube(part, recipe, SEED_PART)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
@@ -147,15 +118,6 @@ def find_tubes(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
             {rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide
         fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask
             or points on the needle""")
-
-
-def find_longest(volume: Volume, recipe: ReconstructionRecord) -> list[Component]:
-    """Return the bright components at the lowest threshold, the longest first; for a person to look at.
-
-    DataError if nothing is as bright as metal.
-    """
-    parts = cut_components(volume, find_components(volume, *list_thresholds(volume, recipe)[-1]), recipe)
-    return sorted(parts, key=lambda part: part.length, reverse=True)
 
 
 def _grow_tube(
@@ -258,15 +220,21 @@ def list_thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[
     return pairs
 
 
-def find_components(volume: Volume, low: float, high: float) -> list[Component]:
+def find_components(
+    volume: Volume, low: float, high: float, bright: BrightVoxels | None = None
+) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
+
+    `bright`: voxels above a level, where they were listed already.
 
     DataError if no voxel exceeds `high`.
     """
+    if bright is None or bright.level > low:
+        bright = list_bright_voxels(volume, low)
     parts = [
-        measure_component(volume, kji[:, ::-1])
-        for kji in _list_bright_parts(volume.values, low)
-        if len(kji) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(kji.T)] > high)
+        measure_component(volume, ijk)
+        for ijk in bright.list_parts(low, corners=True)
+        if len(ijk) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
         raise refusal(f"""no voxels exceed {high:.0f} HU
@@ -458,13 +426,6 @@ def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) ->
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
 
 
-def list_mask_needles(volume: Volume, mask: Path, recipe: ReconstructionRecord) -> list[Component]:
-    """Return the parts of a mask that are as long as a needle; DataError as `read_mask_component`."""
-    large = [one for one in _list_mask_parts(volume, mask) if len(one) >= MIN_COMPONENT_VOXELS]
-    parts = [measure_component(volume, one) for one in large]
-    return [part for part in parts if part.length >= recipe.segmentation.min_length_mm]
-
-
 def locate_needles(volume: Volume, needles: Sequence[Component]) -> list[Floats]:
     """Return a point (3,) on each of some needles, LPS, mm; along L."""
     points = [to_patient(volume, part.voxels) for part in needles]
@@ -475,96 +436,3 @@ def locate_needles(volume: Volume, needles: Sequence[Component]) -> list[Floats]
 def _mean_hu(volume: Volume, part: Component) -> float:
     i, j, k = part.voxels.T
     return float(np.mean(volume.values[k, j, i]))
-
-
-# Part of a mask that may lie beyond the scan, as that of a needle does that leaves it.
-MAX_OUTSIDE_FRACTION = 0.02
-MARGIN_VOXELS = 2  # width in voxels of the gap between a mask and its surroundings, and of these
-# Metal stands out from the median of its surroundings so many times as far as their 95th percentile does.
-MIN_CONTRAST_RATIO = 2.0
-
-
-def read_mask_component(
-    volume: Volume, path: Path, recipe: ReconstructionRecord, point: Floats | None = None
-) -> Component:
-    """Read the needle's voxels from a mask: a volume that is above 0 in the needle, or an RTSTRUCT file.
-
-    It may stand on other voxels than the scan's, in any order; each voxel of the scan then asks the nearest
-    of the mask. Of several parts that at `point` (LPS, mm) is taken, if it is stated.
-
-    DataError if the mask marks nothing, lies elsewhere than the scan's needle, or cannot be a needle.
-    """
-    with located(path):
-        parts = _list_mask_parts(volume, path)
-        if point is not None:
-            away = [float(cKDTree(to_patient(volume, one)).query(point)[0]) for one in parts]
-            parts = [parts[int(np.argmin(away))]]
-        part = measure_component(volume, np.concatenate(parts))
-        if part.length < recipe.segmentation.min_length_mm:
-            raise refusal(f"""the mask is {part.length:.1f} mm long
-                expected: at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}
-                fix: give the mask of the whole needle, or lower min_length_mm""")
-    return part
-
-
-def _list_mask_parts(volume: Volume, path: Path) -> list[Ints]:
-    """Return the voxels (n, 3), i, j, k, of each part of a mask that hangs together."""
-    mask = read_mask(path)
-    require_same_frame(mask, volume.frame_of_reference)
-    _require_marked(int(np.count_nonzero(mask.values > 0)))
-    marked = _resample_mask(volume, mask)
-    _require_marked(int(np.count_nonzero(marked)))
-    where = np.argwhere(marked)
-    low, high = (
-        np.maximum(where.min(axis=0) - 2 * MARGIN_VOXELS, 0),
-        where.max(axis=0) + 1 + 2 * MARGIN_VOXELS,
-    )
-    box = tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
-    inside, values = marked[box], volume.values[box]
-    near = binary_dilation(inside, iterations=MARGIN_VOXELS)
-    around = values[binary_dilation(near, iterations=MARGIN_VOXELS) & ~near]
-    if not len(around):
-        raise _misplaced_mask("it marks the whole scan")
-    middle, bright = np.percentile(around, [50, 95])
-    metal = float(np.percentile(values[inside], 95))
-    if metal - middle <= MIN_CONTRAST_RATIO * (bright - middle):
-        levels = f"no brighter ({metal:.0f}) than what lies around it ({middle:.0f})"
-        raise _misplaced_mask(f"what it marks is {levels}")
-    return [part[:, ::-1] for part in _list_parts(marked)]
-
-
-def _require_marked(count: int) -> None:
-    if count < MIN_COMPONENT_VOXELS:
-        raise refusal(f"""the mask marks {count} voxels
-            expected: the needle's voxels above 0, all others 0
-            fix: segment the needle in this scan, and save the segmentation as NRRD or NIfTI""")
-
-
-def _resample_mask(volume: Volume, mask: Volume) -> NDArray[np.bool_]:
-    """Return the voxels of `volume` (K, J, I) whose centres lie in marked voxels of `mask`."""
-    marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
-    size = np.array(volume.grid.size)
-    index = to_index(volume, marked)
-    outside = ((index < -0.5) | (index > size - 0.5)).any(axis=1)
-    if outside.mean() > MAX_OUTSIDE_FRACTION:
-        raise _misplaced_mask(f"{100 * outside.mean():.0f} % of what it marks lies outside the scan")
-    reach = np.ceil(mask.spacing.max() / volume.spacing).astype(np.int64)
-    low = np.clip(np.floor(index.min(axis=0)).astype(np.int64) - reach, 0, size - 1)
-    high = np.clip(np.ceil(index.max(axis=0)).astype(np.int64) + reach, 0, size - 1)
-    found = np.zeros(volume.values.shape, dtype=np.bool_)
-    j, i = np.mgrid[low[1] : high[1] + 1, low[0] : high[0] + 1]
-    for k in range(low[2], high[2] + 1):  # a slice at a time: the box of an oblique needle is most of a scan
-        ijk = np.stack([i, j, np.full_like(i, k)], axis=-1).reshape(-1, 3)
-        near = np.rint(to_index(mask, to_patient(volume, ijk))).astype(np.int64)
-        within = ((near >= 0) & (near < mask.grid.size)).all(axis=1)
-        inside = np.zeros(len(ijk), dtype=np.bool_)
-        inside[within] = mask.values[tuple(near[within, ::-1].T)] > 0
-        found[k, low[1] : high[1] + 1, low[0] : high[0] + 1] = inside.reshape(i.shape)
-    return found
-
-
-def _misplaced_mask(why: str) -> DataError:
-    return refusal(f"""the mask does not lie on the needle of this scan: {why}
-        expected: a mask that stands where the scan does: its origin, spacing and axes count
-        fix: see whether it belongs to this scan, and whether its header was lost on the way (LPS, mm); show
-            both in 3D Slicer""")

@@ -159,7 +159,7 @@ SIGNAL_ERROR = 0.04  # deviation of what a voxel shows of metal, in parts of tha
 MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 ROUGH_STEPS, STEPS = 8, 30  # evaluations of the derivatives of a first and of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
-EDGE_SD_MM = 0.03  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
+EDGE_SD_MM = 0.06  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
 BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 WIDTH_STEP = 0.04  # change of the radius' logarithm over which the image's derivative is taken
@@ -212,8 +212,8 @@ def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -
     Where the needle lies flattest: its direction right at a hidden end is what is least known.
     """
     s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
-    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.normal).min())
-    thick = needle.diameter_mm + volume.slice_distance
+    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.grid.normal).min())
+    thick = needle.diameter_mm + volume.grid.slice_distance
     return thick / max(steep, 1e-6)
 
 
@@ -239,7 +239,7 @@ class TipProblem:
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
-        frame, normal = axis_frames(axis, np.array([guess])), volume.normal
+        frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
         back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
@@ -428,7 +428,7 @@ def _prior(
     cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
     dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
     if spread is None:
-        slice_blur = np.log(expected_slice_blur(volume.slice_distance))
+        slice_blur = np.log(expected_slice_blur(volume.grid.slice_distance))
         seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
         seen_sd = [BLUR_SD, BOOST_SD, SLICE_BLUR_SD]
     else:
@@ -515,13 +515,16 @@ def fit_tip(
     covariance = problem.covariance(best)
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
+    # how dark the streak beyond the end is shows how much the rays hide of it
     hidden = HIDDEN_END_SD_PER_MM * min(MAX_RAY_MM, problem.ray)
+    hidden *= min(1.0, float(np.hypot(MIN_HIDDEN_PART, best.x[STREAK] / HIDING_STREAK_HU)))
     parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
     if volume.resampled_top is not None:
         parts.append(RESAMPLED_SD * float(volume.spacing.max()))
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    across = float(np.hypot(np.sqrt(variance[[U, V]].mean()), heel))
+    missed = ACROSS_ERROR_MM + ACROSS_ERROR_PER_MM * min(MAX_RAY_MM, problem.ray)
+    across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
     at = float(best.x[TIP])
     source: TipSource = "model"
     believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
@@ -555,6 +558,11 @@ def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, fl
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
+# It is less where no dark streak lies beyond the end: in parts, and brightness of a streak from which on all
+# counts, HU. And what no residual shows across: mm, and in parts of that length. Set on 71 scans of
+# `benchmarks/reconstruction.py --seed 7301, 7401` and on needles of `benchmarks/real_scanners.py`.
+MIN_HIDDEN_PART, HIDING_STREAK_HU = 0.25, 1000.0
+ACROSS_ERROR_MM, ACROSS_ERROR_PER_MM = 0.015, 0.001
 # Deviation of the place along in a scan that was resampled after its values were cut, in voxels: how it was
 # resampled is not known.
 RESAMPLED_SD = 0.25

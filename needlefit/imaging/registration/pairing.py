@@ -7,14 +7,6 @@ chi-squared however the sets are laid on each other, and pairs added to others n
 Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2); what the likeliest must share with
 pairings that contradict it is the probability that it is wrong.
 
-Whether a layout of markers can be taken for itself the wrong way round, under the noise of its markers.
-
-A permutation of the known markers has a misfit m^2: the chi-squared that its best rigid motion leaves when
-there is no noise. With noise, the wrong pairing's chi-squared exceeds the right one's by a Gaussian number of
-mean m^2 and deviation 2 m. A wrong pairing is noticed in 99 % only if that exceeds `MIN_CHI2_GAP` in 99 %,
-which asks for m >= z + sqrt(z^2 + MIN_CHI2_GAP), z = 2.33. Permutations below that are the layout's
-symmetries.
-
 What the markers' noise does to a registration, and that to a target: first-order covariances.
 
 A small motion (omega, tau) about a centre c moves a world point p by J theta, J = [-[p - c]x, I],
@@ -36,9 +28,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
-from scipy.special import chdtri, elliprg, ndtri
+from scipy.special import chdtri, elliprg
 
-from needlefit.arrays import Floats, are_bounded
+from needlefit.arrays import Floats
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.refusals import refusal
@@ -86,17 +78,16 @@ class MarkerSets:
 def make_marker_sets(
     found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
 ) -> MarkerSets:
-    """Check and return both sets of markers.
+    """Return both sets of markers, (M, 3) and (N, 3), mm.
 
-    A deviation is one number, or one per marker (M,); mm, in any one direction, not of the length of the
-    error.
+    A deviation is one number, or one per marker; mm, in any one direction, not of the length of the error.
 
-    DataError if a set has fewer than three markers, a number is not finite, or the deviations are not
-    positive.
+    DataError if a set has fewer than three markers, or the deviations of both are zero.
     """
     places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
     deviations = [
-        _check_deviations(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+        np.broadcast_to(np.asarray(sd, dtype=np.float64), len(points))
+        for sd, points in zip((found_sd, known_sd), places, strict=True)
     ]
     sets = MarkerSets(*places, *deviations)
     if sets.variance.min() <= 0:
@@ -113,31 +104,13 @@ def mirror(sets: MarkerSets) -> MarkerSets:
 
 
 def _check_points(given: ArrayLike, name: str) -> Floats:
-    points = np.asarray(given, dtype=np.float64)
-    if points.size == 0:
-        points = points.reshape(0, 3)
-    if points.ndim != 2 or points.shape[1] != 3 or not are_bounded(points):
-        raise refusal(f"""the array of shape {points.shape} is no list of finite points
-            expected: three finite coordinates per marker, mm
-            fix: look for empty cells and for columns that are no coordinates
-            where: {name}""")
+    points = np.asarray(given, dtype=np.float64).reshape(-1, 3)
     if len(points) < MIN_MARKERS:
         raise refusal(f"""{len(points)} markers are too few
             expected: at least three markers that are not on a line
             fix: {TOO_FEW_FIXES[name]}
             where: {name}""")
     return points
-
-
-def _check_deviations(given: ArrayLike, count: int) -> Floats:
-    sd = np.asarray(given, dtype=np.float64)
-    if sd.shape not in ((), (count,)) or not (are_bounded(sd) and (sd >= 0).all()):
-        raise refusal(f"""deviations of shape {sd.shape} are not those of {count} markers, or negative or not
-                finite
-            expected: a number, or an array of shape ({count},)
-            fix: state the deviation of a marker's centre per direction, mm
-            where: deviations of the markers""")
-    return np.broadcast_to(sd, (count,))
 
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
@@ -249,17 +222,6 @@ def expected_fre(alignment: Alignment, found: Floats) -> float:
     """
     left = np.trace(_residual_covariance(alignment, found), axis1=1, axis2=2)
     return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
-
-
-def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
-    """Return the root mean square distance (P,), mm, predicted for each marker from a fit to the others.
-
-    To first order that fit misses the marker by v_i Q_i^-1 r_i, where Q_i is the covariance of its residual
-    r_i in the fit to all; so the miss has the covariance v_i^2 Q_i^-1. `found` (P, 3), scan, mm.
-    """
-    # Markers on a line leave an eigenvalue 0, which rounding may turn negative; the default 1e-15 keeps it.
-    left = np.linalg.pinv(_residual_covariance(alignment, found), rcond=1e-12, hermitian=True)
-    return np.asarray(alignment.variance * np.sqrt(np.trace(left, axis1=1, axis2=2)))
 
 
 def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
@@ -426,24 +388,3 @@ def _rows_fit(
     moving = np.broadcast_to(found, (*some.shape, 3))
     fits[enough] = sum_squared_residuals(moving, known[some], weights) <= bound
     return fits
-
-
-DETECTION_PROBABILITY = 0.99  # share of wrong pairings that must be noticed
-_DETECTION_QUANTILE = float(ndtri(DETECTION_PROBABILITY))
-# Misfit m^2 from which on a permutation can be distinguished from the right pairing.
-MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN_CHI2_GAP)) ** 2
-
-
-def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
-    """Return the permutations (S, N) that map `known` (N, 3) onto itself within the noise; the identity
-    first.
-
-    `sd` is the deviation of a pair, found and known together, per direction, mm: a number or one per marker.
-    Only turns count: a layout that is merely its own mirror image has the identity alone.
-    """
-    sets = make_marker_sets(known, known, sd, 0.0)
-    points, variance = sets.known, sets.variance
-    pair = np.maximum(variance, variance.T)  # the noisier of the two: no symmetry is missed
-    rows = search_pairings(points, points, pair, len(points), MIN_SQUARED_MISFIT)
-    moved = np.count_nonzero(rows != np.arange(len(points)), axis=1)
-    return np.asarray(rows[np.argsort(moved, kind="stable")])

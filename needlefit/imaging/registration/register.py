@@ -23,17 +23,13 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
     MIN_CHI2_GAP,
-    MIN_MARKERS,
     MarkerPairingCandidate,
     MarkerSets,
     Pairing,
     Pairs,
     align_pairs,
     expected_fre,
-    expected_left_out,
     find_largest_pairings,
-    find_symmetries,
-    fit_kabsch,
     make_marker_sets,
     mean_error_length,
     mirror,
@@ -108,26 +104,18 @@ def select_pairing(sets: MarkerSets) -> Pairing:
             raise error or no_fit_error(sets)
     chosen = select_likeliest(candidates)
     if chosen.wrong_pairing_probability > MAX_WRONG_PAIRING_PROBABILITY:
-        raise _ambiguous_error(sets, chosen)
+        raise _ambiguous_error(chosen)
     return chosen
 
 
-def _ambiguous_error(sets: MarkerSets, chosen: Pairing) -> DataError:
-    whole = find_symmetries(sets.known, sets.typical_sd)
-    if len(whole) > 1:
-        moved = ", ".join(map(str, np.flatnonzero((whole != whole[0]).any(axis=0)).tolist()))
-        what = (
-            f"the layout of the known markers is symmetric within the noise: {len(whole) - 1} turns move it "
-            f"onto itself and exchange markers, of which there are (counted from 0) {moved}"
-        )
-    else:
-        two = (chosen.best, chosen.alternatives[0])
-        left, other = (_root_mean_square(one.alignment.residuals) for one in two)
-        pairs, others = (format_pairs(one.pairs) for one in two)
-        what = (
-            f"{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely, the best "
-            f"two leave {left:.2f} and {other:.2f} mm: {pairs} or {others}"
-        )
+def _ambiguous_error(chosen: Pairing) -> DataError:
+    two = (chosen.best, chosen.alternatives[0])
+    left, other = (_root_mean_square(one.alignment.residuals) for one in two)
+    pairs, others = (format_pairs(one.pairs) for one in two)
+    what = (
+        f"{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely, the best two "
+        f"leave {left:.2f} and {other:.2f} mm: {pairs} or {others}"
+    )
     return refusal(f"""{what}
         expected: one pairing that is at least 1000 times as likely as all others together
         fix: move or add a marker so that no two distances are alike
@@ -161,9 +149,6 @@ def _unpaired_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterat
 
 
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
-# Markers no further beside a line than this part of their reach along it are named as the cause of a turn
-# that is not known; where they spread wider, it is their deviation.
-MIN_SPREAD_RATIO = 0.1
 
 
 @dataclass(frozen=True)
@@ -179,11 +164,6 @@ class Registration:
     expected_fre: float  # what the stated noise leads one to expect of it, mm
     p_value: float  # probability that the stated noise leaves residuals at least as large
     wrong_pairing_probability: float  # probability that another pairing is the right one
-    # (P,); distance of each marker from its known place when it takes no part in the fit, mm; nan where the
-    # others do not fix the motion.
-    leave_one_out: Floats
-    # (P,); what the stated noise leads one to expect of it, root mean square, mm; nan likewise.
-    expected_leave_one_out: Floats
     known: int  # number of the known markers, paired or not
     # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
     centre: Floats
@@ -236,7 +216,6 @@ def predict_mean_target_error(registration: Registration, points: ArrayLike) -> 
 def _build_registration(sets: MarkerSets, chosen: Pairing) -> Registration:
     alignment, pairs = chosen.best.alignment, chosen.best.pairs
     found = sets.found[pairs[:, 0]]
-    left_out = _leave_one_out(sets, pairs)
     return Registration(
         rotation=alignment.frame.rotation,
         translation=alignment.frame.origin,
@@ -246,8 +225,6 @@ def _build_registration(sets: MarkerSets, chosen: Pairing) -> Registration:
         expected_fre=expected_fre(alignment, found),
         p_value=float(chdtrc(3 * len(pairs) - 6, alignment.chi2)),
         wrong_pairing_probability=chosen.wrong_pairing_probability,
-        leave_one_out=left_out,
-        expected_leave_one_out=np.where(np.isnan(left_out), np.nan, expected_left_out(alignment, found)),
         known=len(sets.known),
         centre=alignment.centre,
         covariance=alignment.covariance,
@@ -255,33 +232,14 @@ def _build_registration(sets: MarkerSets, chosen: Pairing) -> Registration:
     )
 
 
-def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
-    away = np.full(len(pairs), np.nan)
-    for n in range(len(pairs)):
-        others = np.delete(pairs, n, axis=0)
-        found, known = sets.found[others[:, 0]], sets.known[others[:, 1]]
-        if len(others) < MIN_MARKERS or worst_turn_sd(known, sets.typical_sd) > MAX_TURN_SD_RAD:
-            continue
-        frame = fit_kabsch(found, known, 1 / sets.variance[tuple(others.T)])
-        left_out, own = pairs[n]
-        away[n] = np.linalg.norm(frame.to_world(sets.found[left_out]) - sets.known[own])
-    return away
-
-
 def _refuse_collinear(points: Floats, sd: float) -> None:
     turn = worst_turn_sd(points, sd)
     if turn <= MAX_TURN_SD_RAD:
         return
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"
-    along, beside = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(points))
-    if beside > MIN_SPREAD_RATIO * along:
-        raise refusal(f"""{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line
-                (root mean square); known to {sd:.3g} mm, they determine {sure} of the turn about it
-            expected: a deviation that is small against the layout
-            fix: correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the
-                markers further
-            where: deviations of the markers""")
-    raise refusal(f"""{len(points)} markers lie on a line: of the turn about it they determine {sure}
+    raise refusal(f"""{len(points)} markers lie on a line, or their deviation of {sd:.3g} mm is large against
+            their layout: of the turn about it they determine {sure}
         expected: three or more markers, one of them well beside the line through the others
-        fix: use markers off that line; the further apart they are, the smaller the error at the needle
+        fix: use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per
+            direction)
         where: markers""")

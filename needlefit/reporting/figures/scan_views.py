@@ -12,7 +12,7 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU
-from needlefit.imaging.reconstruction import TIP_SECTION_OFFSET_MM, Reconstruction, ScanView
+from needlefit.imaging.reconstruction import Reconstruction, ScanView
 from needlefit.reporting.labels import METHOD_COLOURS
 
 Floats = NDArray[np.float64]
@@ -42,8 +42,9 @@ def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: 
     axes.set(xlim=view.extent[:2], ylim=span)
     axes.yaxis.set_major_locator(MultipleLocator(5))
     right, up = ("xyz".index(axis) for axis in view.axes)
-    if view.axes[0] == "x":
-        _draw_layers(axes, view, reconstruction, span)
+    for surface in reconstruction.layers.surfaces:
+        dots = outline_surface(view, reconstruction, surface, span)
+        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
     _draw_needle(axes, reconstruction, (right, up))
     _draw_markers(axes, view, reconstruction)
     for spine in axes.spines.values():
@@ -103,21 +104,10 @@ def _draw_markers(axes: Axes, view: ScanView, reconstruction: Reconstruction) ->
     through = 3 - right - up
     centers = reconstruction.frame.to_local(reconstruction.patient.to_world(reconstruction.markers.centers))
     needle = join_needle(reconstruction)
-    if view.axes[0] == "x":
-        middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
-    else:
-        middle = np.full(len(centers), needle[-1, 0] - TIP_SECTION_OFFSET_MM)
+    middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
     near = np.abs(centers[:, through] - middle) <= _MAX_SHEET_DISTANCE_MM
     # the centre alone: the slab cuts a ball off its middle, where a ring of its size would not be its outline
     axes.plot(centers[near, right], centers[near, up], "+", color=MARKER_COLOUR, mew=1.0, ms=6)
-
-
-def _draw_layers(
-    axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]
-) -> None:
-    for surface in reconstruction.layers.surfaces:
-        dots = outline_surface(view, reconstruction, surface, span)
-        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
 
 
 def outline_surface(

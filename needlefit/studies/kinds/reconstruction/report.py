@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.datasets.read import check_all
 from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
-from needlefit.imaging.batch import VERSIONED_PACKAGES, Findings, ReconstructionFailure, add_findings
-from needlefit.imaging.corrections import make_control_points
+from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
+from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.scans import VECTORS, write_scan_table
+from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
@@ -29,31 +28,24 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
-from needlefit.studies.kinds.reconstruction.pages import list_reasons, write_quality, write_refused_pages
+from needlefit.studies.kinds.reconstruction.pages import write_quality
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import (
-    make_scan_control_points,
     write_control_points,
     write_slicer_scene,
 )
 
 SCANS_FILE = "scans.csv"
-TIP_COLUMNS = VECTORS["tip"]
+TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
 # Of the scene of a scan: modulus of the tissue, Pa, its thickness beside the needle, and the bevel's offset,
 # mm, as of the paper's soft layers.
 ASSUMED_MU_PA, ASSUMED_TISSUE_MM, ASSUMED_OFFSET_MM = 5e4, 40.0, 0.085
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
-MIN_CHANGE_MM = 0.005  # smaller changes by corrections are not printed, mm
 _COLUMNS = (
-    *("scan", "medium", "depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "markers"),
-    *("fre_mm", "expected_fre_mm", "target_error_tip_mm", "entry_pose_from", "crossing_depths"),
-    "remark_count",
-)
-_FIRST_COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
@@ -69,14 +61,10 @@ _SCAN_COLUMNS = (
 )
 _MARKER_COLUMNS = (
     *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
-    *("residual_y_mm", "residual_z_mm", "residual_mm", "left_out_mm", "expected_left_out_mm"),
+    *("residual_y_mm", "residual_z_mm", "residual_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
-_CHANGE_COLUMNS = ("id", "quantity", "before_mm", "after_mm", "change_mm")
 _REFUSED_COLUMNS = ("id", "scan", "note")
-_CANDIDATE_COLUMNS = (
-    *("id", "kind", "number", "x_mm", "y_mm", "z_mm", "width_mm", "depth_mm", "depth_sd_mm", "note"),
-)
 
 
 def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run:
@@ -103,7 +91,6 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
-            **tabulate_changes(ones),
         },
         run={
             "name": name,
@@ -118,14 +105,12 @@ def tabulate_batch(
 def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return one row per pair of a found marker (position in the scan, LPS) and a known one, counted from 0.
 
-    Residuals are known minus registered place, in the axes of the world; `left_out_mm` is the distance when
-    the marker takes no part in the fit, `expected_left_out_mm` what the stated noise leads one to expect.
+    Residuals are known minus registered place, in the axes of the world.
     """
     rows = [
         (
             *(one.scan.id, found, known, *one.markers.centers[found], one.markers.sd[found]),
             *(*fit.residuals[n], np.linalg.norm(fit.residuals[n])),
-            *(fit.leave_one_out[n], fit.expected_leave_one_out[n]),
         )
         for one in reconstructions
         if one.markers is not None and (fit := one.registration) is not None
@@ -143,12 +128,6 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
-
-
-def tabulate_changes(reconstructions: Sequence[Reconstruction]) -> dict[str, pd.DataFrame]:
-    """Return a table of what corrections changed: a row for each scan and quantity; none without any."""
-    rows = [(one.scan.id, *vars(change).values()) for one in reconstructions for change in one.changes]
-    return {"corrections": pd.DataFrame(rows, columns=list(_CHANGE_COLUMNS))} if rows else {}
 
 
 def describe_scan(one: Reconstruction) -> Row:
@@ -190,35 +169,14 @@ def describe_scan(one: Reconstruction) -> Row:
     }
 
 
-def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> dict[str, pd.DataFrame]:
-    """Return the tables of refused scans: why, and what would fix it; what was found, LPS, mm.
-
-    Tubes have a row for each end; balls and places of entry one each.
-    """
-    why = [(one.scan.id, one.scan.volume.name, ". ".join(list_reasons(one.error))) for one in failures]
-    rows = [row for one in failures if one.findings for row in _list_candidates(one.scan.id, one.findings)]
-    return {
-        "refused": pd.DataFrame(why, columns=list(_REFUSED_COLUMNS)),
-        "candidates": pd.DataFrame(rows, columns=list(_CANDIDATE_COLUMNS)),
-    }
-
-
-def _list_candidates(id_: str, found: Findings) -> list[dict[str, object]]:
-    rows: list[dict[str, object]] = []
-
-    def add(kind: str, number: int, at: Floats, **more: object) -> None:
-        place = dict(zip(("x_mm", "y_mm", "z_mm"), at.tolist(), strict=True))
-        rows.append({"id": id_, "kind": kind, "number": number, **place, **more})
-
-    for n, tube in enumerate(found.tubes, start=1):
-        note = f"{tube.length:.1f} mm long" + (", taken as the needle" if tube.chosen else "")
-        for end in tube.ends:
-            add("tube", n, end, width_mm=tube.width, note=note)
-    for n, ball in enumerate(found.balls, start=1):
-        add("ball", n, ball.center, width_mm=ball.diameter, note="marker" if ball.marker else "")
-    for n, (one, at) in enumerate(zip(found.entries, found.entry_points, strict=True), start=1):
-        add("entry", n, at, depth_mm=one.depth, depth_sd_mm=one.sd)
-    return rows
+def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame:
+    """Return the table of refused scans: why, and what would fix it."""
+    rows = []
+    for one in failures:
+        named = {"where": one.error.where, "expected": one.error.expected, "fix": one.error.fix}
+        parts = [f"refused: {one.error.what}", *(f"{name}: {text}" for name, text in named.items() if text)]
+        rows.append((one.scan.id, one.scan.volume.name, ". ".join(parts)))
+    return pd.DataFrame(rows, columns=list(_REFUSED_COLUMNS))
 
 
 # ---- the report
@@ -234,7 +192,6 @@ def describe(found: Run) -> dict[str, Any]:
         "needle": found.record.recipe.needle,
         "scans": len(rows),
         "remarked": len({row["id"] for row in remarks}),
-        "corrected": _group_changes(found),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
@@ -242,15 +199,7 @@ def describe(found: Run) -> dict[str, Any]:
     }
 
 
-def _group_changes(found: Run) -> dict[str, list[Row]]:
-    """Return what corrections changed by at least `MIN_CHANGE_MM`, by the id of the scan."""
-    rows = to_records(found.frames.get("corrections", pd.DataFrame()))
-    kept = [row for row in rows if row["change_mm"] is None or abs(row["change_mm"]) >= MIN_CHANGE_MM]
-    ids = dict.fromkeys(row["id"] for row in rows)
-    return {id_: [row for row in kept if row["id"] == id_] for id_ in ids}
-
-
-def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> TableLayout:
+def lay_out_reconstructions(found: Run) -> TableLayout:
     """Return the main results of each scan."""
     rows = []
     for row in to_records(found.frames["reconstruction"]):
@@ -261,7 +210,7 @@ def lay_out_reconstructions(found: Run, columns: Sequence[str] = _COLUMNS) -> Ta
         about = {"scan": row["id"], "crossing_depths": depths, "remark_count": len(remarks) or ""}
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
-    table = Table("reconstruction", rows, columns)
+    table = Table("reconstruction", rows, _COLUMNS)
     return _TEXT.lay_out(table, describe(found), drop_empty=True)
 
 
@@ -281,7 +230,7 @@ def _list_depths(rows: Sequence[Row]) -> str:
 def find_answer(found: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
-    return replace(answer, tables=[replace(lay_out_reconstructions(found, _FIRST_COLUMNS), name="scans")])
+    return replace(answer, tables=[replace(lay_out_reconstructions(found), name="scans")])
 
 
 REPORT = StudyReport(
@@ -306,16 +255,14 @@ def write_reconstruction(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`, also
-    of the scans that were `refused`; `slicer/`, with `scenes` also `<id>.mrb`; and the files of every run.
+    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`;
+    `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
         kept, failures = assemble_checked(fresh, ones, recipe, description)
-        by_id = {one.scan.id: one for one in ones}
-        failures = tuple(add_findings(one, by_id[one.scan.id], recipe) for one in failures)
         if not kept:
             return None, failures
         refused = (*refused, *failures)
@@ -328,7 +275,7 @@ def write_reconstruction(
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-            write_control_points(make_scan_control_points(one), fresh / "slicer")
+            write_control_points(list_control_points(one), fresh / "slicer")
             if scenes:
                 volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
@@ -341,9 +288,9 @@ def write_reconstruction(
         assert isinstance(record, ReconstructionBatchRecord)
         result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
         if refused:
-            result = replace(result, frames={**result.frames, **tabulate_failures(refused)})
-            write_refused_pages(refused, fresh / "quality")
-            write_refused_points(refused, fresh / "slicer")
+            result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
+            for failure in refused:
+                write_control_points(failure.points, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
 
@@ -379,23 +326,12 @@ def write_planned_scene(one: Reconstruction, recipe: ReconstructionRecord, path:
     path.write_text(dumps(tables), encoding="utf-8")
 
 
-def write_refused_points(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write the control points of what was found in refused scans to `<id>.corrections.mrk.json`."""
-    for failure in failures:
-        if (found := failure.findings) is None:
-            continue
-        entry = found.entry_points[-1] if found.entries else None
-        balls = np.array([ball.center for ball in found.balls if ball.marker]).reshape(-1, 3)
-        write_control_points(make_control_points(failure.scan.id, found.needle, entry, balls), folder)
-
-
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write a folder of refused scans alone: `quality/`, `slicer/`, `refused.csv` and `candidates.csv`.
+    """Write a folder of refused scans alone: `slicer/` and `refused.csv`.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
-        write_refused_pages(failures, fresh / "quality")
-        write_refused_points(failures, fresh / "slicer")
-        for name, frame in tabulate_failures(failures).items():
-            write_csv(frame, fresh / f"{name}.csv")
+        for failure in failures:
+            write_control_points(failure.points, fresh / "slicer")
+        write_csv(tabulate_failures(failures), fresh / "refused.csv")

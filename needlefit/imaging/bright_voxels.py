@@ -1,0 +1,77 @@
+"""The bright voxels of a volume, listed once: needle and balls are what hangs together among them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import generate_binary_structure, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from needlefit.arrays import Ints
+from needlefit.imaging.volume import Volume
+
+MAX_LISTED_VOXELS = 500_000  # voxels whose neighbours are looked up one by one, at most
+# Steps to neighbours, of opposite ones one: those that share a face, and all.
+ALL_STEPS = [step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
+FACE_STEPS = [step for step in ALL_STEPS if sum(map(abs, step)) == 1]
+Labels = tuple[Ints, Ints]
+
+
+@dataclass
+class BrightVoxels:
+    """The voxels above a level, HU: their flat indices (N,), ascending, and values (N,), HU."""
+
+    shape: tuple[int, ...]  # K, J, I
+    level: float
+    flat: Ints
+    values: NDArray[np.float32]
+    _labels: dict[tuple[float, bool], Labels] = field(default_factory=dict)
+
+    def label(self, level: float, *, corners: bool = False) -> Labels:
+        """Return which of the voxels exceed a level, HU (n,), and a number for each (n,).
+
+        Those have the same number that hang together, by their faces, or by their corners, too.
+        """
+        if (level, corners) not in self._labels:
+            at = np.flatnonzero(self.values > level)
+            flat = self.flat[at]
+            if len(flat) > MAX_LISTED_VOXELS:
+                mask = np.zeros(self.shape, dtype=np.bool_)
+                mask.reshape(-1)[flat] = True
+                parts, _ = label(mask, generate_binary_structure(3, 3 if corners else 1))
+                self._labels[level, corners] = at, parts.reshape(-1)[flat].astype(np.int64)
+                return self._labels[level, corners]
+            places, pairs = np.stack(np.unravel_index(flat, self.shape), axis=1), []
+            for step in ALL_STEPS if corners else FACE_STEPS:
+                there = places + step
+                inside = np.flatnonzero(((there >= 0) & (there < self.shape)).all(axis=1))
+                wanted = np.ravel_multi_index(tuple(there[inside].T), self.shape)
+                found = np.minimum(np.searchsorted(flat, wanted), len(flat) - 1)
+                touch = flat[found] == wanted
+                pairs.append(np.stack([inside[touch], found[touch]]))
+            links = np.concatenate(pairs, axis=1)
+            graph = coo_array((np.ones(links.shape[1], np.int8), links), shape=(len(flat), len(flat)))
+            labels = connected_components(graph, directed=False)[1]
+            self._labels[level, corners] = at, np.asarray(labels, dtype=np.int64)
+        return self._labels[level, corners]
+
+    def list_parts(self, level: float, *, corners: bool = False) -> Iterator[Ints]:
+        """Yield the voxels (n, 3), i, j, k, of each part that hangs together above a level, HU."""
+        at, labels = self.label(level, corners=corners)
+        order = np.argsort(labels, kind="stable")
+        for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+            if len(members):
+                yield self.place(at[members])
+
+    def place(self, members: Ints) -> Ints:
+        """Return the indices i, j, k (n, 3) of some of the voxels."""
+        return np.stack(np.unravel_index(self.flat[members], self.shape)[::-1], axis=1)
+
+
+def list_bright_voxels(volume: Volume, level: float) -> BrightVoxels:
+    """Return the voxels above a level, HU."""
+    flat = np.concatenate([np.flatnonzero(s > level) + k * s.size for k, s in enumerate(volume.values)])
+    return BrightVoxels(volume.values.shape, level, flat, volume.values.reshape(-1)[flat])
