@@ -1,7 +1,7 @@
 """The tables of fits and cross-validations, of one run or of several; captions stand in the text."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,21 +16,17 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
-from needlefit.reporting import latex
-from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
+from needlefit.reporting.columns import DIGITS
+from needlefit.reporting.labels import SPECIMEN_NAMES, method_name
 from needlefit.reporting.number_format import (
-    choose_interval_unit,
     choose_printed_unit,
     format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
-    insert_symbols,
     is_known,
     round_significant,
     typeset,
-    typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
@@ -78,103 +74,75 @@ _HELD_OUT_KINDS = (
     _RowKind("planned layer depths", boundaries="planned"),
 )
 
-_ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
+
+def lay_out_validation(*results: Run) -> TableLayout:
+    """Return the errors by held-out group: ours, with planned depths, noise floor, paper."""
+    groups = scores.list_held_out_groups(*results)
+    return _lay_out_groups("validation", groups, _HELD_OUT_KINDS, several=len(results) > 1)
 
 
-def lay_out_validation(results: Sequence[Run]) -> TableLayout:
-    """Return the validation table by held-out group: ours, with planned depths, noise floor, paper."""
-    return _lay_out_groups("validation", scores.list_held_out_groups(*results), _HELD_OUT_KINDS)
-
-
-def lay_out_tuning(results: Sequence[Run]) -> list[TableLayout]:
-    """Return the in-sample errors by layers; by media too where the paper has a cell."""
+def lay_out_tuning(*results: Run) -> TableLayout:
+    """Return the in-sample errors by medium and number of layers."""
     groups = scores.list_groups(scores.tabulate_tuning(*results))
-    by = {
-        which: [one for one in groups if one.head["grouping"] == which]
-        for which in (scores.BY_LAYERS, scores.BY_MEDIA)
-    }
-    return [
-        _lay_out_groups(f"tuning_by_{which}", some, (_FITTED,))
-        for which, some in by.items()
-        if some and (which == scores.BY_LAYERS or any(one.printed for one in some))
-    ]
+    return _lay_out_groups("tuning", groups, (_FITTED,), several=len(results) > 1)
 
 
 def _lay_out_groups(
-    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind]
+    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind], several: bool
 ) -> TableLayout:
-    """Return one block of rows per group; only its first row names the group.
-
-    Notes say what makes each group comparable to the paper's, or not.
-    """
+    """Return one block of rows per group, of which the first names the group; of several runs their study."""
     rows: list[Row] = []
     for number, group in enumerate(groups):
         found = _list_rows(group, (*kinds, _FLOOR, _PAPER))
         rows += [{**_head(group), **row, "number": number} for row in found]
-    heads = ("study", "medium", "layers", "insertions")
-    table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
-    same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
-    names = {row["row"] for row in rows}
-    return _lay_out(table, rows=names, groups=list(map(_head, groups)), comparisons=list(same.items()))
-
-
-def _make_table(name: str, rows: Sequence[Row], heads: Sequence[str], metrics: Iterable[Metric]) -> Table:
-    """Return a table of errors by group, whose `number` each row has; `heads` name the group."""
+    metrics = [one for one in list_metrics() if not one.spread_of]
+    heads = ("study", "medium", "layers", "insertions")[not several :]
     columns = (
         *(*heads, "row"),
         *(part("metric_value", metric=one.name) for one in metrics),
         *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
     )
     lines = pivot(rows, ["number", "row"], ["metric"])
-    return Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    return _lay_out(table, rows={row["row"] for row in rows}, groups=list(map(_head, groups)))
 
 
-def lay_out_summary(*results: Run) -> TableLayout:
+def lay_out_summary(results: Run) -> TableLayout:
     """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
 
-    Groups are those held out, or of runs without any those fitted to. The paper's parameters are scored on
+    Groups are those held out, or of a run without any those fitted to. The paper's parameters are scored on
     our data; its result is of its own needles.
     """
-    groups = list[tuple[scores.ScoredGroup, str]]()
-    for one in results:
-        held_out = scores.list_held_out_groups(one)
-        tuning = None if held_out else scores.tabulate_tuning(one)
-        found = (
-            held_out if tuning is None else scores.list_groups(tuning[tuning["grouping"] == scores.BY_LAYERS])
-        )
-        groups += [(group, choose_method(one)) for group in found]
+    groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
+    method, several = choose_method(results), len(groups) > 1
+    ours = "our prediction" if method == MEDIAN_METHOD else "our fit"
     rows: list[Row] = []
-    several = len(groups) > 1
-    for number, (group, method) in enumerate(groups):
+    for number, group in enumerate(groups):
         curve = find_closest_curve(group)
+        name = "closest curve" if several or curve is None else f"closest curve: {method_name(curve)}"
         kinds = (
-            _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method=method),
-            *(
-                [_RowKind(f"closest curve{'' if several else f': {method_name(curve)}'}", method=curve)]
-                if curve
-                else []
-            ),
-            _RowKind("paper's parameters, these needles", method="hand_tuned"),
+            _RowKind(ours, method),
+            *([_RowKind(name, curve)] if curve else []),
+            _RowKind("paper's parameters, these needles", "hand_tuned"),
             _RowKind("paper's result, its own needles", column="paper"),
         )
         for row in _list_rows(group, kinds):
-            floor = group.get(scores.TE, "floor") if row["row"] == kinds[0].name else None
+            floor = group.get(scores.TE, "floor") if row["row"] == ours else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": floor})
-    metrics = sorted(
-        (one for one in list_metrics() if one.headline or one.relative), key=lambda one: one.name != scores.TE
-    )
-    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :] if several else ()
-    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), "noise_of_te")
+    metrics = [one.name for one in list_metrics() if one.headline or one.relative]
+    metrics.sort(key=lambda name: name != scores.TE)
+    heads = ("medium", "layers", "insertions") if several else ()
+    columns = (*heads, "row", *(part("metric_value", metric=name) for name in metrics), "noise_of_te")
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table("summary", lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    found_table = _lay_out(table, drop_empty=True)
+    found = _lay_out(table, drop_empty=True)
     if several or not groups:
-        return found_table
-    head = groups[0][0].head
+        return found
+    head = groups[0].head
     which = "held-out" if head["grouping"] == scores.HELD_OUT else "fitted"
     words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
-    first, *others = found_table.columns
-    return replace(found_table, columns=(replace(first, label=words), *others))
+    first, *others = found.columns
+    return replace(found, columns=(replace(first, label=words), *others))
 
 
 def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -230,69 +198,51 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
     return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1), drop_empty=True)
 
 
-def lay_out_design(results: Sequence[Run]) -> TableLayout:
+def lay_out_design(results: Run) -> TableLayout:
     """Return which insertions tune and validate: counts, ranges of depth and measured deflection."""
-    rows = [
-        {**row, "study": scores.study_label(one), "role": _ROLE_NAMES[row["role"]], "origin": one.origin}
-        for one in results
-        for row in to_records(one.frames["design"])
-    ]
-    columns = ("study", "role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
-    errors = pd.concat([one.frames["errors"].assign(study=one.name) for one in results])
-    doubtful = errors[errors["layers"] != errors["layers_other"]].drop_duplicates(["study", "insertion"])
-    table = Table("design", rows, columns, groups=("study",), heads=1)
-    return _lay_out(table, drop_empty=True, at_boundary=len(doubtful))
+    names = {"tune": "tunes", "validate": "validates"}
+    rows = [{**row, "role": names[row["role"]]} for row in to_records(results.frames["design"])]
+    columns = ("role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
+    errors = results.frames["errors"]
+    doubtful = errors.loc[errors["layers"] != errors["layers_other"], "insertion"].nunique()
+    return _lay_out(Table("design", rows, columns), drop_empty=True, at_boundary=doubtful)
 
 
-_COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
-
-
-def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
-    """Return one row per study (named if wanted), medium, number of layers and specimen, over all folds."""
-    frames = [one.frames["predictive"].assign(study=scores.study_label(one)) for one in results]
-    predicted = pd.concat([frame for frame in frames if len(frame)])
+def lay_out_coverage(results: Run) -> TableLayout:
+    """Return one row per medium, number of layers and specimen, over all folds."""
+    predicted, keys = results.frames["predictive"], ["medium", "layers", "specimen_treatment"]
     rows = [
         {
-            **dict(zip(_COVERAGE_GROUPS[:-1], key[:-1], strict=True)),
-            "specimen_treatment": SPECIMEN_NAMES[str(key[-1])],
+            **{"medium": medium, "layers": layers, "specimen_treatment": SPECIMEN_NAMES[str(treatment)]},
             **tabulate_coverage(group),
         }
-        for key, group in predicted.groupby(list(_COVERAGE_GROUPS), sort=False)
+        for (medium, layers, treatment), group in predicted.groupby(keys, sort=False)
     ]
-    columns = (*_COVERAGE_GROUPS[not named :], *COVERAGE_COLUMNS)
     other = predicted[predicted["specimen_treatment"] == "others"]
     spread = {
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
     }
-    gains = [
-        {
-            **{"study": study_name(group["study"].iloc[0]), "medium": str(medium)},
-            "width_mm": float(group["tip_95_width_after_one_mm"].median()),
-        }
-        for (_, medium), group in other.groupby(["study", "medium"], sort=False)
-        if other["tip_95_width_after_one_mm"].notna().any()
-    ]
-    table = Table("coverage", rows, columns, groups=_COVERAGE_GROUPS[:1], heads=named)
+    widths = other.groupby("medium", sort=False)["tip_95_width_after_one_mm"].median().dropna()
+    gains = [{"medium": str(medium), "width_mm": float(width)} for medium, width in widths.items()]
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
+    table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
     return _lay_out(table, sources=sources, spread=spread if len(other) else None, gains=gains)
 
 
 def lay_out_baselines(results: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
     digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    about = {"study": scores.study_label(results), "origin": results.origin, DIGITS: digits}
     rows = [
         {
-            **{**row, **about, "method": method_name(row["method"], results.origin)},
+            **{**row, DIGITS: digits, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
         for row in to_records(scores.compare_methods(results, role))
     ]
     errors = (one.name for one in headline_metrics())
-    columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
-    table = Table("baselines", rows, columns, groups=("study",), heads=1, strong="groups")
-    return _lay_out(table, role=role)
+    columns = ("method", "insertions", *errors, "te_difference", "better_of")
+    return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
 
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
@@ -424,53 +374,37 @@ def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
 SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
 
 
-def _describe_search(results: Sequence[Run]) -> Row:
-    """Return what the captions state: how draws were made, the tolerances of the errors."""
-    tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
-    free = pd.concat([select_free(one.frames["parameters"]) for one in results])
-    specimens = [set(one.frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN} for one in results]
-    return {
-        "sources": [words for source, words in SOURCES.items() if (free["draw_source"] == source).any()],
-        "of_mean": any(len(names) > 1 for names in specimens),
-        "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
-    }
-
-
-def lay_out_parameters(*results: Run) -> TableLayout:
+def lay_out_parameters(results: Run) -> TableLayout:
     """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
 
-    Parameters with the same cells have one row. Of several studies only free parameters are there.
+    Parameters with the same cells have one row.
     """
-    rows: list[Row] = []
-    for one in results:
-        every, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
-        pairs = [
-            (str(row["parameter"]), row) for row in every if len(results) == 1 or row["status"] == "free"
-        ]
-        cells: dict[tuple[object, ...], Row] = {}
-        for name, members in group_values(pairs).items():
-            row = describe_parameter(members, truth.get(name))
-            key = tuple(row[key] for key in row if key != "parameter")
-            cells.setdefault(key, {**row, "names": []})["names"].append(row["parameter"])
-        about = {"study": scores.study_label(one)}
-        rows += [{**about, **row, "parameter": ", ".join(row["names"])} for row in cells.values()]
+    frames, truth = results.frames, results.run.get("truth", {})
+    every = arrange_parameters(tabulate_parameters(results))
+    merged: dict[tuple[object, ...], Row] = {}
+    for name, members in group_values((str(row["parameter"]), row) for row in every).items():
+        row = describe_parameter(members, truth.get(name))
+        label = row.pop("parameter")
+        merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
+    rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
     columns = (
-        *("study", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
+        *("parameter", "posterior", "determined", "error_minimising", "errors_determine"),
         *("hand_tuned", "true_value"),
-    )[len(results) == 1 :]
-    single = len(results) == 1
+    )
+    tolerances, used = frames["error_fit"]["tolerance_mm"], set(frames["parameters"]["draw_source"])
     values = {
-        "folds": max(int(one.frames["parameters"]["fold"].nunique()) for one in results),
+        "folds": int(frames["parameters"]["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
-        "together": find_known_combination(results[0]) if single else "",
-        "freed": describe_freed(results[0].frames["identification"]) if single else [],
+        "together": find_known_combination(results),
+        "freed": describe_freed(frames["identification"]),
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
-        **_describe_search(results),
+        "sources": [words for source, words in SOURCES.items() if source in used],
+        "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
+        "tolerances": [float(tolerances.min()), float(tolerances.max())] if len(tolerances) else [],
     }
-    table = Table("parameters", rows, columns, groups=("study",) if not single else (), heads=int(not single))
-    return _lay_out(table, drop_empty=True, **values)
+    return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 
 
 def find_known_combination(results: Run) -> str:
@@ -491,17 +425,6 @@ def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
     fixed = identification[identification["status"] == "fixed"].sort_values("parameter", kind="stable")
     pairs = ((describe_evidence(row), str(row["parameter"])) for row in to_records(fixed))
     return [(names, words) for words, names in group_values(pairs).items()]
-
-
-def lay_out_directions(results: Run) -> TableLayout:
-    """Return the combinations of parameters that the data determine, and how well."""
-    rows = to_records(results.frames["directions"])
-    folds = len({row["fold"] for row in rows}) > 1
-    cells = [
-        {"fold": row["fold"] if folds else "", "known_combination": insert_symbols(str(row["note"]))}
-        for row in rows
-    ]
-    return _lay_out(Table("directions", cells, ("fold", "known_combination")), drop_empty=True)
 
 
 def lay_out_population(results: Run) -> TableLayout:
@@ -550,73 +473,3 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
             found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
     columns = ("fold", "parameter", *names, "r_hat", "ess", "acceptance", "converged", "origin")
     return pd.DataFrame(found, columns=columns)
-
-
-# ---- the files of one run, or of several together
-
-
-def lay_out_files(
-    studies: Sequence[Run], tunings: Sequence[Run]
-) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
-    """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
-    every = list({one.name: one for one in (*studies, *tunings)}.values())
-    validation = scores.tabulate_validation(*studies)
-    yield "validation", validation, [lay_out_validation(studies)]
-    yield "tuning", scores.tabulate_tuning(*tunings), lay_out_tuning(tunings)
-    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(*every)]
-
-
-# ---- numbers for a paper
-
-
-def format_macros(results: Sequence[Run]) -> str:
-    """Return a LaTeX file of macros of errors and parameters, by readable keys.
-
-    A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
-    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, the median
-    of the posterior, with `-low`, `-high` and `-interval` of its 95 % interval, all in the unit of the
-    tables, `-unit`, and `-determined`.
-    """
-    return latex.format_macros(
-        number
-        for one in results
-        for numbers in (_list_errors(one), _list_parameters(one))
-        for number in numbers
-    )
-
-
-def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
-    for group in scores.list_held_out_groups(results):
-        head = group.head
-        begin = f"{results.name}-{head['medium']}-{head['layers']}"
-        yield f"{begin}-n", str(head["insertions"])
-        for metric in list_metrics():
-            row = {"metric": metric.name, DIGITS: 3 if head["comparison"] == "aligned" else 2}
-            for key, column in (("", "value"), ("floor-", "floor"), ("paper-", "paper")):
-                value = group.get(metric.name, column)
-                if value is not None or not key:
-                    yield f"{begin}-{key}{metric.macro_name}", format_value(METRIC_FORMAT, value, row)
-            if (times := group.over_floor(metric.name)) is not None:
-                words = find_column("over_floor").format_cell({"over_floor": times})
-                yield f"{begin}-{metric.macro_name}-over-floor", words
-
-
-def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
-    table = arrange_parameters(tabulate_parameters(results))
-    several = len({row["fold"] for row in table}) > 1
-    for row in table:
-        name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
-        where = f"-{row['fold']}" if several else ""
-        key = f"{results.name}{where}-{name}"
-        estimate = choose_estimate(row)
-        assert estimate is not None
-        label, scale = choose_interval_unit(row, estimate)
-        yield key, typeset(format_number(estimate / scale))
-        if unit := label.partition(" (")[2].rstrip(")"):
-            yield f"{key}-unit", unit
-        if row["determined"]:
-            yield f"{key}-determined", str(row["determined"])
-        if interval := typeset_interval(row, scale):
-            yield f"{key}-interval", interval
-            low, _, high = interval.partition(" to ")
-            yield from ((f"{key}-low", low), (f"{key}-high", high))

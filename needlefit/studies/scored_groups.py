@@ -14,7 +14,7 @@ from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
+from needlefit.studies.fit_frames import list_methods
 from needlefit.studies.run import Run, once_per_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
@@ -112,14 +112,6 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def tabulate_points(results: Run) -> pd.DataFrame:
-    """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
-    about = results.frames["errors"][[*SCORE_KEYS, "medium", "layers"]]
-    shapes = results.frames["shapes"]
-    across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
-    return shapes.assign(ipe_mm=np.hypot(across, along)).merge(about, on=list(SCORE_KEYS), how="inner")
-
-
 @once_per_run
 def find_bevel_sides(results: Run) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
@@ -142,17 +134,11 @@ def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
-_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
+_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
 TE = "te_mm"  #: the metric of verdicts, of warnings about them, and of every comparison of methods in words
-#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium
-HELD_OUT, BY_LAYERS, BY_MEDIA = "held_out", "layers", "media"
-#: the paper's table of each grouping, and which of our columns stand in its columns
-PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
-    HELD_OUT: ("validation", {"validate_medium": "medium", "validate_layers": "layers"}),
-    BY_LAYERS: ("tuning_by_layers", {"medium": "medium", "layers": "layers"}),
-    BY_MEDIA: ("tuning_by_media", {"medium": "medium"}),
-}
+#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers
+HELD_OUT, BY_LAYERS = "held_out", "layers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,19 +170,19 @@ def tabulate_validation(*results: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
 
     `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
-    parameters would still show, `paper` the paper's cell of the group, blank where it has none; `comparable`
-    says what makes the two comparable or not. With `boundaries` "planned" layers are those that the predicted
-    needle crosses, because the measured crossings of a held-out insertion leak its outcome.
+    parameters would still show, `paper` the paper's cell of the group, of its own needles, blank where it has
+    none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
+    crossings of a held-out insertion leak its outcome.
     """
-    return _make_frame(results, (HELD_OUT,))
+    return _make_frame(results, HELD_OUT)
 
 
 def tabulate_tuning(*results: Run) -> pd.DataFrame:
-    """Return the in-sample errors of every fit by layers and by media (`grouping`), beside the paper's.
+    """Return the in-sample errors of every fit by medium and number of layers, beside the paper's.
 
     Columns as in `tabulate_validation`.
     """
-    return _make_frame(results, (BY_LAYERS, BY_MEDIA))
+    return _make_frame(results, BY_LAYERS)
 
 
 def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
@@ -245,75 +231,47 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
     fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
     if fitted is None:
         return None
-    grouping = HELD_OUT if role == "validate" else BY_MEDIA
+    grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
     return ScoredGroup({**fitted, **head}, by_place)
 
 
-def _make_frame(results: Iterable[Run], groupings: tuple[str, ...]) -> pd.DataFrame:
+def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [row for one in results for grouping in groupings for row in _list_rows(one, grouping)]
+    rows = [row for one in results for row in _list_rows(one, grouping)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
 @once_per_run
 def _list_rows(results: Run, grouping: str) -> list[Row]:
-    keys = ("medium",) if grouping == BY_MEDIA else ("medium", "layers")
-    role = "validate" if grouping == HELD_OUT else "tune"
-    errors = results.frames["errors"][results.frames["errors"]["role"] == role]
-    table, found = aggregate(errors, (*keys, "method", "boundaries")), list[Row]()
-    about = {
-        "study": study_label(results),
-        "grouping": grouping,
-        "layer_count_rule": results.record.layer_count_rule,
-        "origin": results.origin,
-        "comparison": str(results.frames["errors"]["comparison"].iloc[0]) if len(errors) else "",
-    }
-    for key, group in table.groupby(list(keys), sort=False):
+    errors = results.frames["errors"]
+    errors = errors[errors["role"] == ("validate" if grouping == HELD_OUT else "tune")]
+    table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
+    for _, group in table.groupby(["medium", "layers"], sort=False):
         rows = to_records(group)
-        ours = next((r for r in rows if (r["method"], r["boundaries"]) == ("fitted", "measured")), None)
-        if ours is not None:
-            head = {**about, **dict(zip(keys, key, strict=True))}
-            printed, beside = _find_paper_row(results, head, ours["insertions"])
-            found += [{**head, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
+        medium, layers = rows[0]["medium"], rows[0]["layers"]
+        if not any((row["method"], row["boundaries"]) == ("fitted", "measured") for row in rows):
+            continue
+        about = {"study": study_label(results), "grouping": grouping, "medium": medium, "layers": layers}
+        printed, insertions = _find_paper_row(about)
+        beside = {
+            "paper_insertions": insertions,
+            "layer_count_rule": results.record.layer_count_rule,
+            "origin": results.origin,
+            "comparison": str(errors["comparison"].iloc[0]),
+        }
+        found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found
 
 
-def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]:
-    """Return the paper's row of a group, and what its number of insertions says of comparability."""
-    name, columns = PUBLISHED[head["grouping"]]
-    held_out = head["grouping"] == HELD_OUT
-    match = {theirs: head[ours] for theirs, ours in columns.items()}
-    match |= {"study": head["study"]} if held_out else {}
-    printed = paper.select_rows(name, **match)
-    if held_out:
-        design = paper.select_rows("study_design", **match)
-        count, where = design[0]["validate_insertions"] if design else None, ""
-    else:
-        listed = [row["insertions"] for row in paper.select_rows("insertions", **match)]
-        count, where = sum(listed) if printed else None, "in-sample"
-    sentence = compare_with_paper(results, insertions, count, where)
-    return printed[0] if printed else {}, {"paper_insertions": count, "comparable": sentence}
-
-
-# ---- comparable with the paper's rows, or not
-
-
-def compare_with_paper(results: Run, insertions: int, paper_insertions: int | None, where: str = "") -> str:
-    """Return the sentence on comparability of a group of insertions, held out or `where`.
-
-    `paper_insertions` is None where the paper has no row.
-    """
-    if paper_insertions is None:
-        return f"{where.capitalize()}; the paper has no such row." if where else "The paper has no such row."
-    if (results.frames["errors"]["comparison"] == "aligned").any():
-        return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
-    verdict, count = "Same metrics and design, other data", ""
-    if insertions != paper_insertions:
-        verdict = "Same metrics, other data and insertions"
-        count = f", {insertions} insertion{'s' * (insertions != 1)} here, {paper_insertions} there"
-    data = "the needles are not the paper's"
-    if results.origin == "synthetic":
-        data = "ours are of simulated needles, the paper's of real ones"
-    conditions = ", ".join(filter(None, (where, "measured boundaries, mean over insertions")))
-    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
+def _find_paper_row(group: Row) -> tuple[Row, int | None]:
+    """Return the paper's row of a group, empty where it has none, and its number of insertions."""
+    medium, layers = group["medium"], group["layers"]
+    if group["grouping"] == HELD_OUT:
+        match = {"study": group["study"], "validate_medium": medium, "validate_layers": layers}
+        printed, design = (paper.select_rows(name, **match) for name in ("validation", "study_design"))
+        return next(iter(printed), {}), design[0]["validate_insertions"] if design else None
+    printed, listed = (
+        paper.select_rows(name, medium=medium, layers=layers) for name in ("tuning_by_layers", "insertions")
+    )
+    return next(iter(printed), {}), sum(row["insertions"] for row in listed) if printed else None

@@ -4,16 +4,14 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.resources import files
 from typing import Any
 
 import pandas as pd
 
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
-from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, parse_tie
 from needlefit.metrics import list_metrics
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
@@ -21,13 +19,10 @@ from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import (
     format_bare_symbol,
     format_metric,
-    format_number,
     format_quantity_range,
 )
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import Row, format_csv, to_records, to_tidy
-from needlefit.schemas.medium import ParameterRecord
-from needlefit.schemas.study import StudyRecord
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.answer import Answer, Check, Status, Verdict
@@ -40,10 +35,6 @@ from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
 
 __all__ = ["FRAMES", "REPORT"]
-
-_ALGORITHMS = {"leastsquares": "nonlinear least squares with the exact Jacobian"}
-_PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "NLopt"}
-
 
 # ---- what the text prints
 
@@ -77,11 +68,10 @@ def collect_values(results: Run) -> dict[str, Any]:
         "unconverged": any(posterior.faults for posterior in results.posteriors.values()),
         "draws_of_predictions": int(frames["predictive"]["draws"].max()) if len(frames["predictive"]) else 0,
         "failed": _count_failures(results),
-        "agreement": _describe_agreement(frames["starts"]),
+        "starts": len(frames["starts"]),
+        "agreeing": int(frames["starts"]["within_tolerance"].astype(bool).sum()),
         "drawn": _describe_draws(frames) if len(frames["draws"]) else {},
         "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
-        # results that were made up have none
-        "methods": _describe_methods(results, by_metric) if "recipe" in run else {},
     }
 
 
@@ -119,12 +109,6 @@ def _count_failures(results: Run) -> Row:
     }
 
 
-def _describe_agreement(starts: pd.DataFrame) -> str:
-    """Return how many starts there are, where all end within tolerance; else nothing."""
-    all_agree = len(starts) and starts["within_tolerance"].astype(bool).all()
-    return fit_figures.describe_counts(starts) if all_agree else ""
-
-
 def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
     """Return source and convergence of the draws of the first fold."""
     draws = select_draws(frames["draws"])
@@ -137,57 +121,6 @@ def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
         "fold": str(draws["fold"].iloc[0]),
         # beside the mean and a new specimen each has draws of its own
         "separate": frames["draws"]["specimen"].nunique() > 2,
-    }
-
-
-def _group_ties(
-    parameters: Mapping[str, Mapping[str, Any]], exact_alone: bool
-) -> list[tuple[float | None, list[Row]]]:
-    """Return tied parameters by the spread of their prior; None: exactly tied."""
-    groups: defaultdict[float | None, list[Row]] = defaultdict(list)
-    for name, how in parameters.items():
-        if (tie := how.get("tie")) is not None:
-            factor, source = parse_tie(name, tie)
-            spread = find_tie_spread(name, ParameterRecord(tie=tie, spread=how.get("spread")))
-            exact = spread == 1 or exact_alone
-            groups[None if exact else spread].append({"name": name, "factor": factor, "source": source})
-    return sorted(groups.items(), key=lambda item: item[0] is not None)
-
-
-def _describe_methods(results: Run, by_metric: bool) -> Row:
-    """Return what the methods paragraph of a paper states."""
-    run, frames = results.run, results.frames
-    recipe, parameters, how = run["recipe"], run["medium"]["parameters"], run["recipe"]["likelihood"]
-    stored = how.get("measurement", "stored") == "stored" and how["noise"] == "correlated"
-    shared = (run["dataset"]["boundary_shared_sd_mm"] or ()) if how["depths"] != "fixed" else ()
-    predicted, by_angle = frames["predictive"], "cut_angle_deg" in parameters
-    pareto = frames["draws"]["pareto_k"].max()
-    new = (predicted["specimen_treatment"] == "others").any()
-    return {
-        **{"recipe": recipe, "rules": run["rules"], "versions": run["versions"]},
-        "law": str(run["rules"]["law"]).capitalize(),
-        "bevel": "cut angle" if by_angle else "bevel offset",
-        "symbol": "θ" if by_angle else "b",
-        "free": [name for name, one in parameters.items() if one["bounds"]],
-        "held": [name for name, one in parameters.items() if one["fixed"] is not None],
-        "ties": _group_ties(parameters, by_metric),
-        "measurement": run["dataset"]["measurement"],
-        "compared": stored or run["dataset"]["measurement"]["operator"] == "none",
-        "shared_sd_mm": list(dict.fromkeys(map(format_number, (*shared[:1], *shared[-1:])))),
-        "spread": bool((frames["parameters"]["parameter"] == BEVEL_SPREAD).any()),
-        "algorithm": " and then ".join(
-            _ALGORITHMS.get(part, part.upper()) for part in recipe["algorithm"].split("+")
-        ),
-        "is_study": isinstance(results.record, StudyRecord),
-        "distinct_held_out": len({one for fold in run["folds"] for one in fold["validate"]}),
-        "first_draws": int(predicted["draws"].iloc[0]) if len(predicted) else 0,
-        "folds": predicted["fold"].nunique(),
-        "sampled_folds": predicted[predicted["draw_source"] == "posterior"]["fold"].nunique(),
-        "pareto_k": None if pd.isna(pareto) or pareto == float("inf") else float(pareto),
-        "specimens": recipe.get("specimens") if new else None,
-        "packages": [
-            f"{_PACKAGES[name]} {run['versions'][name]}" for name in _PACKAGES if name in run["versions"]
-        ],
     }
 
 
@@ -293,28 +226,20 @@ def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
 def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(results.frames["errors"]), results.frames
-    (_, _, validation), (_, _, tuning), (_, _, parameters) = _lay_out_own_files(results)
-    identification = frames["identification"]
     found = [
         fit_tables.lay_out_summary(results),
-        *validation,
+        fit_tables.lay_out_validation(results),
         *([fit_tables.lay_out_coverage(results)] if len(frames["predictive"]) else []),
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
-        *parameters,
-        fit_tables.lay_out_directions(results),
+        fit_tables.lay_out_parameters(results),
         *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
-        *([lay_out_identification(identification)] if len(identification) else []),
+        *([lay_out_identification(frames["identification"])] if len(frames["identification"]) else []),
         *([fit_tables.lay_out_posterior(results)] if results.posteriors else []),
-        fit_tables.lay_out_design([results]),
-        *tuning,
+        fit_tables.lay_out_design(results),
+        fit_tables.lay_out_tuning(results),
     ]
     return [table for table in found if table.rows]
-
-
-@once_per_run
-def _lay_out_own_files(result: Run) -> list[tuple[str, pd.DataFrame, list[TableLayout]]]:
-    return list(fit_tables.lay_out_files([result], [result]))
 
 
 def list_figures(results: Run) -> dict[str, Drawing]:
@@ -325,15 +250,13 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(results, role)
         found["overlays"] = fit_figures.draw_overlays(results, role)
+    if len(frames["predictive"]):
+        found["predicted"] = fit_figures.draw_predictive_check(results)
     if len(frames["draws"]) and len(select_free(frames["parameters"])):
-        names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
-        marks = fit_figures.tabulate_marks(results)
-        found["corner"] = Drawing(forms.corner, marks, {"names_of_sets": names}, optional=True)
-    if len(frames["starts"]) and not collect_values(results)["agreement"]:
-        found["waterfall"] = fit_figures.draw_starts(results)
+        found["corner"] = fit_figures.draw_corner(results)
     if len(frames["profiles"]):
         found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
-    return found | fit_figures.draw_errors([results])
+    return found
 
 
 # ---- files
@@ -348,17 +271,18 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
         for name in ("predictive", "error_fit", "population")
         if len(result.frames[name])
     }
-    found |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
+    written = {
+        "validation": scores.tabulate_validation(result),
+        "tuning": scores.tabulate_tuning(result),
+        "parameters": fit_tables.tabulate_parameters(result),
+    }
+    found |= {name: frame for name, frame in written.items() if len(frame)}
     if len(result.frames["identification"]):
         found["identify"] = result.frames["identification"]
     if result.posteriors:
         found["posterior"] = fit_tables.tabulate_percentiles(result)
     # with every digit: it is exactly these values that fail again
     found["failures.csv"] = format_csv(result.frames["failures"].assign(origin=result.origin), digits=None)
-    found["numbers.tex"] = fit_tables.format_macros([result])
-    if collect_values(result)["methods"]:
-        lines, cited = format_methods(result)
-        found |= {"methods.tex": lines, "references.bib": format_references(cited)}
     return found
 
 
@@ -374,28 +298,6 @@ def fit_to_json(result: Run) -> dict[str, Any]:
         if result.posteriors:
             frames["posterior"] = fit_tables.tabulate_percentiles(result)
     return {name: to_records(to_tidy(frame)) for name, frame in frames.items()}
-
-
-def format_methods(result: Run) -> tuple[str, list[str]]:
-    """Return the methods paragraph as LaTeX, and the keys of `references.bib` that it cites."""
-    values = collect_values(result)
-    parts = [TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
-    cited = dict.fromkeys(key for _, keys in parts for key in keys)
-    return "\n".join(lines for lines, _ in parts if lines) + "\n", list(cited)
-
-
-_REFERENCES_HEAD = (
-    "% Cited by methods.tex. Needs \\usepackage{url} and, at the end, \\bibliographystyle and "
-    "\\bibliography{references}."
-)
-
-
-def format_references(cited: Sequence[str]) -> str:
-    """Return the BibTeX entries of these keys, which ship with needlefit."""
-    text = (files("needlefit.reporting") / "templates" / "references.bib").read_text(encoding="utf-8")
-    entries = [entry.strip() for entry in text.split("\n\n") if entry.strip()]
-    known = {entry.split("{", 1)[1].split(",", 1)[0]: entry for entry in entries}
-    return "\n\n".join([_REFERENCES_HEAD, *(known[key] for key in cited)]) + "\n"
 
 
 REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, find_answer, list_files, fit_to_json)
