@@ -154,20 +154,6 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
     return rows
 
 
-def failed(begun: list[dict]) -> pd.DataFrame:
-    """The first 20 failures of every start that has any."""
-    about = ("minimized", "objective", "excess", "within_tolerance", "evaluations")
-    about += ("gradients", "failed_solves", "stopped", "joined")
-    rows = [
-        {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
-        | {"insertion": "phantom2-4-01t", "note": ("over-compressed", "not converged")[n % 4 == 3]}
-        | {name: value for name, value in row.items() if name not in about}
-        for row in begun
-        for n in range(min(20, row["failed_solves"]))
-    ]
-    return pd.DataFrame(rows)
-
-
 def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
     table = (
         pd.DataFrame(insertions)
@@ -187,7 +173,6 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
         "errors": pd.DataFrame(errors),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
-        "failures": failed(begun),
         "parameters": pd.DataFrame(params),
         "directions": pd.DataFrame({"fold": 1, "parameters": 2, "sd": sds, "sd_ratio": 0.1, "note": words}),
     }

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
 from light_runs import predict_by_few_draws
-from reporting_results import skip_figures
 from scipy.optimize import brentq
 
 from needlefit.datasets.insertion import Insertion
@@ -32,11 +31,8 @@ from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.job import make_folds, prepare
-from needlefit.studies.kinds.cross_validation.report import collect_values
 from needlefit.studies.kinds.cross_validation.run import Settings, run, tabulate_design
-from needlefit.studies.report import write_run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 from needlefit.studies.validity import describe_outside, list_outside
@@ -134,36 +130,6 @@ def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Run
     curves = [one.name for one in list_baselines()]
     assert set(mean.index) == {"fitted", "predictive_median", *curves}
     assert (mean[curves] > 10 * mean["fitted"]).all()
-
-
-@pytest.mark.sweep
-def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
-    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
-    results = run("violent", study(), Settings())
-    with monkeypatch.context() as without_figures:
-        skip_figures(without_figures)
-        write_run(results, project / "violent")
-    rows = pd.read_csv(project / "violent" / "failures.csv")
-    assert set(rows["fit"]) == {"fitted"} and set(rows["origin"]) == {"synthetic"}
-    dataset = read(project / "data" / "needles" / "dataset.toml")
-    medium = load(project / "configs" / "media" / "gel.toml", MediumRecord)
-    by_id = {insertion.id: insertion for insertion in dataset.insertions}
-    for row in rows.to_dict("records"):
-        assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["note"]
-    counted = results.frames["starts"]["failed_solves"].sum()
-    assert len(rows) == counted
-    starts = results.frames["starts"]
-    assert TEXT.sentence("failures", collect_values(results)).startswith(
-        f"{counted} of {starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
-    )
-    kept, done = project / "violent.partial", []
-    stopped = Settings(
-        checkpoint=kept, progress=lambda *event: done.append(event), stop=lambda: len(done) >= 2
-    )
-    assert run("violent", study(), stopped).interrupted
-    again = run("violent", study(), Settings(checkpoint=kept, resume=True))
-    pd.testing.assert_frame_equal(again.frames["failures"], results.frames["failures"], check_exact=True)
 
 
 def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:

@@ -19,11 +19,8 @@ starts
     in units of the tolerance (0.1; 1 % or 0.002 mm), `within_tolerance` whether that is at most 1;
     `gradients` are the evaluations with derivatives among all; `joined` is the start that it met on its
     approach and went on with, empty if none.
-failures
-    The first evaluations that failed, of every start and of the sampler (`fit` is then "posterior"): the
-    insertion without a solution, the reason, then one column per parameter.
 
-parameters :
+Parameters
     Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
     `high` is the range among starts within tolerance of the best; `interval_low`, `interval_high` is the one
     95 % interval that is printed, of the error-minimising fit its range within the tolerance of the errors,
@@ -106,7 +103,6 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
             *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
         ),
-        "failures": ("fold", "fit", "start", "insertion", "note"),
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),

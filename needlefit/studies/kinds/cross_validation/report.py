@@ -4,16 +4,15 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
 
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
-from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import (
@@ -22,7 +21,7 @@ from needlefit.reporting.number_format import (
     format_quantity_range,
 )
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import Row, format_csv, to_records, to_tidy
+from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.answer import Answer, Check, Status, Verdict
@@ -30,7 +29,7 @@ from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role, select_draws, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import STATUS, Judgement, judge, list_checks
+from needlefit.studies.judge import STATUS, judge, list_checks
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
 
@@ -43,84 +42,46 @@ __all__ = ["FRAMES", "REPORT"]
 def collect_values(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
     run, frames, role = results.run, results.frames, find_scored_role(results.frames["errors"])
-    folds = list(run.get("folds", ()))
+    folds, starts, errors = list(run.get("folds", ())), frames["starts"], frames["errors"]
     counts = sorted(len(fold["tune"]) for fold in folds)
-    certified = frames["draws"]["certified"].astype(bool).all()
-    by_metric = _minimises_errors(results)
+    group = scores.pool_insertions(results, role)
+    floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
+    draws = select_draws(frames["draws"])
     return {
         "results": results,
         "frames": frames,
         "role": role,
         "dataset": str(run.get("dataset", {}).get("name", results.dataset_title)),
-        "media": {one: _list_media(frames["errors"], one) for one in ("tune", "validate")},
+        "media": {str(name): list(dict.fromkeys(found)) for name, found in errors.groupby("role")["medium"]},
         "folds": len(folds),
         "held_out": len({one for fold in folds for one in fold["validate"]}),
         "depths": {
             str(name): [float(found.min()), float(found.max())]
-            for name, found in frames["errors"].query("method == 'fitted'").groupby("role")["depth_mm"]
+            for name, found in errors.query("method == 'fitted'").groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
-        "floors": _list_floors(results, role),
-        "by_metric": by_metric,
-        "printed": any(group.printed for group in scores.list_held_out_groups(results)),
-        "no_bands": not certified and role == "validate",
-        "unconverged": any(posterior.faults for posterior in results.posteriors.values()),
-        "draws_of_predictions": int(frames["predictive"]["draws"].max()) if len(frames["predictive"]) else 0,
-        "failed": _count_failures(results),
-        "starts": len(frames["starts"]),
-        "agreeing": int(frames["starts"]["within_tolerance"].astype(bool).sum()),
-        "drawn": _describe_draws(frames) if len(frames["draws"]) else {},
-        "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
-    }
-
-
-def _list_media(errors: pd.DataFrame, role: str) -> list[str]:
-    return list(dict.fromkeys(errors.loc[errors["role"] == role, "medium"]))
-
-
-def _minimises_errors(results: Run) -> bool:
-    """Return whether the fit minimises errors: by its recipe, or because the data state no noise."""
-    starts = results.frames["starts"].query("fit == 'fitted'")
-    stated = (results.run.get("recipe") or {}).get("minimize") == "metric"
-    return stated or bool((starts["minimized"] == "metric").any())
-
-
-def _list_floors(results: Run, role: str) -> list[str]:
-    """Return each metric's noise floor; none where no noise is stated."""
-    group = scores.pool_insertions(results, role)
-    known = {one: None if group is None else group.get(one.name, "floor") for one in list_metrics()}
-    return [
-        f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
-        for one, floor in known.items()
-        if floor is not None and one.has_floor
-    ]
-
-
-def _count_failures(results: Run) -> Row:
-    starts, failures = results.frames["starts"], results.frames["failures"]
-    reasons = Counter(str(reason).partition(":")[0] for reason in failures["note"]).most_common()
-    return {
-        "searches": int(starts["failed_solves"].sum()),
+        "floors": [
+            f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
+            for one, floor in floors.items()
+            if floor is not None and one.has_floor
+        ],
+        "no_bands": role == "validate" and not frames["draws"]["certified"].astype(bool).all(),
+        "starts": len(starts),
+        "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
-        "sampled": sum(posterior.failures for posterior in results.posteriors.values()),
-        "recorded": len(failures),
-        "reasons": ", ".join(f"{count} {reason}" for reason, count in reasons),
-    }
-
-
-def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
-    """Return source and convergence of the draws of the first fold."""
-    draws = select_draws(frames["draws"])
-    return {
-        "count": len(draws),
-        "source": str(draws["draw_source"].iloc[0]),
-        "pareto_k": float(draws["pareto_k"].iloc[0]),
-        "certified": bool(draws["certified"].iloc[0]),
-        "folds": int(frames["draws"]["fold"].nunique()),
-        "fold": str(draws["fold"].iloc[0]),
-        # beside the mean and a new specimen each has draws of its own
-        "separate": frames["draws"]["specimen"].nunique() > 2,
+        "failed": int(starts["failed_solves"].sum()),
+        # of the first fold
+        "drawn": {
+            "count": len(draws),
+            **{name: draws[name].iloc[0] for name in ("fold", "draw_source", "pareto_k", "certified")},
+            "folds": int(frames["draws"]["fold"].nunique()),
+            # beside the mean and a new specimen each has draws of its own
+            "separate": frames["draws"]["specimen"].nunique() > 2,
+        }
+        if len(draws)
+        else {},
+        "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
     }
 
 
@@ -128,69 +89,45 @@ def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
 
 
 def find_answer(results: Run) -> Answer:
-    """Return the parts of the first page; of a study the verdict on each held-out group follows the first."""
+    """Return the parts of the first page."""
     role, values = find_scored_role(results.frames["errors"]), collect_values(results)
     checks, group = list_checks(results, role), scores.pool_insertions(results, role)
     judged = None if group is None else judge(results, group)
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
-    words = {**values, "judged": judged, "checks": {str(one.check): one for one in checks}}
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
-    words["gain"] = None if pd.isna(gain) else float(gain)
-    words["determined"] = _list_determined(results)
-    numbers = _collect_numbers(group, judged)
-    if role == "tune":
-        opening, status = _open_fit(results, [name for name, found in words["determined"] if found])
-        words |= {"opening": opening, "insertions": group.head["insertions"]}
-        numbers["not_determined"] = ", ".join(
-            name for word, names in words["determined"] if word != "yes" for name in names
-        )
-        verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
-        tables = [fit_tables.lay_out_parameters(results)]
-    else:
-        groups = scores.list_held_out_groups(results)
-        if len(groups) == 1:  # all insertions are those of the paper's row
-            numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper")
-        verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
-        verdicts += _judge_groups(results, words)
-        tables = [fit_tables.lay_out_summary(results)]
-    return Answer(
-        verdicts,
-        tables,
-        TEXT.sentence("about", words),
-        checks,
-        TEXT.sentence("advice", words),
-        TEXT.sentence("determined", words),
-    )
-
-
-def _judge_groups(results: Run, values: Mapping[str, Any]) -> Iterator[Verdict]:
-    """Yield the verdict on each held-out group, where there are several."""
-    groups = scores.list_held_out_groups(results)
-    media = [group.head["medium"] for group in groups]
-    for group in groups if len(groups) > 1 else ():
-        medium, layers = group.head["medium"], group.head["layers"]
-        several = media.count(medium) > 1
-        name = labels.group_name(medium, layers) if several else labels.medium_name(medium)
-        if (judged := judge(results, group)) is None:
-            yield Verdict(TEXT.sentence("nothing_scored", values), "fail", name)
-            continue
-        words = {**values, "judged": judged, "media": {**values["media"], "validate": [name]}}
-        numbers = _collect_numbers(group, judged)
-        yield Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], name, numbers)
-
-
-def _collect_numbers(group: scores.ScoredGroup, judged: Judgement) -> dict[str, float | str | None]:
-    return {
+    determined = _list_determined(results)
+    words = {
+        **values,
+        "judged": judged,
+        "insertions": group.head["insertions"],
+        "checks": {str(one.check): one for one in checks},
+        "gain": None if pd.isna(gain) else float(gain),
+        "determined": determined,
+        "opening": "",
+    }
+    numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
         scores.TE: judged.error_mm,
         "floor_te_mm": group.get(scores.TE, "floor"),
         "te_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
-        "paper_te_mm": group.get(scores.TE, "paper"),
         "insertions": group.head["insertions"],
     }
+    if role == "tune":
+        words["opening"], status = _open_fit(results, [word for word, _ in determined])
+        rest = (name for word, names in determined if word != "yes" for name in names)
+        numbers["not_determined"] = ", ".join(rest)
+        sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(results)
+    else:
+        groups = scores.list_held_out_groups(results)
+        # where there is one group, all insertions are those of the paper's row
+        numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
+        sentence, status = TEXT.sentence("predicted", words), STATUS[judged.outcome]
+        table = fit_tables.lay_out_summary(results)
+    about, advice, known = (TEXT.sentence(block, words) for block in ("about", "advice", "determined"))
+    return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
 
 
 def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
@@ -205,19 +142,24 @@ def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
     return ("Fitted in part", "warn") if set(determined) - {"yes"} else ("Fitted", "pass")
 
 
+MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals
+
+
 def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
-    """Return the free parameters by whether the data determine them; those that they do with intervals."""
+    """Return the free parameters by whether the data determine them; a few that they do with intervals."""
     rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
-    several = rows["fold"].nunique() > 1
-    pairs = []
-    for name, some in rows.groupby("parameter", sort=False):
-        word = find_least_determined(map(str, some["determined"]))
-        low, high = (float(some[f"interval_{end}"].iloc[0]) for end in ("low", "high"))
-        words = format_bare_symbol(str(name))
-        if word == "yes" and not several and low == low:
-            words = f"{words} {format_quantity_range(str(name), low, high)}"
-        pairs.append((word, words))
-    return list(group_values(pairs).items())
+    rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
+    words = {
+        str(name): find_least_determined(map(str, some["determined"]))
+        for name, some in rows.groupby("parameter", sort=False)
+    }
+    names = {name: format_bare_symbol(name) for name in words}
+    known = rows[rows["parameter"].map(words) == "yes"].dropna(subset=["interval_low", "interval_high"])
+    if rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
+        for row in to_records(known):
+            interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
+            names[row["parameter"]] += f" {interval}"
+    return list(group_values((words[name], label) for name, label in names.items()).items())
 
 
 # ---- tables and figures
@@ -281,8 +223,6 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
         found["identify"] = result.frames["identification"]
     if result.posteriors:
         found["posterior"] = fit_tables.tabulate_percentiles(result)
-    # with every digit: it is exactly these values that fail again
-    found["failures.csv"] = format_csv(result.frames["failures"].assign(origin=result.origin), digits=None)
     return found
 
 
@@ -290,7 +230,7 @@ def fit_to_json(result: Run) -> dict[str, Any]:
     """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
     frames = {"validation": scores.tabulate_validation(result)}
     if result.kind == "fit":
-        names = ("errors", "starts", "failures", "error_fit", "directions", "identification", "profiles")
+        names = ("errors", "starts", "error_fit", "directions", "identification", "profiles")
         frames = {
             "parameters": fit_tables.tabulate_parameters(result),
             **{name: result.frames[name] for name in names},

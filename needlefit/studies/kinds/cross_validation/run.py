@@ -29,9 +29,9 @@ from needlefit.inference.identifiability.identify import (
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import HYPERPARAMETERS, Theta, to_value
+from needlefit.inference.parameters import HYPERPARAMETERS, to_value
 from needlefit.inference.predict import Draws
-from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
+from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
@@ -199,7 +199,7 @@ class _StudyRun:
 
     def frame(self, name: str) -> pd.DataFrame:
         """Return one table; without rows it still has its columns."""
-        values = self.job.parameters.names if name in ("starts", "failures", "profiles", "draws") else ()
+        values = self.job.parameters.names if name in ("starts", "profiles", "draws") else ()
         rows = self.rows[name]
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
@@ -432,9 +432,6 @@ class _StudyRun:
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        if (posterior := self.posteriors.get(fold.name)) is not None:
-            place = {"fold": fold.name, "fit": "posterior", "start": 0}
-            self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
         if fold.name not in self.posteriors:
@@ -454,9 +451,6 @@ class _StudyRun:
             self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
             ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
             self.counts.starts.add(len(ends), int(find_outside_validity(problem, ends).sum()))
-            for start in fit.starts:
-                where = {**place, "start": start.index}
-                self.rows["failures"] += _failure_rows(where, problem, start.failed)
         faults = [fits["fitted"].fault] if "fitted" in fits and fits["fitted"].fault else []
         if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
             faults.append(
@@ -563,12 +557,6 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
         "joined": start.joined,
         **problem.values(np.array(start.theta)),
     }
-
-
-def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list[Row]:
-    """Return one row per theta that failed, simulated again for the insertion and the reason."""
-    found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
-    return [{**place, "insertion": f.insertion, "note": f.reason, **values} for f, values in found]
 
 
 #: of a row of "parameters": what is known of fitted ones only
