@@ -35,7 +35,6 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import (
     MEDIAN_METHOD,
-    MODEL_METHODS,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
     select_fitted,
@@ -250,7 +249,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in list_metrics() if not one.spread_of),
-        *(f"floor_{one.name}" for one in headline_metrics() if one.has_floor),
     )
     rows = [
         {
@@ -294,56 +292,33 @@ def tabulate_parameters(*results: Run) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
 
 
-def arrange_parameters(table: pd.DataFrame) -> list[Row]:
-    """Return one row per study, fold and parameter: the posterior's, with each method's row under its name.
-
-    A method that has no such parameter has an empty row.
-    """
-    rows: dict[tuple[object, ...], Row] = {}
-    for row in to_records(table):
-        key = (row["study"], row["fold"], row["parameter"])
-        if row["method"] == "fitted":
-            rows[key] = {**row, **{method: {} for method in MODEL_METHODS}}
-        if key in rows:
-            rows[key][row["method"]] = row
-    return list(rows.values())
-
-
 AT_BOUND = "*"  #: marks the end of a range that is a bound
 END_DIGITS = 2  #: significant digits of the ends of an interval
 
 
-def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
-    """Return the cells of one parameter from its rows of `arrange_parameters`, of several folds their range.
+def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> Row:
+    """Return the cells of one parameter from its rows of every method, of several folds their range.
 
     A value stands with its 95 % interval, of the error-minimising fit with its range within the tolerance.
     """
-    name, fixed = str(rows[0]["parameter"]), rows[0]["status"] == "fixed"
-    ends = [row[end] for row in rows for end in ("interval_low", "interval_high")]
-    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0]["value"]])
-    errors = [] if fixed else [row["fitted_metric"] for row in rows if row["fitted_metric"]]
-    estimates = list(map(choose_estimate, rows))
+    ours, errors, paper = (
+        to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
+    )
+    fixed = ours[0]["status"] == "fixed"
+    ends = [row[end] for row in ours for end in ("interval_low", "interval_high")]
+    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0]["value"]])
+    # the median of the draws, without any the fit's value
+    estimates = [row["value"] if row["median"] is None else row["median"] for row in ours]
+    own = f"{_join_range(estimates, unit)}, fixed" if fixed else _format_estimate(ours, estimates, unit)
+    minimising = [] if fixed else errors
     return {
         "parameter": label,
-        "posterior": f"{_join_range(estimates, unit)}, fixed"
-        if fixed
-        else _format_estimate(rows, estimates, unit),
-        "determined": "" if fixed else _join_determined(rows),
-        "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
-        "errors_determine": _join_determined(errors),
-        "hand_tuned": _join_range([row["hand_tuned"]["value"] for row in rows if row["hand_tuned"]], unit),
+        "posterior": own,
+        "determined": "" if fixed else find_least_determined(str(row["determined"]) for row in ours),
+        "error_minimising": _format_estimate(minimising, [row["value"] for row in minimising], unit),
+        "hand_tuned": _join_range([row["value"] for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
-
-
-def choose_estimate(row: Row) -> float | None:
-    """Return the estimate of a parameter that is printed: the median of its draws, without any the fit's."""
-    estimate: float | None = row["value"] if row["median"] is None else row["median"]
-    return estimate
-
-
-def _join_determined(rows: Sequence[Row]) -> str:
-    return find_least_determined(str(row["determined"]) for row in rows)
 
 
 def _join_range(values: Sequence[float | None], unit: float) -> str:
@@ -354,20 +329,15 @@ def _join_range(values: Sequence[float | None], unit: float) -> str:
 
 def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
     """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
-    estimate = _join_range(values, unit)
-    lows, highs = ([row[f"interval_{end}"] for row in rows] for end in ("low", "high"))
-    if not rows or not all(map(is_known, [*lows, *highs])):
-        return estimate
-    ends = []
-    for end, found in (("low", min(lows)), ("high", max(highs))):
-        bounds = [row[f"bound_{end}"] for row in rows]
-        mark = AT_BOUND if any(map(is_known, bounds)) and _is_at(found, bounds) else ""
-        ends.append(f"{format_plain(round_significant(found / unit, END_DIGITS))}{mark}")
+    estimate, ends = _join_range(values, unit), []
+    for side, choose in (("low", min), ("high", max)):
+        every = [row[f"interval_{side}"] for row in rows]
+        if not rows or not all(map(is_known, every)):
+            return estimate
+        end, bounds = choose(every), [row[f"bound_{side}"] for row in rows]
+        at = any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
+        ends.append(f"{format_plain(round_significant(end / unit, END_DIGITS))}{AT_BOUND if at else ''}")
     return f"{estimate} ({' to '.join(ends)})"
-
-
-def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
-    return any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
 
 
 #: what the intervals of parameters are from, by `draw_source`
@@ -380,17 +350,15 @@ def lay_out_parameters(results: Run) -> TableLayout:
     Parameters with the same cells have one row.
     """
     frames, truth = results.frames, results.run.get("truth", {})
-    every = arrange_parameters(tabulate_parameters(results))
     merged: dict[tuple[object, ...], Row] = {}
-    for name, members in group_values((str(row["parameter"]), row) for row in every).items():
-        row = describe_parameter(members, truth.get(name))
+    for name, members in frames["parameters"].groupby("parameter", sort=False):
+        if "fitted" not in set(members["method"]):
+            continue
+        row = _describe_parameter(str(name), members, truth.get(name))
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
-    columns = (
-        *("parameter", "posterior", "determined", "error_minimising", "errors_determine"),
-        *("hand_tuned", "true_value"),
-    )
+    columns = ("parameter", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
     tolerances, used = frames["error_fit"]["tolerance_mm"], set(frames["parameters"]["draw_source"])
     values = {
         "folds": int(frames["parameters"]["fold"].nunique()),

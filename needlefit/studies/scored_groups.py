@@ -1,14 +1,11 @@
 """Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
@@ -36,34 +33,23 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         insertions that deflect by more than their noise floor. Counts of insertions: `insertions`,
         `edp_flagged` (the others of these) and `not_converged`.
     """
-    metrics = list_metrics()
+    metrics, keys = list_metrics(), list(by)
     names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
-    finite = {name: _finite_column(errors, name).to_numpy() for name in names}
-    flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
-    insertions = errors["insertion"].to_numpy()
-    keys = list(errors[list(by)].itertuples(index=False, name=None))
+    finite = errors.assign(**{name: _finite_column(errors, name) for name in names})
     rows = []
-    group = errors.groupby(list(by), sort=False).ngroup().to_numpy()
-    for number in range(int(group.max(initial=-1)) + 1):
-        at = np.flatnonzero(group == number)
-        head, clear = dict(zip(by, keys[at[0]], strict=True)), at[~flagged[at]]
-        counts = {
-            "insertions": len(set(insertions[at])),
-            "edp_flagged": len(set(insertions[at[flagged[at]]])),
-            "not_converged": len(set(insertions[at[~converged[at]]])),
+    for key, group in finite.groupby(keys, sort=False):
+        flagged, converged = group["edp_flagged"].astype(bool), group["converged"].astype(bool)
+        head = {
+            **dict(zip(keys, key, strict=True)),
+            "insertions": group["insertion"].nunique(),
+            "edp_flagged": group.loc[flagged, "insertion"].nunique(),
+            "not_converged": group.loc[~converged, "insertion"].nunique(),
         }
-        for metric in metrics:
-            value, floor = finite[metric.name], finite[f"floor_{metric.name}"]
-            means = {"value": _mean(value[at]), "floor": _mean(floor[at]), "unflagged": _mean(value[clear])}
-            rows.append({**head, "metric": metric.name, **means, **counts})
+        means, unflagged = group[names].mean(), group.loc[~flagged, names].mean()
+        for name in (metric.name for metric in metrics):
+            cells = {"value": means[name], "floor": means[f"floor_{name}"], "unflagged": unflagged[name]}
+            rows.append({**head, "metric": name, **cells})
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
-
-
-def _mean(values: NDArray[np.floating[Any]]) -> float:
-    """Return the mean of the values that are there, NaN without any."""
-    there = ~np.isnan(values)
-    # zeros keep the order in which numpy adds up: pandas' mean has the same digits
-    return float(np.where(there, values, 0.0).sum() / there.sum()) if there.any() else math.nan
 
 
 def compare_methods(results: Run, role: str) -> pd.DataFrame:
@@ -81,33 +67,17 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     """
     errors = results.frames["errors"]
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
-    errors = errors.assign(group=group_rows(errors))
     names = [metric.name for metric in headline_metrics()]
-    tables = {
-        name: errors.assign(value=_finite_column(errors, name)).pivot_table(
-            index=["fold", "group"], columns="method", values="value", sort=False
-        )
-        for name in names
-    }
-    compared, rows = tables[TE], []
-    for method in [name for name in list_methods() if name in compared and "fitted" in compared]:
-        gaps = (compared[method] - compared["fitted"]).replace([np.inf, -np.inf], np.nan).dropna()
-        gap = gaps.to_numpy(dtype=np.float64)
-        n = len(gap)
-        means = {
-            name: float(table[method].reindex(gaps.index).mean()) if method in table else np.nan
-            for name, table in tables.items()
-        }
-        rows.append(
-            {
-                "method": method,
-                "insertions": n,
-                **means,
-                "difference_mm": gap.mean() if n else np.nan,
-                "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
-                "better": int((gap > 0).sum()),
-            }
-        )
+    errors = errors.assign(group=group_rows(errors), **{name: _finite_column(errors, name) for name in names})
+    means = errors.groupby(["method", "fold", "group"], sort=False)[names].mean()
+    found, rows = set(errors["method"]), []
+    for method in [name for name in list_methods() if {name, "fitted"} <= found]:
+        theirs = means.loc[method]
+        gaps = (theirs[TE] - means.loc["fitted"][TE]).dropna()
+        averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
+        row = {"method": method, "insertions": len(gaps), **averages}
+        row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}
+        rows.append(row)
     columns = ("method", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
 
