@@ -19,10 +19,10 @@ from needlefit.studies.report import write_run
 
 FIGURES = ("insertions", "overlays")
 EXPECTED = {
-    *(f"{name}.csv" for name in ("design", "directions", "errors", "shapes", "starts")),
+    *(f"{name}.csv" for name in ("directions", "errors", "shapes", "starts")),
     *(f"{name}.csv" for name in ("checks", "validation", "tuning", "parameters")),
     *(f"{name}.tex" for name in ("validation", "tuning", "parameters")),
-    *(f"{name}.tex" for name in ("summary", "baselines", "insertions", "design")),
+    *(f"{name}.tex" for name in ("summary", "baselines", "insertions")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
     *(
         "report.pdf",

@@ -14,7 +14,7 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_tables import lay_out_design, lay_out_parameters, lay_out_validation
+from needlefit.studies.fit_tables import lay_out_parameters, lay_out_validation
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import (
     aggregate,
@@ -115,14 +115,6 @@ def test_errors_stand_as_multiples_of_their_floor():
     }
     assert ratios["posterior-mode fit"] == ("9.5", "9.1")
     assert ratios["noise floor"] == ("–", "–")
-
-
-def test_needles_that_end_at_a_boundary_are_counted_under_the_design():
-    one = study(1)
-    errors = one.frames["errors"].assign(layers_other=one.frames["errors"]["layers"])
-    errors.loc[errors["insertion"] == errors["insertion"].iloc[0], "layers_other"] -= 1
-    notes = [lay_out_design(one.with_frames(errors=some)).notes for some in (one.frames["errors"], errors)]
-    assert notes[0] != notes[1] and "1 insertion" in " ".join(notes[1])
 
 
 def test_tuning_rows_stand_beside_the_papers():

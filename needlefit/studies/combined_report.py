@@ -1,27 +1,23 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from needlefit.project.folders import replace_folder
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document
-from needlefit.reporting.document import Block, Document
+from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import all_files, write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies import fit_tables
 from needlefit.studies.fit_figures import draw_groups
-from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.kind import find_kind
 from needlefit.studies.report import (
-    compose_first_figure,
     compose_warnings,
     label_figures,
     state_blocks,
-    subtitle,
     write_report,
     write_run,
 )
@@ -35,14 +31,13 @@ TEXT = KindText("combined")
 def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
     """Write the errors, the figure and the report of several studies together; return the files.
 
-    The fits fill the table of in-sample errors; without any, each study's own fit does. Everything else of a
-    study stands in its folder.
+    The fits fill the table of in-sample errors; without any, each study's own fit does. Everything else, and
+    studies of other kinds, stands in the folder of its run.
 
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     studies = [one for one in runs if one.kind == "cross_validation"]
     tunings = [one for one in runs if one.kind == "fit"] or studies
-    others = [one for one in runs if one.kind not in FIT_KINDS]
     frames = {"validation": tabulate_validation(*studies), "tuning": tabulate_tuning(*tunings)}
     layouts = [
         fit_tables.lay_out_matrix(studies),
@@ -58,36 +53,17 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
             if table.rows:
                 (new / f"{table.name}.tex").write_text(format_latex(table, synthetic), encoding="utf-8")
         drawn = {"groups": draw_groups(studies).save(new / "groups.pdf")} if len(frames["validation"]) else {}
-        appendix = [block for result in others for block in _summarize_analysis(result, new)]
-        write_report(compose_overview(runs, layouts, drawn, appendix), new)
+        write_report(compose_overview(runs, layouts, drawn), new)
         label_figures(drawn, synthetic)
         write_json(new / "run.json", {one.name: one.run_json for one in runs})
         write_json(new / "timing.json", {one.name: one.timing for one in runs})
     return all_files(folder)
 
 
-def _summarize_analysis(result: Run, folder: Path) -> list[Block]:
-    """Return a result in short: what was asked, the answer, first figure; its own report has the rest."""
-    (folder / result.name).mkdir()
-    drawn, _ = find_kind(result.kind).report.draw(result, folder / result.name)
-    return [
-        document.heading(result.title),
-        document.text(subtitle(result)),
-        *(document.verdict(f"{one.sentence}.", one.status) for one in result.verdicts[:1]),
-        *compose_first_figure(result, drawn),
-    ]
-
-
 def compose_overview(
-    runs: Sequence[Run],
-    tables: Sequence[TableLayout],
-    figures: dict[str, Path],
-    appendix: Sequence[Block] = (),
+    runs: Sequence[Run], tables: Sequence[TableLayout], figures: Mapping[str, Path]
 ) -> Document:
-    """Return one report over all studies: the table of verdicts, one figure, the verdicts; then the rest.
-
-    `appendix` has the results of studies of other kinds.
-    """
+    """Return one report over all studies: the table of verdicts, one figure, the verdicts; then the rest."""
     studies = [one for one in runs if one.kind == "cross_validation"]
     warned = [
         block
@@ -114,7 +90,7 @@ def compose_overview(
         "Validation studies",
         data,
         any(one.synthetic for one in studies),
-        (*states, *body, *appendix),
+        (*states, *body),
         unverified=any(one.unverified for one in runs),
     )
 

@@ -133,7 +133,6 @@ def collect_explorer(results: Run) -> PageData | None:
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
-    status = {one.group: one.status for one in results.verdicts}
     data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
     shapes = results.frames["shapes"]
     shapes = shapes[shapes["boundaries"] == "measured"]
@@ -150,9 +149,11 @@ def collect_explorer(results: Run) -> PageData | None:
             _encode_method(one, curves.get((*where, one["method"])), results.origin)
             for one in _sort_methods(to_records(scores[where]))
         ]
-        group = labels.group_name(row["medium"], row["layers"])
-        found = status.get(group, status.get(labels.medium_name(row["medium"]), status.get("", "")))
-        data.needles.append(needle | {"group": group, "status": found, "methods": methods})
+        about = {
+            "group": labels.group_name(row["medium"], row["layers"]),
+            "status": results.verdicts[0].status,
+        }
+        data.needles.append(needle | about | {"methods": methods})
     return data
 
 

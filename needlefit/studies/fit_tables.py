@@ -173,38 +173,26 @@ def _head(group: scores.ScoredGroup) -> Row:
 
 
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
-    """Return one row per study and held-out group: our errors, what they compare with, and the verdict."""
+    """Return one row per study and held-out group: our tip error, what it compares with, and the verdict."""
     rows: list[Row] = []
     for one in results:
-        method = choose_method(one)
         for group in scores.list_held_out_groups(one):
-            judged, curve = judge(one, group), find_closest_curve(group)
+            judged = judge(one, group)
             rows.append(
                 {
                     **_head(group),
-                    **{name: group.get(name, method=method) for name in ("ipe_mean_mm", "te_mm")},
-                    "floor_te_mm": group.get("te_mm", "floor"),
-                    "baseline_te_mm": None if curve is None else group.get("te_mm", method=curve),
-                    "baseline_method": curve or "",
-                    **{f"paper_{name}": group.get(name, "paper") for name in ("ipe_mean_mm", "te_mm")},
-                    "verdict": "not scored" if judged is None else judged.outcome,
+                    "te_mm": judged and judged.error_mm,
+                    "noise_of_te": group.get(scores.TE, "floor"),
+                    "baseline_te_mm": judged and judged.curve_mm,
+                    "paper_te_mm": group.get(scores.TE, "paper"),
+                    "verdict": judged.outcome if judged else "not scored",
                 }
             )
     columns = (
-        *("study", "medium", "layers", "insertions", "ipe_mean_mm", "te_mm", "floor_te_mm"),
-        *("baseline_te_mm", "baseline_method", "paper_ipe_mean_mm", "paper_te_mm", "verdict"),
+        *("study", "medium", "layers", "insertions", "te_mm", "noise_of_te", "baseline_te_mm"),
+        *("paper_te_mm", "verdict"),
     )
-    return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1), drop_empty=True)
-
-
-def lay_out_design(results: Run) -> TableLayout:
-    """Return which insertions tune and validate: counts, ranges of depth and measured deflection."""
-    names = {"tune": "tunes", "validate": "validates"}
-    rows = [{**row, "role": names[row["role"]]} for row in to_records(results.frames["design"])]
-    columns = ("role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
-    errors = results.frames["errors"]
-    doubtful = errors.loc[errors["layers"] != errors["layers_other"], "insertion"].nunique()
-    return _lay_out(Table("design", rows, columns), drop_empty=True, at_boundary=doubtful)
+    return _lay_out(Table("matrix", rows, columns), drop_empty=True)
 
 
 def lay_out_coverage(results: Run) -> TableLayout:
@@ -222,11 +210,9 @@ def lay_out_coverage(results: Run) -> TableLayout:
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
     }
-    widths = other.groupby("medium", sort=False)["tip_95_width_after_one_mm"].median().dropna()
-    gains = [{"medium": str(medium), "width_mm": float(width)} for medium, width in widths.items()]
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
-    return _lay_out(table, sources=sources, spread=spread if len(other) else None, gains=gains)
+    return _lay_out(table, sources=sources, spread=spread if len(other) else None)
 
 
 def lay_out_baselines(results: Run, role: str) -> TableLayout:
@@ -410,20 +396,6 @@ def lay_out_population(results: Run) -> TableLayout:
     ]
     columns = ("fold", "parameter", "between_sd", "between_factor", "other_specimens")
     return _lay_out(Table("population", cells, columns), drop_empty=True, rows=rows)
-
-
-def lay_out_posterior(results: Run) -> TableLayout:
-    """Return the percentiles of a sampled posterior in printed units."""
-    several, rows = len(results.posteriors) > 1, []
-    percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
-    for row in to_records(tabulate_percentiles(results)):
-        label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        cells = {name: row[name] / unit for name in percentiles}
-        state, fold = "" if row["converged"] else "NOT CONVERGED", row["fold"] if several else ""
-        rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "r_hat", "ess", "state")
-    unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    return _lay_out(Table("posterior", rows, columns), drop_empty=True, unconverged=unconverged)
 
 
 def tabulate_percentiles(results: Run) -> pd.DataFrame:

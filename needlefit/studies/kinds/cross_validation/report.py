@@ -71,6 +71,7 @@ def collect_values(results: Run) -> dict[str, Any]:
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
+        "chains": fit_tables.tabulate_percentiles(results),
         # of the first fold
         "drawn": {
             "count": len(draws),
@@ -177,8 +178,6 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
         fit_tables.lay_out_parameters(results),
         *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
         *([lay_out_identification(frames["identification"])] if len(frames["identification"]) else []),
-        *([fit_tables.lay_out_posterior(results)] if results.posteriors else []),
-        fit_tables.lay_out_design(results),
         fit_tables.lay_out_tuning(results),
     ]
     return [table for table in found if table.rows]
@@ -205,39 +204,25 @@ def list_figures(results: Run) -> dict[str, Drawing]:
 
 
 def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
-    """Return the tables that are written as CSV, by name, and the numbers and methods for a paper."""
-    names = ("design", "errors", "shapes", "starts", "directions")
-    found: dict[str, pd.DataFrame | str] = {name: result.frames[name] for name in names}
-    found |= {
-        name: result.frames[name]
-        for name in ("predictive", "error_fit", "population")
-        if len(result.frames[name])
-    }
-    written = {
+    """Return the tables that are written as CSV, by name."""
+    written: dict[str, pd.DataFrame] = {
         "validation": scores.tabulate_validation(result),
         "tuning": scores.tabulate_tuning(result),
         "parameters": fit_tables.tabulate_parameters(result),
+        "identify": result.frames["identification"],
+        "posterior": fit_tables.tabulate_percentiles(result),
     }
-    found |= {name: frame for name, frame in written.items() if len(frame)}
-    if len(result.frames["identification"]):
-        found["identify"] = result.frames["identification"]
-    if result.posteriors:
-        found["posterior"] = fit_tables.tabulate_percentiles(result)
-    return found
+    written |= {name: result.frames[name] for name in ("predictive", "error_fit", "population")}
+    found: dict[str, pd.DataFrame | str] = {
+        name: result.frames[name] for name in ("errors", "shapes", "starts", "directions")
+    }
+    return found | {name: frame for name, frame in written.items() if len(frame)}
 
 
 def fit_to_json(result: Run) -> dict[str, Any]:
-    """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
-    frames = {"validation": scores.tabulate_validation(result)}
-    if result.kind == "fit":
-        names = ("errors", "starts", "error_fit", "directions", "identification", "profiles")
-        frames = {
-            "parameters": fit_tables.tabulate_parameters(result),
-            **{name: result.frames[name] for name in names},
-        }
-        if result.posteriors:
-            frames["posterior"] = fit_tables.tabulate_percentiles(result)
-    return {name: to_records(to_tidy(frame)) for name, frame in frames.items()}
+    """Return the tables that are written as CSV, but for the points of shapes."""
+    frames = {name: frame for name, frame in list_files(result).items() if name != "shapes"}
+    return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 
 REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, find_answer, list_files, fit_to_json)

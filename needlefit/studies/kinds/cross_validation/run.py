@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers
 from needlefit.grouping import group_values
 from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
@@ -108,8 +107,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         origin=job.dataset.origin,
         dataset_title=job.dataset.title or job.dataset.name,
         frames={
-            **{frame: going.frame(frame) for frame in FRAMES if frame not in ("design", "needles")},
-            "design": tabulate_design(job),
+            **{frame: going.frame(frame) for frame in FRAMES if frame != "needles"},
             "needles": tabulate_needles(going.needles.values()),
         },
         posteriors=going.posteriors,
@@ -610,24 +608,3 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
             row |= {"status": "free" if free else "published", **_UNKNOWN}
             rows.append(row | {"determined": name_determined(found.get(name, False), False) if free else ""})
     return rows
-
-
-def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return one row per role, medium and layers; folds share their insertions."""
-    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-    for fold in job.folds:
-        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-            for one in insertions:
-                group = (role, one.medium, count_layers(one, job.record.layer_count_rule))
-                groups.setdefault(group, {})[one.id] = one
-    rows = []
-    for group, members in groups.items():
-        row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
-        row["insertions"] = len(members)
-        for name in ("depth", "deflection"):
-            values = [getattr(one, name) for one in members.values()]
-            row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
-        rows.append(row)
-    return pd.DataFrame(rows, columns=list(FRAMES["design"])).sort_values(
-        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
-    )
