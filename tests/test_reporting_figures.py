@@ -1,6 +1,5 @@
 """What figures count and measure, apart from how they look."""
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,13 +12,11 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.studies import fit_tables
 from needlefit.studies.fit_figures import draw_groups, draw_predictive_check
 from needlefit.studies.kinds.cross_validation import report
 
 WHAT = {
     "groups": ("x", slice(None)),
-    "corner": ("xy", slice(None)),
     "predicted": ("xy", slice(None)),
     "insertions": ("x", slice(None)),
     "overlays": ("xy", slice(None)),
@@ -78,18 +75,6 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
                 values = points[np.isfinite(points).all(axis=1), "xy".index(axis)]
                 values = values[~np.isin(values, (0, 1, 1e-3))]  # zero lines, tolerance, least excess drawn
                 assert stands_in(table, values).all(), (name, axis)
-
-
-def test_the_caption_of_draws_says_what_they_are():
-    made = with_draws(study(5), 4000)
-    text = fit_tables.TEXT.sentence("figure_corner", report.collect_values(made))
-    assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
-    for source in ("importance", "posterior"):
-        draws = made.frames["draws"].assign(certified=False, draw_source=source)
-        values = report.collect_values(made.with_frames(draws=draws))
-        text = fit_tables.TEXT.sentence("figure_corner", values)
-        assert ("sample.densities" in text) == (source == "posterior")
-        assert re.search("NOT C(ERTIFI|ONVERG)ED", text)
 
 
 def test_levels_are_counted_toward_the_bevel_and_by_needles():

@@ -44,7 +44,7 @@ def folder(tmp_path_factory) -> Path:
 
 def test_a_result_folder_holds_every_file(folder):
     assert {path.name for path in folder.iterdir()} == EXPECTED
-    assert {path.name for path in write_run(study(1), folder, True).iterdir()} == EXPECTED
+    assert {path.name for path in write_run(study(1), folder).iterdir()} == EXPECTED
     assert [p.name for p in folder.parent.iterdir()] == ["study1"]
     for name in EXPECTED:
         assert (folder / name).stat().st_size > 0

@@ -4,7 +4,7 @@ import difflib
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,10 +25,6 @@ def report(
         Path | None,
         option("Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"),
     ] = None,
-    figures: Annotated[
-        Literal["main", "all"],
-        option("main: those that the report needs; all: the optional ones too."),
-    ] = "main",
     unverified: options.Unverified = False,
     explain: options.Explain = False,
     strict: options.Strict = False,
@@ -46,7 +42,7 @@ def report(
 
     folder = find_run(run)
     written = folder if out is None else out
-    runs = rebuild(folder, written, unverified, figures == "all")
+    runs = rebuild(folder, written, unverified)
     several = len(runs) > 1
     for one in runs:
         show_run(context.find_root().obj, one, written, named=several)

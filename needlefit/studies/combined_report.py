@@ -95,7 +95,7 @@ def compose_overview(
     )
 
 
-def rebuild(run: Path, folder: Path, unverified: bool = False, all_figures: bool = False) -> list[Run]:
+def rebuild(run: Path, folder: Path, unverified: bool = False) -> list[Run]:
     """Write tables, figures and report of a stored run to `folder` again, without any computation.
 
     Returns the run, or those reported together. Raises DataError if the run stored no results, they do not
@@ -107,5 +107,5 @@ def rebuild(run: Path, folder: Path, unverified: bool = False, all_figures: bool
         if is_combined(run):
             write_combined(runs, folder)
         else:
-            write_run(runs[0], folder, all_figures)
+            write_run(runs[0], folder)
         return runs

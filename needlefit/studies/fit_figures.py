@@ -13,7 +13,7 @@ from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.fit_frames import select_draws, select_fitted, select_free
+from needlefit.studies.fit_frames import select_fitted
 from needlefit.studies.judge import choose_method, find_closest_curve
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
@@ -68,37 +68,26 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts) if parts else bands
 
 
-def _title_panels(results: Run, role: str) -> dict[forms.InsertionKey, str]:
+def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
     """Return by fold and insertion what stands above its panel: its tip error."""
     titles = {}
-    for row in to_records(select_fitted(results.frames["errors"], role, choose_method(results))):
+    for row in to_records(errors):
         error = f"{format_mm(row['te_mm'], 3 if row['comparison'] == 'aligned' else 2)} mm"
         titles[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
     return titles
 
 
-def _rank_by_tip_error(results: Run, role: str) -> list[forms.InsertionKey]:
-    """Return the insertions of a role by the tip error of the fit, smallest first."""
-    rows = select_fitted(results.frames["errors"], role, choose_method(results)).query("converged")
-    rows = rows.sort_values("te_mm", kind="stable")
-    return list(rows[forms.INSERTION_KEYS].itertuples(index=False, name=None))
-
-
-def _select(points: pd.DataFrame, chosen: Iterable[forms.InsertionKey]) -> pd.DataFrame:
-    inside = pd.MultiIndex.from_frame(points[forms.INSERTION_KEYS]).isin(list(chosen))
-    selected: pd.DataFrame = points[inside]
-    return selected
-
-
 def draw_first_page(results: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
-    ranked = _rank_by_tip_error(results, role)
-    chosen = list(dict.fromkeys([ranked[0], ranked[(len(ranked) - 1) // 2], ranked[-1]]))
-    titles, method = _title_panels(results, role), choose_method(results)
-    curves = _select(collect_curves(results, role, (method,), _OVERLAY_POINT_STEP), chosen)
+    method = choose_method(results)
+    ranked = select_fitted(results.frames["errors"], role, method).query("converged")
+    ranked = ranked.sort_values("te_mm", kind="stable")
+    chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
+    curves = collect_curves(results, role, (method,), _OVERLAY_POINT_STEP)
+    curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(results, role))], ignore_index=True)
-    heads = {which: titles[which] for which in chosen}
-    return Drawing(forms.first_page, frame.assign(origin=results.origin), {"heads": heads, "method": method})
+    options = {"heads": _title_panels(chosen), "method": method}
+    return Drawing(forms.first_page, frame.assign(origin=results.origin), options)
 
 
 def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
@@ -127,8 +116,9 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
 
 def draw_overlays(results: Run, role: str) -> Drawing:
     """Return all insertions."""
-    titles = _title_panels(results, role)
-    names = {method: labels.method_name(method) for method in (choose_method(results), "hand_tuned")}
+    ours = choose_method(results)
+    titles = _title_panels(select_fitted(results.frames["errors"], role, ours))
+    names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(results, role, names, every)
     return Drawing(forms.insertions, curves, {"heads": titles, "names": names})
@@ -200,25 +190,3 @@ def _orient_pits(results: Run) -> dict[str, Floats]:
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
     # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
-
-
-# ---- draws
-
-
-def draw_corner(results: Run) -> Drawing:
-    """Return draws, fit, the paper's set and bounds, Pa and mm: one row for each."""
-    fold = results.frames["draws"]["fold"].iloc[0]
-    names = list(dict.fromkeys(select_free(results.frames["parameters"])["parameter"]))
-    draws = select_draws(results.frames["draws"])[names].assign(mark="draw")
-    known = results.frames["parameters"][results.frames["parameters"]["fold"] == fold]
-    values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
-    sets = [method for method in forms.DRAWN_SETS if method in values.index]
-    bounds = known[known["method"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
-    marks = [
-        values.loc[sets].reindex(columns=names).assign(mark=sets),
-        bounds.reindex(columns=names).assign(mark=["lower bound", "upper bound"]),
-    ]
-    frame = pd.concat([draws, *(part for part in marks if len(part))], ignore_index=True)
-    shown = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
-    frame = frame[["mark", *names]].assign(origin=results.origin)
-    return Drawing(forms.corner, frame, {"names_of_sets": shown}, optional=True)

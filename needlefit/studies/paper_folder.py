@@ -29,7 +29,7 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
             shutil.copyfile(path, folder / path.name)
     for word, width in WIDTHS_IN.items():
         with fix_width(width), draw_together():
-            drawn, _ = find_kind(result.kind).report.draw(result, folder)
+            drawn = find_kind(result.kind).report.draw(result, folder)
         figures = {}
         for name, path in drawn.items():
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it

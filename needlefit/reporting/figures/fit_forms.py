@@ -16,11 +16,10 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures import Drawing
+from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
-    TEXT_WIDTH_IN,
     choose_vertical_scale,
     choose_width,
     count_legend_columns,
@@ -37,9 +36,7 @@ from needlefit.reporting.labels import (
 )
 from needlefit.reporting.number_format import (
     choose_interval_unit,
-    choose_printed_unit,
     format_number,
-    format_plain,
     typeset,
     typeset_interval,
 )
@@ -274,137 +271,6 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     return figure
 
 
-# ---- draws: every parameter, every pair
-
-_MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
-_MAX_PANEL_IN, _MIN_PANEL_IN = 0.64, 0.8  # inches; in narrower panels numbers are turned
-_MAX_TICK_LETTERS = 2  # signs of a number of which more than two stand along a panel
-_MAX_LABEL_LETTERS = 12
-_MAX_COLUMN_PARAMETERS = 3
-_BOUNDS: dict[str, Any] = {"color": GREY, "lw": 0.8, "ls": (0, (1, 1.5))}
-DRAWN_SETS: Mapping[str, tuple[str, float, str]] = {
-    "fitted": ("D", 4.2, INK),
-    "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"]),
-}
-
-
-def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
-    """Draw draws with the fit, the paper's parameters and the bounds: marginals and pairs.
-
-    `frame` has a column per parameter (Pa, mm) and `mark`: "draw", "fitted", "hand_tuned", "lower bound" or
-    "upper bound".
-    """
-    names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
-    count = len(names)
-    width = choose_width(COLUMN_WIDTH_IN if count <= _MAX_COLUMN_PARAMETERS else TEXT_WIDTH_IN)
-    figure = Figure(figsize=(width, min(max(_MAX_PANEL_IN * count, 2.2) + 0.4, 1.1 * width)))
-    grid = figure.add_gridspec(count, count)
-    marginals: list[Axes] = []
-    for row, below in enumerate(names):
-        for column, left in enumerate(names[: row + 1]):
-            if column == row:
-                axes = figure.add_subplot(grid[row, column])
-                marginals.append(axes)
-                _draw_marginal(axes, frame, left)
-            else:
-                axes = figure.add_subplot(grid[row, column], sharex=marginals[column])
-                _draw_pair(axes, frame, left, below)
-            _format_pair(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
-            if width / count < _MIN_PANEL_IN:
-                axes.tick_params(axis="x", labelrotation=90)
-                axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
-                axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
-                axes.set_title("", loc="left")
-    handles = [_line("draws", marker="o", ms=3, mew=0, lw=0, color=_OURS, alpha=0.6)]
-    for mark, (marker, size, colour) in DRAWN_SETS.items():
-        if (frame["mark"] == mark).any():
-            handles.append(_line(names_of_sets[mark], marker=marker, ms=size, mfc=colour, mec="white", lw=0))
-    handles.append(_line("bounds, flat prior", **_BOUNDS))
-    if figure.get_figwidth() > COLUMN_WIDTH_IN:
-        figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
-    else:
-        figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)
-    return figure
-
-
-def to_log_coordinates(values: pd.DataFrame) -> Floats:
-    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
-    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
-    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
-
-
-def _draw_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
-    """Draw how the draws of one parameter fall, beside the flat prior between its bounds."""
-    logarithmic = is_logarithmic(name)
-    axes.set_xscale("log" if logarithmic else "linear")
-    at = to_log_coordinates(frame[frame["mark"] == "draw"][[name]])[:, 0]
-    heights, edges = np.histogram(at, bins=min(24, max(8, len(at) // 16)), density=True)
-    back = np.exp(edges) if logarithmic else edges
-    axes.stairs(heights, back, fill=True, color=lighten(_OURS, 0.65), lw=0)
-    bounds = to_log_coordinates(frame[frame["mark"].str.endswith("bound")][[name]])[:, 0]
-    # A parameter without bounds has no flat prior to draw.
-    if np.isfinite(bounds).all():
-        axes.axhline(1 / float(np.ptp(bounds)), **_BOUNDS)
-    for mark, (_, _, colour) in DRAWN_SETS.items():
-        for value in frame.loc[frame["mark"] == mark, name]:
-            axes.axvline(value, color=colour, lw=0.9)
-    axes.set_ylim(bottom=0)
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
-
-
-def _draw_pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
-    axes.set_xscale("log" if is_logarithmic(left) else "linear")
-    axes.set_yscale("log" if is_logarithmic(below) else "linear")
-    draws = frame[frame["mark"] == "draw"]
-    # one path of lines without length and with round ends: a tenth of the bytes of marks
-    twice = (np.repeat(draws[name].to_numpy(dtype=np.float64), 3) for name in (left, below))
-    across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
-    (line,) = axes.plot(across, up, color=_OURS, alpha=0.45, lw=1.7, solid_capstyle="round")
-    line.get_path().should_simplify = False  # or what has no length would be left out
-    for mark, (marker, size, colour) in DRAWN_SETS.items():
-        some = frame[frame["mark"] == mark]
-        axes.plot(some[left], some[below], marker, ms=size, mfc=colour, mec="white", mew=0.5, zorder=4)
-    bounds = frame[frame["mark"].str.endswith("bound")]
-    for x, y in zip(bounds[left], bounds[below], strict=True):
-        axes.axvline(x, **_BOUNDS)
-        axes.axhline(y, **_BOUNDS)
-
-
-def _find_axis_limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
-    """Return the range of draws, fit and the paper's set, with room; bounds may lie outside."""
-    seen = frame[frame["mark"].isin(["draw", *DRAWN_SETS])][[name]].dropna()
-    at = to_log_coordinates(seen)[:, 0]
-    room = _MARGIN_FRACTION * max(float(np.ptp(at)), 1e-3)
-    ends = float(at.min()) - room, float(at.max()) + room
-    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if is_logarithmic(name) else ends
-
-
-def _format_pair(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
-    """Give axes limits, round places, and names where they are the last of their column or row."""
-    alone = names[0] == names[1]
-    for axis, name, last in zip((axes.xaxis, axes.yaxis), names, outer, strict=True):
-        if axis is axes.yaxis and alone:
-            continue
-        low, high = _find_axis_limits(frame, name)
-        label, unit = choose_printed_unit(name, [low])
-        (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low, high)
-        if is_logarithmic(name):
-            axis.set_minor_locator(NullLocator())
-            ticks = choose_log_ticks(low, high)
-            if any(len(format_plain(tick / unit)) > _MAX_TICK_LETTERS for tick in ticks):
-                ticks = [ticks[0], ticks[-1]]
-            axis.set_ticks(ticks, [format_plain(tick / unit) for tick in ticks])
-        else:
-            axis.set_major_locator(MaxNLocator(3))
-        axis.set_tick_params(labelbottom=last, labelleft=last)
-        if last:  # a long name would reach into the next panel
-            axis.set_label_text(label.replace(" ", "\n", 1) if len(label) > _MAX_LABEL_LETTERS else label)
-    if alone:
-        label, _ = choose_printed_unit(names[0], [_find_axis_limits(frame, names[0])[0]])
-        axes.set_title(label, loc="left", pad=2)
-
-
 # ---- profile likelihoods
 
 MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
@@ -417,6 +283,12 @@ _VERDICT_COLUMNS = [
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
 ]
 """Columns of the identification that the figure shows."""
+
+
+def to_log_coordinates(values: pd.DataFrame) -> Floats:
+    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
+    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
 def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str) -> Drawing:

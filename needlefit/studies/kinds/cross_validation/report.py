@@ -26,7 +26,7 @@ from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.answer import Answer, Check, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import find_scored_role, select_draws, select_free
+from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import STATUS, judge, list_checks
@@ -46,7 +46,6 @@ def collect_values(results: Run) -> dict[str, Any]:
     counts = sorted(len(fold["tune"]) for fold in folds)
     group = scores.pool_insertions(results, role)
     floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
-    draws = select_draws(frames["draws"])
     return {
         "results": results,
         "frames": frames,
@@ -72,16 +71,6 @@ def collect_values(results: Run) -> dict[str, Any]:
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
         "chains": fit_tables.tabulate_percentiles(results),
-        # of the first fold
-        "drawn": {
-            "count": len(draws),
-            **{name: draws[name].iloc[0] for name in ("fold", "draw_source", "pareto_k", "certified")},
-            "folds": int(frames["draws"]["fold"].nunique()),
-            # beside the mean and a new specimen each has draws of its own
-            "separate": frames["draws"]["specimen"].nunique() > 2,
-        }
-        if len(draws)
-        else {},
         "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
     }
 
@@ -193,8 +182,6 @@ def list_figures(results: Run) -> dict[str, Drawing]:
         found["overlays"] = fit_figures.draw_overlays(results, role)
     if len(frames["predictive"]):
         found["predicted"] = fit_figures.draw_predictive_check(results)
-    if len(frames["draws"]) and len(select_free(frames["parameters"])):
-        found["corner"] = fit_figures.draw_corner(results)
     if len(frames["profiles"]):
         found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
     return found
@@ -212,7 +199,7 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
         "identify": result.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(result),
     }
-    written |= {name: result.frames[name] for name in ("predictive", "error_fit", "population")}
+    written |= {name: result.frames[name] for name in ("predictive", "error_fit", "population", "draws")}
     found: dict[str, pd.DataFrame | str] = {
         name: result.frames[name] for name in ("errors", "shapes", "starts", "directions")
     }
@@ -220,8 +207,8 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
 
 
 def fit_to_json(result: Run) -> dict[str, Any]:
-    """Return the tables that are written as CSV, but for the points of shapes."""
-    frames = {name: frame for name, frame in list_files(result).items() if name != "shapes"}
+    """Return the tables that are written as CSV, but for points and draws."""
+    frames = {name: frame for name, frame in list_files(result).items() if name not in ("shapes", "draws")}
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 
