@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
@@ -20,7 +20,6 @@ from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
-    format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
@@ -40,7 +39,6 @@ from needlefit.studies.fit_frames import (
     select_fitted,
     select_free,
 )
-from needlefit.studies.identification_tables import describe_evidence
 from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
 
@@ -77,33 +75,15 @@ _HELD_OUT_KINDS = (
 def lay_out_validation(*results: Run) -> TableLayout:
     """Return the errors by held-out group: ours, with planned depths, noise floor, paper."""
     groups = scores.list_held_out_groups(*results)
-    return _lay_out_groups("validation", groups, _HELD_OUT_KINDS, several=len(results) > 1)
+    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    return _lay_out_groups("validation", [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups], heads)
 
 
 def lay_out_tuning(*results: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
     groups = scores.list_groups(scores.tabulate_tuning(*results))
-    return _lay_out_groups("tuning", groups, (_FITTED,), several=len(results) > 1)
-
-
-def _lay_out_groups(
-    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind], several: bool
-) -> TableLayout:
-    """Return one block of rows per group, of which the first names the group; of several runs their study."""
-    rows: list[Row] = []
-    for number, group in enumerate(groups):
-        found = _list_rows(group, (*kinds, _FLOOR, _PAPER))
-        rows += [{**_head(group), **row, "number": number} for row in found]
-    metrics = [one for one in list_metrics() if not one.spread_of]
-    heads = ("study", "medium", "layers", "insertions")[not several :]
-    columns = (
-        *(*heads, "row"),
-        *(part("metric_value", metric=one.name) for one in metrics),
-        *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
-    )
-    lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    return _lay_out(table, rows={row["row"] for row in rows}, groups=list(map(_head, groups)))
+    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    return _lay_out_groups("tuning", [(one, (_FITTED, _FLOOR, _PAPER)) for one in groups], heads)
 
 
 def lay_out_summary(results: Run) -> TableLayout:
@@ -114,27 +94,18 @@ def lay_out_summary(results: Run) -> TableLayout:
     """
     groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
     method, several = choose_method(results), len(groups) > 1
-    ours = "our prediction" if method == MEDIAN_METHOD else "our fit"
-    rows: list[Row] = []
-    for number, group in enumerate(groups):
+    ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
+    paper = (
+        _RowKind("paper's parameters, these needles", "hand_tuned"),
+        _RowKind("paper's result, its own needles", column="paper"),
+    )
+    blocks = []
+    for group in groups:
         curve = find_closest_curve(group)
         name = "closest curve" if several or curve is None else f"closest curve: {method_name(curve)}"
-        kinds = (
-            _RowKind(ours, method),
-            *([_RowKind(name, curve)] if curve else []),
-            _RowKind("paper's parameters, these needles", "hand_tuned"),
-            _RowKind("paper's result, its own needles", column="paper"),
-        )
-        for row in _list_rows(group, kinds):
-            floor = group.get(scores.TE, "floor") if row["row"] == ours else None
-            rows.append({**_head(group), **row, "number": number, "noise_of_te": floor})
-    metrics = [one.name for one in list_metrics() if one.headline or one.relative]
-    metrics.sort(key=lambda name: name != scores.TE)
+        blocks.append((group, (ours, *([_RowKind(name, curve)] if curve else []), *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
-    columns = (*heads, "row", *(part("metric_value", metric=name) for name in metrics), "noise_of_te")
-    lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table("summary", lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    found = _lay_out(table, drop_empty=True)
+    found = _lay_out_groups("summary", blocks, heads, short=True)
     if several or not groups:
         return found
     head = groups[0].head
@@ -142,6 +113,35 @@ def lay_out_summary(results: Run) -> TableLayout:
     words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
     first, *others = found.columns
     return replace(found, columns=(replace(first, label=words), *others))
+
+
+def _lay_out_groups(
+    name: str,
+    blocks: Sequence[tuple[scores.ScoredGroup, Sequence[_RowKind]]],
+    heads: Sequence[str],
+    short: bool = False,
+) -> TableLayout:
+    """Return a block of rows for each group, of which the first has its name (`heads`) and its noise.
+
+    A `short` table has the errors of sentences, the tip error first; else all, and as multiples of the noise.
+    """
+    rows: list[Row] = []
+    for number, (group, kinds) in enumerate(blocks):
+        noise = group.get(scores.TE, "floor")
+        for row in _list_rows(group, kinds):
+            beside = noise if row["row"] == kinds[0].name else None
+            rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
+    metrics = [one for one in list_metrics() if (one.headline or one.relative or not short)]
+    metrics = [one for one in metrics if not one.spread_of]
+    floors = [one.name for one in headline_metrics() if one.has_floor]
+    last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
+    if short:
+        metrics.sort(key=lambda one: one.name != scores.TE)
+    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
+    lines = pivot(rows, ["number", "row"], ["metric"])
+    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    values = {"rows": {row["row"] for row in rows}, "groups": [_head(group) for group, _ in blocks]}
+    return _lay_out(table, drop_empty=short, **values)
 
 
 def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -254,30 +254,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
 
-_PARAMETER_COLUMNS = (
-    *("study", "medium", "fold", "parameter", "method", "value", "median"),
-    *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
-    *("low", "high", "bound_low", "bound_high", "note", "origin"),
-)
-
-
-def tabulate_parameters(*results: Run) -> pd.DataFrame:
-    """Return one row per study, fold, parameter and method.
-
-    `value` is what errors and curves of the method are simulated with, `median` that of the posterior's
-    draws. `interval_low`, `interval_high` are the 95 % interval of the posterior; of the error-minimising fit
-    the range within the tolerance of the errors. `determined` says whether the data determine the parameter:
-    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha.
-    """
-    rows = [
-        {"study": scores.study_label(one), "medium": one.record.medium, "origin": one.origin, **row}
-        for one in results
-        for row in to_records(one.frames["parameters"])
-    ]
-    return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
-
-
 AT_BOUND = "*"  #: marks the end of a range that is a bound
 END_DIGITS = 2  #: significant digits of the ends of an interval
 
@@ -350,7 +326,10 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "folds": int(frames["parameters"]["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
         "together": find_known_combination(results),
-        "freed": describe_freed(frames["identification"]),
+        "population": [
+            (str(row["parameter"]), math.exp(row["between_sd"]), int(row["other_specimens"]))
+            for row in to_records(frames["population"].drop_duplicates("parameter"))
+        ],
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
@@ -372,30 +351,6 @@ def find_known_combination(results: Run) -> str:
     rows = to_records(results.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
     return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
-
-
-def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
-    """Return what freeing the fixed parameters does, each sentence once, with the parameters it is about."""
-    fixed = identification[identification["status"] == "fixed"].sort_values("parameter", kind="stable")
-    pairs = ((describe_evidence(row), str(row["parameter"])) for row in to_records(fixed))
-    return [(names, words) for words, names in group_values(pairs).items()]
-
-
-def lay_out_population(results: Run) -> TableLayout:
-    """Return how much the parameters differ between the specimens that were fitted."""
-    rows = to_records(results.frames["population"])
-    folds = len({row["fold"] for row in rows}) > 1
-    cells = [
-        {
-            **row,
-            "fold": row["fold"] if folds else "",
-            "parameter": format_bare_symbol(str(row["parameter"])),
-            "between_factor": math.exp(row["between_sd"]),
-        }
-        for row in rows
-    ]
-    columns = ("fold", "parameter", "between_sd", "between_factor", "other_specimens")
-    return _lay_out(Table("population", cells, columns), drop_empty=True, rows=rows)
 
 
 def tabulate_percentiles(results: Run) -> pd.DataFrame:

@@ -165,7 +165,6 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
         fit_tables.lay_out_parameters(results),
-        *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
         *([lay_out_identification(frames["identification"])] if len(frames["identification"]) else []),
         fit_tables.lay_out_tuning(results),
     ]
@@ -195,7 +194,7 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
     written: dict[str, pd.DataFrame] = {
         "validation": scores.tabulate_validation(result),
         "tuning": scores.tabulate_tuning(result),
-        "parameters": fit_tables.tabulate_parameters(result),
+        "parameters": result.frames["parameters"].assign(origin=result.origin),
         "identify": result.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(result),
     }
