@@ -51,7 +51,10 @@ def collect_values(results: Run) -> dict[str, Any]:
         "frames": frames,
         "role": role,
         "dataset": str(run.get("dataset", {}).get("name", results.dataset_title)),
-        "media": {str(name): list(dict.fromkeys(found)) for name, found in errors.groupby("role")["medium"]},
+        "media": {
+            name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
+            for name in ("tune", "validate")
+        },
         "folds": len(folds),
         "held_out": len({one for fold in folds for one in fold["validate"]}),
         "depths": {
@@ -158,6 +161,8 @@ def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
 def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(results.frames["errors"]), results.frames
+    # the parameters that are freed for it, and those of which more is to say than their interval
+    explained = frames["identification"].query("status == 'fixed' or note != ''")
     found = [
         fit_tables.lay_out_summary(results),
         fit_tables.lay_out_validation(results),
@@ -165,7 +170,7 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
         fit_tables.lay_out_parameters(results),
-        *([lay_out_identification(frames["identification"])] if len(frames["identification"]) else []),
+        *([lay_out_identification(explained)] if len(explained) else []),
         fit_tables.lay_out_tuning(results),
     ]
     return [table for table in found if table.rows]
