@@ -89,7 +89,7 @@ def find_answer(results: Run) -> Answer:
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
-    determined = _list_determined(results)
+    determined, intervals = _list_determined(results)
     words = {
         **values,
         "judged": judged,
@@ -97,6 +97,7 @@ def find_answer(results: Run) -> Answer:
         "checks": {str(one.check): one for one in checks},
         "gain": None if pd.isna(gain) else float(gain),
         "determined": determined,
+        "intervals": intervals,
         "opening": "",
     }
     numbers: dict[str, float | str | None] = {
@@ -138,8 +139,8 @@ def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
 MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals
 
 
-def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
-    """Return the free parameters by whether the data determine them; a few that they do with intervals."""
+def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
+    """Return the free parameters by whether the data determine them, and whether those have intervals."""
     rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     words = {
@@ -148,11 +149,11 @@ def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
     }
     names = {name: format_bare_symbol(name) for name in words}
     known = rows[rows["parameter"].map(words) == "yes"].dropna(subset=["interval_low", "interval_high"])
-    if rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
+    if shown := rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
         for row in to_records(known):
             interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
             names[row["parameter"]] += f" {interval}"
-    return list(group_values((words[name], label) for name, label in names.items()).items())
+    return list(group_values((words[name], label) for name, label in names.items()).items()), shown
 
 
 # ---- tables and figures
