@@ -413,6 +413,14 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
 
 
 @pytest.mark.usefixtures("few_draws")
+def test_nothing_is_determined_where_most_draws_are_outside_the_model(project: Path, monkeypatch) -> None:
+    where = "needlefit.studies.kinds.cross_validation.run.find_outside_validity"
+    monkeypatch.setattr(where, lambda problem, thetas: np.ones(len(thetas), dtype=bool))
+    rows = run("outside", study(), Settings()).frames["parameters"].query("status == 'free'")
+    assert set(rows["determined"]) == {"no"}
+
+
+@pytest.mark.usefixtures("few_draws")
 def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> None:
     tied = MEDIUM.replace("mu2_pa = { fixed = 2e7 }", 'mu2_pa = { tie = "50 * mu1_pa" }')
     (project / "configs" / "media" / "gel.toml").write_text(tied)

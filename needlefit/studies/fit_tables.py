@@ -168,7 +168,7 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    about = {"layers": str(group.head["layers"] or "all"), "printed": group.printed}
+    about = {"layers": str(group.head["layers"] or "all")}
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 

@@ -130,11 +130,6 @@ class ScoredGroup:
         error, floor = self.get(metric, column, **where), self.get(metric, "floor")
         return None if error is None or not floor else error / floor
 
-    @property
-    def printed(self) -> bool:
-        """Whether the paper has a row of this group."""
-        return any(self.get(metric.name, "paper") is not None for metric in headline_metrics())
-
 
 def tabulate_validation(*results: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.

@@ -42,7 +42,6 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table_files import Row, to_records
 
-_DASHED = (0, (2, 1.5))
 _OURS = METHOD_COLOURS["fitted"]
 
 
