@@ -326,10 +326,7 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "folds": int(frames["parameters"]["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
         "together": find_known_combination(results),
-        "population": [
-            (str(row["parameter"]), math.exp(row["between_sd"]), int(row["other_specimens"]))
-            for row in to_records(frames["population"].drop_duplicates("parameter"))
-        ],
+        "population": list_spreads(results),
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
@@ -338,6 +335,12 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "tolerances": [float(tolerances.min()), float(tolerances.max())] if len(tolerances) else [],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
+
+
+def list_spreads(results: Run) -> list[tuple[str, float, int]]:
+    """Return the factor between specimens that is one SD, by parameter, and the number of specimens."""
+    rows = to_records(results.frames["population"].drop_duplicates("parameter"))
+    return [(row["parameter"], math.exp(row["between_sd"]), int(row["other_specimens"])) for row in rows]
 
 
 def find_known_combination(results: Run) -> str:

@@ -73,6 +73,7 @@ def collect_values(results: Run) -> dict[str, Any]:
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
+        "population": fit_tables.list_spreads(results),
         "chains": fit_tables.tabulate_percentiles(results),
         "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
     }
