@@ -154,11 +154,11 @@ def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator
 
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
-    digits = 3 if group.head["comparison"] == "aligned" and kind is not _PAPER else 2
+    digits = 3 if group.head["comparison"] == "aligned" and kind.column != "paper" else 2
     value = group.get(metric.name, **where)
     spread = next((one for one in list_metrics() if one.spread_of == metric.name), None)
-    flagged = metric.relative and group.head["edp_flagged"] and kind is not _PAPER and value is not None
-    known = kind not in (_FLOOR, _PAPER)
+    flagged = metric.relative and group.head["edp_flagged"] and kind.column != "paper" and value is not None
+    known = kind.column == "value"
     return {
         **{"row": kind.name, "metric": metric.name, "value": value, "mark": "†" if flagged else ""},
         "spread": spread and group.get(spread.name, **where),
