@@ -86,7 +86,6 @@ def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], compa
                 ok = one.get("converged", True) or method != "fitted"
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
                 about["hole"] = one["insertion"]
-                about["layers_other"] = one.get("layers_other", one["layers"])
                 about |= {"estimate": "point", "comparison": comparison}
                 errors.append(key | about | scores(points, ok))
                 if ok:
@@ -154,40 +153,14 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
     return rows
 
 
-def failed(begun: list[dict]) -> pd.DataFrame:
-    """The first 20 failures of every start that has any."""
-    about = ("minimized", "objective", "excess", "within_tolerance", "evaluations")
-    about += ("gradients", "failed_solves", "stopped", "joined")
-    rows = [
-        {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
-        | {"insertion": "phantom2-4-01t", "note": ("over-compressed", "not converged")[n % 4 == 3]}
-        | {name: value for name, value in row.items() if name not in about}
-        for row in begun
-        for n in range(min(20, row["failed_solves"]))
-    ]
-    return pd.DataFrame(rows)
-
-
 def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
-    table = (
-        pd.DataFrame(insertions)
-        .groupby(["role", "medium", "layers"], sort=False)
-        .agg(
-            insertions=("depth_mm", "count"),
-            **{f"depth_{end}_mm": ("depth_mm", end) for end in ("min", "max")},
-            **{f"deflection_{end}_mm": ("deflection_mm", end) for end in ("min", "max")},
-        )
-        .reset_index()
-    )
     words = ["mu1_pa and bevel_mm only as mu1_pa * bevel_mm^1.9", "bevel_mm with mu2_pa", "mu1_pa / mu2_pa"]
     sds = [0.008, 0.17, 0.91]
     empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in COLUMNS.items()}
     return empty | {
-        "design": table,
         "errors": pd.DataFrame(errors),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
-        "failures": failed(begun),
         "parameters": pd.DataFrame(params),
         "directions": pd.DataFrame({"fold": 1, "parameters": 2, "sd": sds, "sd_ratio": 0.1, "note": words}),
     }
@@ -296,7 +269,6 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}
         for size in (50, 95):
             row |= {f"tip_{size}_low_mm": tip - half, f"tip_{size}_high_mm": tip + half}
-            row[f"points_in_{size}"] = 1.0
         rows.append(row)
         along = results.frames["shapes"].query(
             "insertion == @one.insertion and method == 'fitted' and j % 5 == 0"

@@ -104,7 +104,7 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     # a bound says nothing of an alpha that may have any value within its bounds
     assert not [one for one in found.run["warnings"] if "alpha1" in one["what"]]
     found.save(tmp_path / "run")
-    assert pd.read_csv(tmp_path / "run/corner.csv")["alpha1"].nunique() > 10
+    assert pd.read_csv(tmp_path / "run/draws.csv")["alpha1"].nunique() > 10
     predicted = needlefit.predict(found, "ahead")
     assert predicted.kind == "prediction" and len(predicted.frames["forecast"]) > 10
     with pytest.raises(ConfigError, match="alpha1"):

@@ -23,17 +23,15 @@ from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_warnings import RULES, apply_rule
+from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.run import Run
 
 
 def warn(key: str, results: Run):
-    """Return the warnings about a run whose texts' keys begin with these letters."""
-    return [
-        one for rule in RULES if (rule.text or rule.kind).startswith(key) for one in apply_rule(rule, results)
-    ]
+    """Return the warnings about a run whose kinds begin with these letters."""
+    return [one for one in list_warnings(results) if one.kind.startswith(key)]
 
 
 BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
@@ -48,7 +46,9 @@ def fitted(values: dict[str, float], folds_: int = 1) -> Run:
         for name, (low, high) in BOUNDS.items():
             value = values.get(name) if fold == folds_ - 1 else None
             place = {"parameter": name, "bound_low": low, "bound_high": high, "fold": f"fold {fold}"}
-            rows.append({**first, **place, "status": "free", "value": value or np.sqrt(low * high)})
+            value = value or np.sqrt(low * high)
+            place |= {"value": value, "interval_low": value, "interval_high": value}
+            rows.append({**first, **place, "status": "free"})
     return results.with_frames(parameters=pd.DataFrame(rows, columns=results.frames["parameters"].columns))
 
 
@@ -76,7 +76,10 @@ def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Ru
         for method, each in errors.items()
         for n, error in enumerate(each)
     ]
-    return results.with_frames(errors=pd.DataFrame(rows, columns=results.frames["errors"].columns))
+    frames = {"errors": rows, "shapes": []}
+    return results.with_frames(
+        **{name: pd.DataFrame(some, columns=results.frames[name].columns) for name, some in frames.items()}
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,6 +98,18 @@ def test_in_sample_errors_far_from_the_noise_floor_are_named(errors, floor, kind
     assert all(f"n = {len(errors)}" in one.what for one in found)
     held_out = results.frames["errors"].assign(role="validate")
     assert list(warn("noise", results.with_frames(errors=held_out))) == []
+
+
+@pytest.mark.parametrize(("signs", "count"), [((1, 1), 1), ((1, -1), 0)])
+def test_a_residual_that_all_insertions_share_is_named(signs, count):
+    results = study(1)
+    shapes = results.frames["shapes"]
+    turn = shapes["insertion"].map(
+        {name: signs[n % 2] for n, name in enumerate(dict.fromkeys(shapes["insertion"]))}
+    )
+    bend = 0.02 * (shapes["simulated_x_mm"] - 60) ** 2 / 60
+    shapes = shapes.assign(measured_y_mm=shapes["simulated_y_mm"] + turn * bend)
+    assert len(warn("shared_residual", results.with_frames(shapes=shapes))) == count
 
 
 def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out(tmp_path):

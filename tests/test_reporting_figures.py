@@ -1,6 +1,5 @@
 """What figures count and measure, apart from how they look."""
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,17 +12,14 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.studies import fit_tables
-from needlefit.studies.fit_figures import draw_errors, tabulate_predictive_check
+from needlefit.studies.fit_figures import draw_groups, draw_predictive_check
 from needlefit.studies.kinds.cross_validation import report
 
 WHAT = {
-    "boxplot": ("y", slice(None)),
-    "corner": ("xy", slice(None)),
-    "predicted": ("xy", slice(0, None, 2)),
+    "groups": ("x", slice(None)),
+    "predicted": ("xy", slice(None)),
     "insertions": ("x", slice(None)),
     "overlays": ("xy", slice(None)),
-    "waterfall": ("xy", slice(0, 1)),
 }
 """Which axes of which panels hold data; the others hold places: of groups, baselines, intervals,
 parameters."""
@@ -67,10 +63,9 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     report.REPORT.draw(results, tmp_path)
-    for name, one in draw_errors([results, results]).items():
-        one.save(tmp_path / f"{name}.pdf")
+    draw_groups([results, results]).save(tmp_path / "groups.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
-    assert pictures == set(painted) and {"boxplot", "overlays", "waterfall"} <= pictures
+    assert pictures == set(painted) and {"groups", "overlays"} <= pictures
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}
@@ -82,30 +77,15 @@ def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
                 assert stands_in(table, values).all(), (name, axis)
 
 
-def test_the_caption_of_draws_says_what_they_are():
-    made = with_draws(study(5), 4000)
-    text = fit_tables.TEXT.sentence("figure_corner", report.collect_values(made))
-    assert "4000 importance draws" in text and "Pareto k 0.31" in text and "NOT CERTIFIED" not in text
-    for source in ("importance", "posterior"):
-        draws = made.frames["draws"].assign(certified=False, draw_source=source)
-        values = report.collect_values(made.with_frames(draws=draws))
-        text = fit_tables.TEXT.sentence("figure_corner", values)
-        assert ("sample.densities" in text) == (source == "posterior")
-        assert re.search("NOT C(ERTIFI|ONVERG)ED", text)
-
-
 def test_levels_are_counted_toward_the_bevel_and_by_needles():
-    """Seven needles; of the levels 0.1, 0.4, 0.7, 0.97 in turn, four lie in the middle half, all in 95 %."""
+    """Seven needles; their levels are 0.1, 0.4, 0.7, 0.97 in turn."""
     made = with_predictions(study(1))
-    rows = tabulate_predictive_check([made])
+    rows = draw_predictive_check(made).frame
     assert set(rows["insertions"]) == {7}
-    cover = rows[(rows["mark"] == "coverage") & (rows["quantity"] == "shape")].set_index("probability")[
-        "share"
-    ]
-    assert cover.to_dict() == pytest.approx({0.5: 4 / 7, 0.95: 1.0})
     steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == "tip")]
     assert steps["probability"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
     mirrored = {"deflection_mm": -made.frames["errors"]["deflection_mm"]}
-    turned = tabulate_predictive_check([made.with_frames(errors=made.frames["errors"].assign(**mirrored))])
+    errors = made.frames["errors"].assign(**mirrored)
+    turned = draw_predictive_check(made.with_frames(errors=errors)).frame
     other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])

@@ -11,7 +11,7 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
-from needlefit.studies.fit_figures import draw_starts
+from needlefit.studies.fit_figures import draw_overlays
 from needlefit.studies.report import compose_run_report
 
 
@@ -45,7 +45,8 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     one = study(5)
-    drawn = {"waterfall": draw_starts(one).save(tmp_path_factory.mktemp("page") / "waterfall.pdf")}
+    path = tmp_path_factory.mktemp("page") / "overlays.pdf"
+    drawn = {"overlays": draw_overlays(one, "validate").save(path)}
     return compile_html(compose_run_report(one, drawn)), one
 
 

@@ -11,12 +11,12 @@ import pandas as pd
 import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
 from light_runs import predict_by_few_draws
-from reporting_results import skip_figures
 from scipy.optimize import brentq
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
+from needlefit.datasets.select import count_layers
 from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.baselines import list_baselines
@@ -25,18 +25,14 @@ from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
-from needlefit.reporting.table_files import to_records
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.job import make_folds, prepare
-from needlefit.studies.kinds.cross_validation.report import collect_values
-from needlefit.studies.kinds.cross_validation.run import Settings, run, tabulate_design
-from needlefit.studies.report import write_run
+from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 from needlefit.studies.validity import describe_outside, list_outside
@@ -136,36 +132,6 @@ def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Run
     assert (mean[curves] > 10 * mean["fitted"]).all()
 
 
-@pytest.mark.sweep
-def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
-    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
-    results = run("violent", study(), Settings())
-    with monkeypatch.context() as without_figures:
-        skip_figures(without_figures)
-        write_run(results, project / "violent")
-    rows = pd.read_csv(project / "violent" / "failures.csv")
-    assert set(rows["fit"]) == {"fitted"} and set(rows["origin"]) == {"synthetic"}
-    dataset = read(project / "data" / "needles" / "dataset.toml")
-    medium = load(project / "configs" / "media" / "gel.toml", MediumRecord)
-    by_id = {insertion.id: insertion for insertion in dataset.insertions}
-    for row in rows.to_dict("records"):
-        assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["note"]
-    counted = results.frames["starts"]["failed_solves"].sum()
-    assert len(rows) == counted
-    starts = results.frames["starts"]
-    assert TEXT.sentence("failures", collect_values(results)).startswith(
-        f"{counted} of {starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
-    )
-    kept, done = project / "violent.partial", []
-    stopped = Settings(
-        checkpoint=kept, progress=lambda *event: done.append(event), stop=lambda: len(done) >= 2
-    )
-    assert run("violent", study(), stopped).interrupted
-    again = run("violent", study(), Settings(checkpoint=kept, resume=True))
-    pd.testing.assert_frame_equal(again.frames["failures"], results.frames["failures"], check_exact=True)
-
-
 def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:
     record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
     with pytest.raises(ConfigError, match=r"needle-1 .*tune and validate"):
@@ -210,15 +176,11 @@ def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Pa
     ],
 )
 def test_insertions_are_counted_as_the_study_counts_layers(study, counts):
-    rows = to_records(
-        tabulate_design(prepare(study, load(find_file("study", study), StudyRecord), Settings()))
-    )
-    role = counts[0][0]
-    found = [r for r in rows if r["role"] == role and r["layers"] in {c[1] for c in counts}]
-    keys = ("role", "layers", "insertions")
-    assert [tuple(row[key] for key in keys) for row in found] == counts
-    assert all(row["depth_min_mm"] <= row["depth_max_mm"] for row in rows)
-    assert all(0 < row["deflection_min_mm"] <= row["deflection_max_mm"] for row in rows)
+    job = prepare(study, load(find_file("study", study), StudyRecord), Settings())
+    for role, layers, insertions in counts:
+        members = job.folds[0].tune if role == "tune" else job.folds[0].validate
+        found = [count_layers(one, job.record.layer_count_rule) for one in members]
+        assert found.count(layers) == insertions
 
 
 STEEP = {**TRUTH, "bevel_mm": 0.9}
@@ -448,9 +410,14 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
     assert pairs == [(f"without {id_}", id_) for id_ in ids]
     tuned = results.frames["errors"].query("role == 'tune' and method == 'straight'")
     assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
-    design = results.frames["design"].set_index("role")
-    assert design.loc["tune", "insertions"] == design.loc["validate", "insertions"] == 4
-    assert design.loc["tune", ["depth_min_mm", "depth_max_mm"]].tolist() == [24.0, 41.0]
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_nothing_is_determined_where_most_draws_are_outside_the_model(project: Path, monkeypatch) -> None:
+    where = "needlefit.studies.kinds.cross_validation.run.find_outside_validity"
+    monkeypatch.setattr(where, lambda problem, thetas: np.ones(len(thetas), dtype=bool))
+    rows = run("outside", study(), Settings()).frames["parameters"].query("status == 'free'")
+    assert set(rows["determined"]) == {"no"}
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -5,7 +5,7 @@ import re
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,10 +26,6 @@ def report(
         Path | None,
         option("Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"),
     ] = None,
-    figures: Annotated[
-        Literal["main", "all"],
-        option("main: those that the report needs; all: the optional ones too."),
-    ] = "main",
     explain: options.Explain = False,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -48,7 +44,7 @@ def report(
     invocation = context.find_root().obj
     folder = find_run(run)
     written = folder if out is None else out
-    done = rebuild(folder, written, figures == "all")
+    done = rebuild(folder, written)
     if invocation.json:
         show_json_of([done])
         show_warnings(invocation, done)

@@ -48,11 +48,6 @@ def count_layers(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:
     return insertion.layers if layer_count_rule == "listed" else insertion.layers_alternative
 
 
-def get_other_rule(layer_count_rule: LayerCountRule) -> LayerCountRule:
-    """Return the rule of counting layers that a study does not use."""
-    return "alternative" if layer_count_rule == "listed" else "listed"
-
-
 def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule: LayerCountRule) -> bool:
     low, high = selection.depth_min_mm, selection.depth_max_mm
     return (

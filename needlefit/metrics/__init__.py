@@ -28,13 +28,7 @@ class Metric:
     #: whether it is relative to the measured deflection, and so means little where that is within the noise
     relative: bool = False
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
-    macro: str = ""  #: its name in LaTeX macros; empty: `name` without unit
     order: int = 100  #: its place in tables, from the left
-
-    @property
-    def macro_name(self) -> str:
-        """The name in LaTeX macros."""
-        return self.macro or self.name.removesuffix("_mm").removesuffix("_percent").replace("_", "-")
 
 
 METRICS = Registry(Metric, __name__, "metric")
@@ -68,7 +62,6 @@ MEDIAN = Metric(
     "mm",
     "Median of the in-plane error over the points of a curve.",
     compute=lambda curves: float(np.median(curves.distances)),
-    macro="median",
     order=10,
 )
 
@@ -80,7 +73,6 @@ IPE = Metric(
     "length.",
     compute=lambda curves: float(np.mean(curves.distances)),
     headline=True,
-    macro="ipe",
     order=20,
 )
 
@@ -92,7 +84,6 @@ IPE_SPREAD = Metric(
     compute=lambda curves: float(np.std(curves.distances)),
     has_floor=False,
     spread_of="ipe_mean_mm",
-    macro="ipe-sd",
     order=21,
 )
 

@@ -1,7 +1,6 @@
-"""Write tables as LaTeX (booktabs, no wider than the page), and the numbers of a run as LaTeX macros."""
+"""Write tables as LaTeX (booktabs, no wider than the page)."""
 
 import re
-from collections.abc import Iterable
 from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
@@ -118,26 +117,3 @@ def format_cell(cell: str) -> str:
     if found := _RANGE_PATTERN.fullmatch(cell):
         return rf"\numrange{{{_to_digits(found[1])}}}{{{_to_digits(found[2])}}}"
     return escape_latex(cell)
-
-
-MACRO_HEAD = r"""% Numbers of a run of needlefit. Needs siunitx; \input this file in the preamble.
-% \nf{KEY} prints a number, \nfraw{KEY} is its digits: \qty{\nfraw{KEY}}{\milli\metre}.
-% An unknown KEY is set bold after ??.
-\providecommand{\nf}[1]{\ifcsname nf@#1\endcsname\csname nf@#1\endcsname\else\textbf{??\detokenize{#1}}\fi}
-\providecommand{\nfraw}[1]{\csname nfraw@#1\endcsname}
-\providecommand{\nfnum}[2]{\expandafter\def\csname nf@#1\endcsname{\num[separate-uncertainty]{#2}}%
-  \expandafter\def\csname nfraw@#1\endcsname{#2}}
-\providecommand{\nfrange}[3]{\expandafter\def\csname nf@#1\endcsname{\numrange{#2}{#3}}}
-\providecommand{\nftext}[2]{\expandafter\def\csname nf@#1\endcsname{#2}}
-"""
-
-
-def format_macros(numbers: Iterable[tuple[str, str]]) -> str:
-    """Return a LaTeX file with these numbers, each under its key."""
-    lines = [MACRO_HEAD]
-    for key, words in dict(numbers).items():
-        cell = format_cell(words)
-        name, _, arguments = cell.partition("{")
-        command = {r"\num": "nfnum", r"\numrange": "nfrange"}.get(name)
-        lines.append(f"\\{command}{{{key}}}{{{arguments}\n" if command else f"\\nftext{{{key}}}{{{cell}}}\n")
-    return "".join(lines)

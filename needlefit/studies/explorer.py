@@ -133,14 +133,16 @@ def collect_explorer(results: Run) -> PageData | None:
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
-    status = {one.group: one.status for one in results.verdicts}
     data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
-    shapes = results.frames["shapes"]
-    shapes = shapes[shapes["boundaries"] == "measured"]
-    points = shapes[[f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xy"]].to_numpy()
-    places: Any = shapes.groupby(["fold", "role", "insertion", "method"], sort=False).indices
-    curves = {key: points[rows].reshape(-1, 2, 2) for key, rows in places.items()}  # stations are in order
+    shapes = results.frames["shapes"].query("boundaries == 'measured'")
+    points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xy"]
+    curves: dict[Any, Floats] = {  # stations are in order
+        key: some[points].to_numpy().reshape(-1, 2, 2)
+        for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)
+    }
     errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
+    order = {name: n for n, name in enumerate(list_methods())}
+    errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
     medium = MediumRecord.model_validate(results.run["medium"])
     for row in rows:
@@ -148,11 +150,13 @@ def collect_explorer(results: Run) -> PageData | None:
         needle = _encode_needle(data, results, medium, row, curves[*where, "fitted"])
         methods = [
             _encode_method(one, curves.get((*where, one["method"])), results.origin)
-            for one in _sort_methods(to_records(scores[where]))
+            for one in to_records(scores[where])
         ]
-        group = labels.group_name(row["medium"], row["layers"])
-        found = status.get(group, status.get(labels.medium_name(row["medium"]), status.get("", "")))
-        data.needles.append(needle | {"group": group, "status": found, "methods": methods})
+        about = {
+            "group": labels.group_name(row["medium"], row["layers"]),
+            "status": results.verdicts[0].status,
+        }
+        data.needles.append(needle | about | {"methods": methods})
     return data
 
 
@@ -242,12 +246,6 @@ def _encode_draws(
         "law": data.share(law),
         "strength": data.share(strength[rows]),
     }
-
-
-def _sort_methods(rows: list[Row]) -> list[Row]:
-    """Return rows of errors in the order of methods, the fit first."""
-    order = {name: n for n, name in enumerate(list_methods())}
-    return sorted(rows, key=lambda row: (row["method"] != "fitted", order.get(row["method"], len(order))))
 
 
 def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any]:

@@ -1,35 +1,24 @@
 """The tables of a study or a fit: one fact per row, the unit in every column's name.
 
-design
-    Insertions, depths and measured deflections of the tip (toward the bevel) per role ("tune", "validate"),
-    medium and layers.
 errors
-    One row per fold, role, insertion, method and boundaries ("measured", as in the paper; "planned"), with a
-    column per metric (`needlefit.metrics`) and `floor_<metric>` for those that have a noise floor.
-    `estimate` is "median" for the predictive median of insertions held out, else "point": one set of
-    parameters, or a curve.
-    `layers` is counted by the study's rule, `layers_other` by the other. `comparison` is "world", or
-    "aligned" for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise
-    floor.
+    One row per fold, role ("tune", "validate"), insertion, method and boundaries ("measured", as in the
+    paper, or "planned"), with a column per metric (`needlefit.metrics`) and its noise floor. `estimate` is
+    "median" for the predictive median of insertions held out, else "point". `layers` is by the study's rule.
+    `comparison` is "world", or "aligned" for shapes known only up to a rigid motion; `edp_flagged` marks a
+    deflection below the noise floor.
 shapes
     The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
 starts
     Every start of every search, then one column per parameter. `objective` is what was `minimized`: the
     negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its search,
-    in units of the tolerance (0.1; 1 % or 0.002 mm), `within_tolerance` whether that is at most 1;
-    `gradients` are the evaluations with derivatives among all; `joined` is the start that it met on its
-    approach and went on with, empty if none.
-failures
-    The first evaluations that failed, of every start and of the sampler (`fit` is then "posterior"): the
-    insertion without a solution, the reason, then one column per parameter.
+    in units of the tolerance (0.1; 1 % or 0.002 mm); `joined` is the start that it met and went on with.
 
-parameters :
-    Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`,
-    `high` is the range among starts within tolerance of the best; `interval_low`, `interval_high` is the one
-    95 % interval that is printed, of the error-minimising fit its range within the tolerance of the errors,
-    `draw_source` what it is from, `median` that of the same draws; `importance_low`, `importance_high` is the
-    interval of the draws by importance. `determined` is "yes", "only together" (with the others held it is),
-    or "no".
+Parameters
+    Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`, `high` is
+    the range among starts within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval
+    that is printed, `draw_source` what it is from, `median` that of the same draws; `importance_low`,
+    `importance_high` is the interval of the draws by importance. `determined` is "yes", "only together" (with
+    the others held it is), or "no".
 error_fit
     Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
     tolerance within which it is not significantly larger, with its two estimates.
@@ -37,29 +26,25 @@ directions
     Combinations of parameters in words, how many each names, and the standard deviation to which it is known.
 identification
     Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
-    its ends `end_low`, `end_high` came about, how far the deviance rises at most), posterior SD / prior SD,
-    and whether they agree; alphas that were fixed are freed for it. Their `interval_low`, `interval_high` and
-    `sd` are of the density that the profile gives within the bounds, `log_posterior_rise` is from the fit to
-    the profile's best point.
+    its ends came about, how far the deviance rises at most), posterior SD / prior SD, and whether they agree;
+    alphas that were fixed are freed for it.
 profiles
     Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
 predictive
     The predictive distribution of every insertion held out, and how the measurement fell in it: `tip_pit` is
     the probability predicted of a tip up to the measured one, `shape_pit` of a shape nearer, at its worst
-    point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %, `points_in_*` is the
-    part of points within their own interval, which are no independent trials.
+    point, than the measured one.
 bands
     Where each insertion held out was predicted to be measured, point by point, at its measured x.
 draws
-    Draws of each fold's parameters: from its sampled posterior, or by importance about the modes of its fit,
-    then with Pareto's k of the weights; `specimen` is "(tuned)" (of several that differ, their mean), one of
-    several that differ, or "(new)", not in the dataset; then one column per parameter.
+    Draws of each fold's parameters, with Pareto's k where by importance; `specimen` is "(tuned)" (of several
+    that differ, their mean), one of several that differ, or "(new)"; then one column per parameter.
 population
     How much parameters differ between the specimens that were fitted, by the logarithm: SD, and correlation
     of mu with the bevel parameter. Empty where one set of parameters is for all.
 needles
-    Every insertion held out, or, of a single fold, any, point by point in its scan
-    (`studies/needle_placement.py`); the single point of the curve "toward" is a direction.
+    Every insertion held out, or, of a single fold, any, point by point in its scan; the single point of the
+    curve "toward" is a direction.
 """
 
 from collections.abc import Mapping
@@ -86,18 +71,13 @@ _PREDICTIVE_COLUMNS = (
     *("tip_95_width_after_one_mm", "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
     *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
     *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
-    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
+    *("shape_in_95", "shape_crps_mm"),
 )
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "design": (
-            *("role", "medium", "layers", "insertions", "depth_min_mm", "depth_max_mm"),
-            *("deflection_min_mm", "deflection_max_mm"),
-        ),
         "errors": (
-            *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "layers_other"),
-            "depth_mm",
+            *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "depth_mm"),
             *("method", "estimate", "boundaries", "comparison"),
             *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
         ),
@@ -106,7 +86,6 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
             *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
         ),
-        "failures": ("fold", "fit", "start", "insertion", "note"),
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),

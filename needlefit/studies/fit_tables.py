@@ -1,13 +1,13 @@
 """The tables of fits and cross-validations, of one run or of several; captions stand in the text."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
@@ -16,21 +16,16 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
-from needlefit.reporting import latex
-from needlefit.reporting.columns import DIGITS, METRIC_FORMAT, find_column, format_value
-from needlefit.reporting.labels import SPECIMEN_NAMES, method_name, study_name
+from needlefit.reporting.columns import DIGITS
+from needlefit.reporting.labels import SPECIMEN_NAMES, method_name
 from needlefit.reporting.number_format import (
-    choose_interval_unit,
     choose_printed_unit,
-    format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
-    insert_symbols,
     is_known,
     round_significant,
     typeset,
-    typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
@@ -39,13 +34,11 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import (
     MEDIAN_METHOD,
-    MODEL_METHODS,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
     select_fitted,
     select_free,
 )
-from needlefit.studies.identification_tables import describe_evidence
 from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
 
@@ -78,103 +71,77 @@ _HELD_OUT_KINDS = (
     _RowKind("planned layer depths", boundaries="planned"),
 )
 
-_ROLE_NAMES = {"tune": "tunes", "validate": "validates"}
+
+def lay_out_validation(*results: Run) -> TableLayout:
+    """Return the errors by held-out group: ours, with planned depths, noise floor, paper."""
+    groups = scores.list_held_out_groups(*results)
+    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    return _lay_out_groups("validation", [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups], heads)
 
 
-def lay_out_validation(results: Sequence[Run]) -> TableLayout:
-    """Return the validation table by held-out group: ours, with planned depths, noise floor, paper."""
-    return _lay_out_groups("validation", scores.list_held_out_groups(*results), _HELD_OUT_KINDS)
-
-
-def lay_out_tuning(results: Sequence[Run]) -> list[TableLayout]:
-    """Return the in-sample errors by layers; by media too where the paper has a cell."""
+def lay_out_tuning(*results: Run) -> TableLayout:
+    """Return the in-sample errors by medium and number of layers."""
     groups = scores.list_groups(scores.tabulate_tuning(*results))
-    by = {
-        which: [one for one in groups if one.head["grouping"] == which]
-        for which in (scores.BY_LAYERS, scores.BY_MEDIA)
-    }
-    return [
-        _lay_out_groups(f"tuning_by_{which}", some, (_FITTED,))
-        for which, some in by.items()
-        if some and (which == scores.BY_LAYERS or any(one.printed for one in some))
-    ]
+    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    return _lay_out_groups("tuning", [(one, (_FITTED, _FLOOR, _PAPER)) for one in groups], heads)
+
+
+def lay_out_summary(results: Run) -> TableLayout:
+    """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
+
+    Groups are those held out, or of a run without any those fitted to. The paper's parameters are scored on
+    our data; its result is of its own needles.
+    """
+    groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
+    method, several = choose_method(results), len(groups) > 1
+    ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
+    paper = (
+        _RowKind("paper's parameters, these needles", "hand_tuned"),
+        _RowKind("paper's result, its own needles", column="paper"),
+    )
+    blocks = []
+    for group in groups:
+        curve = find_closest_curve(group)
+        name = "closest curve" if several or curve is None else f"closest curve: {method_name(curve)}"
+        blocks.append((group, (ours, *([_RowKind(name, curve)] if curve else []), *paper)))
+    heads = ("medium", "layers", "insertions") if several else ()
+    found = _lay_out_groups("summary", blocks, heads, short=True)
+    if several or not groups:
+        return found
+    head = groups[0].head
+    which = "held-out" if head["grouping"] == scores.HELD_OUT else "fitted"
+    words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
+    first, *others = found.columns
+    return replace(found, columns=(replace(first, label=words), *others))
 
 
 def _lay_out_groups(
-    name: str, groups: Sequence[scores.ScoredGroup], kinds: Sequence[_RowKind]
+    name: str,
+    blocks: Sequence[tuple[scores.ScoredGroup, Sequence[_RowKind]]],
+    heads: Sequence[str],
+    short: bool = False,
 ) -> TableLayout:
-    """Return one block of rows per group; only its first row names the group.
+    """Return a block of rows for each group, of which the first has its name (`heads`) and its noise.
 
-    Notes say what makes each group comparable to the paper's, or not.
+    A `short` table has the errors of sentences, the tip error first; else all, and as multiples of the noise.
     """
     rows: list[Row] = []
-    for number, group in enumerate(groups):
-        found = _list_rows(group, (*kinds, _FLOOR, _PAPER))
-        rows += [{**_head(group), **row, "number": number} for row in found]
-    heads = ("study", "medium", "layers", "insertions")
-    table = _make_table(name, rows, heads, (one for one in list_metrics() if not one.spread_of))
-    same = group_values((str(one.head["comparable"]), _head(one)) for one in groups if one.printed)
-    names = {row["row"] for row in rows}
-    return _lay_out(table, rows=names, groups=list(map(_head, groups)), comparisons=list(same.items()))
-
-
-def _make_table(name: str, rows: Sequence[Row], heads: Sequence[str], metrics: Iterable[Metric]) -> Table:
-    """Return a table of errors by group, whose `number` each row has; `heads` name the group."""
-    columns = (
-        *(*heads, "row"),
-        *(part("metric_value", metric=one.name) for one in metrics),
-        *(part("over_floor", metric=one.name) for one in headline_metrics() if one.has_floor),
-    )
-    lines = pivot(rows, ["number", "row"], ["metric"])
-    return Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
-
-
-def lay_out_summary(*results: Run) -> TableLayout:
-    """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
-
-    Groups are those held out, or of runs without any those fitted to. The paper's parameters are scored on
-    our data; its result is of its own needles.
-    """
-    groups = list[tuple[scores.ScoredGroup, str]]()
-    for one in results:
-        held_out = scores.list_held_out_groups(one)
-        tuning = None if held_out else scores.tabulate_tuning(one)
-        found = (
-            held_out if tuning is None else scores.list_groups(tuning[tuning["grouping"] == scores.BY_LAYERS])
-        )
-        groups += [(group, choose_method(one)) for group in found]
-    rows: list[Row] = []
-    several = len(groups) > 1
-    for number, (group, method) in enumerate(groups):
-        curve = find_closest_curve(group)
-        kinds = (
-            _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method=method),
-            *(
-                [_RowKind(f"closest curve{'' if several else f': {method_name(curve)}'}", method=curve)]
-                if curve
-                else []
-            ),
-            _RowKind("paper's parameters, these needles", method="hand_tuned"),
-            _RowKind("paper's result, its own needles", column="paper"),
-        )
+    for number, (group, kinds) in enumerate(blocks):
+        noise = group.get(scores.TE, "floor")
         for row in _list_rows(group, kinds):
-            floor = group.get(scores.TE, "floor") if row["row"] == kinds[0].name else None
-            rows.append({**_head(group), **row, "number": number, "noise_of_te": floor})
-    metrics = sorted(
-        (one for one in list_metrics() if one.headline or one.relative), key=lambda one: one.name != scores.TE
-    )
-    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :] if several else ()
-    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), "noise_of_te")
+            beside = noise if row["row"] == kinds[0].name else None
+            rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
+    metrics = [one for one in list_metrics() if (one.headline or one.relative or not short)]
+    metrics = [one for one in metrics if not one.spread_of]
+    floors = [one.name for one in headline_metrics() if one.has_floor]
+    last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
+    if short:
+        metrics.sort(key=lambda one: one.name != scores.TE)
+    columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
-    table = Table("summary", lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    found_table = _lay_out(table, drop_empty=True)
-    if several or not groups:
-        return found_table
-    head = groups[0][0].head
-    which = "held-out" if head["grouping"] == scores.HELD_OUT else "fitted"
-    words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
-    first, *others = found_table.columns
-    return replace(found_table, columns=(replace(first, label=words), *others))
+    table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
+    values = {"rows": {row["row"] for row in rows}, "groups": [_head(group) for group, _ in blocks]}
+    return _lay_out(table, drop_empty=short, **values)
 
 
 def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -187,11 +154,11 @@ def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator
 
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
-    digits = 3 if group.head["comparison"] == "aligned" and kind is not _PAPER else 2
+    digits = 3 if group.head["comparison"] == "aligned" and kind.column != "paper" else 2
     value = group.get(metric.name, **where)
     spread = next((one for one in list_metrics() if one.spread_of == metric.name), None)
-    flagged = metric.relative and group.head["edp_flagged"] and kind is not _PAPER and value is not None
-    known = kind not in (_FLOOR, _PAPER)
+    flagged = metric.relative and group.head["edp_flagged"] and kind.column != "paper" and value is not None
+    known = kind.column == "value"
     return {
         **{"row": kind.name, "metric": metric.name, "value": value, "mark": "†" if flagged else ""},
         "spread": spread and group.get(spread.name, **where),
@@ -201,98 +168,66 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    about = {"layers": str(group.head["layers"] or "all"), "printed": group.printed}
+    about = {"layers": str(group.head["layers"] or "all")}
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
-    """Return one row per study and held-out group: our errors, what they compare with, and the verdict."""
+    """Return one row per study and held-out group: our tip error, what it compares with, and the verdict."""
     rows: list[Row] = []
     for one in results:
-        method = choose_method(one)
         for group in scores.list_held_out_groups(one):
-            judged, curve = judge(one, group), find_closest_curve(group)
+            judged = judge(one, group)
             rows.append(
                 {
                     **_head(group),
-                    **{name: group.get(name, method=method) for name in ("ipe_mean_mm", "te_mm")},
-                    "floor_te_mm": group.get("te_mm", "floor"),
-                    "baseline_te_mm": None if curve is None else group.get("te_mm", method=curve),
-                    "baseline_method": curve or "",
-                    **{f"paper_{name}": group.get(name, "paper") for name in ("ipe_mean_mm", "te_mm")},
-                    "verdict": "not scored" if judged is None else judged.outcome,
+                    "te_mm": judged and judged.error_mm,
+                    "noise_of_te": group.get(scores.TE, "floor"),
+                    "baseline_te_mm": judged and judged.curve_mm,
+                    "paper_te_mm": group.get(scores.TE, "paper"),
+                    "verdict": judged.outcome if judged else "not scored",
                 }
             )
     columns = (
-        *("study", "medium", "layers", "insertions", "ipe_mean_mm", "te_mm", "floor_te_mm"),
-        *("baseline_te_mm", "baseline_method", "paper_ipe_mean_mm", "paper_te_mm", "verdict"),
+        *("study", "medium", "layers", "insertions", "te_mm", "noise_of_te", "baseline_te_mm"),
+        *("paper_te_mm", "verdict"),
     )
-    return _lay_out(Table("matrix", rows, columns, groups=("study",), heads=1), drop_empty=True)
+    return _lay_out(Table("matrix", rows, columns), drop_empty=True)
 
 
-def lay_out_design(results: Sequence[Run]) -> TableLayout:
-    """Return which insertions tune and validate: counts, ranges of depth and measured deflection."""
-    rows = [
-        {**row, "study": scores.study_label(one), "role": _ROLE_NAMES[row["role"]], "origin": one.origin}
-        for one in results
-        for row in to_records(one.frames["design"])
-    ]
-    columns = ("study", "role", "medium", "layers", "insertions", "depth_range_mm", "deflection_range_mm")
-    errors = pd.concat([one.frames["errors"].assign(study=one.name) for one in results])
-    doubtful = errors[errors["layers"] != errors["layers_other"]].drop_duplicates(["study", "insertion"])
-    table = Table("design", rows, columns, groups=("study",), heads=1)
-    return _lay_out(table, drop_empty=True, at_boundary=len(doubtful))
-
-
-_COVERAGE_GROUPS = ("study", "medium", "layers", "specimen_treatment")
-
-
-def lay_out_coverage(*results: Run, named: bool = False) -> TableLayout:
-    """Return one row per study (named if wanted), medium, number of layers and specimen, over all folds."""
-    frames = [one.frames["predictive"].assign(study=scores.study_label(one)) for one in results]
-    predicted = pd.concat([frame for frame in frames if len(frame)])
+def lay_out_coverage(results: Run) -> TableLayout:
+    """Return one row per medium, number of layers and specimen, over all folds."""
+    predicted, keys = results.frames["predictive"], ["medium", "layers", "specimen_treatment"]
     rows = [
         {
-            **dict(zip(_COVERAGE_GROUPS[:-1], key[:-1], strict=True)),
-            "specimen_treatment": SPECIMEN_NAMES[str(key[-1])],
+            **{"medium": medium, "layers": layers, "specimen_treatment": SPECIMEN_NAMES[str(treatment)]},
             **tabulate_coverage(group),
         }
-        for key, group in predicted.groupby(list(_COVERAGE_GROUPS), sort=False)
+        for (medium, layers, treatment), group in predicted.groupby(keys, sort=False)
     ]
-    columns = (*_COVERAGE_GROUPS[not named :], *COVERAGE_COLUMNS)
     other = predicted[predicted["specimen_treatment"] == "others"]
     spread = {
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
     }
-    gains = [
-        {
-            **{"study": study_name(group["study"].iloc[0]), "medium": str(medium)},
-            "width_mm": float(group["tip_95_width_after_one_mm"].median()),
-        }
-        for (_, medium), group in other.groupby(["study", "medium"], sort=False)
-        if other["tip_95_width_after_one_mm"].notna().any()
-    ]
-    table = Table("coverage", rows, columns, groups=_COVERAGE_GROUPS[:1], heads=named)
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
-    return _lay_out(table, sources=sources, spread=spread if len(other) else None, gains=gains)
+    table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
+    return _lay_out(table, sources=sources, spread=spread if len(other) else None)
 
 
 def lay_out_baselines(results: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
     digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    about = {"study": scores.study_label(results), "origin": results.origin, DIGITS: digits}
     rows = [
         {
-            **{**row, **about, "method": method_name(row["method"], results.origin)},
+            **{**row, DIGITS: digits, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
         for row in to_records(scores.compare_methods(results, role))
     ]
     errors = (one.name for one in headline_metrics())
-    columns = ("study", "method", "insertions", *errors, "te_difference", "better_of")
-    table = Table("baselines", rows, columns, groups=("study",), heads=1, strong="groups")
-    return _lay_out(table, role=role)
+    columns = ("method", "insertions", *errors, "te_difference", "better_of")
+    return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
 
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
@@ -300,7 +235,6 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in list_metrics() if not one.spread_of),
-        *(f"floor_{one.name}" for one in headline_metrics() if one.has_floor),
     )
     rows = [
         {
@@ -320,80 +254,33 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
 
-_PARAMETER_COLUMNS = (
-    *("study", "medium", "fold", "parameter", "method", "value", "median"),
-    *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
-    *("low", "high", "bound_low", "bound_high", "note", "origin"),
-)
-
-
-def tabulate_parameters(*results: Run) -> pd.DataFrame:
-    """Return one row per study, fold, parameter and method.
-
-    `value` is what errors and curves of the method are simulated with, `median` that of the posterior's
-    draws. `interval_low`, `interval_high` are the 95 % interval of the posterior; of the error-minimising fit
-    the range within the tolerance of the errors. `determined` says whether the data determine the parameter:
-    "yes", "only together" or "no". `sd` is of ln for moduli and lengths, of the value for alpha.
-    """
-    rows = [
-        {"study": scores.study_label(one), "medium": one.record.medium, "origin": one.origin, **row}
-        for one in results
-        for row in to_records(one.frames["parameters"])
-    ]
-    return pd.DataFrame(rows, columns=list(_PARAMETER_COLUMNS))
-
-
-def arrange_parameters(table: pd.DataFrame) -> list[Row]:
-    """Return one row per study, fold and parameter: the posterior's, with each method's row under its name.
-
-    A method that has no such parameter has an empty row.
-    """
-    rows: dict[tuple[object, ...], Row] = {}
-    for row in to_records(table):
-        key = (row["study"], row["fold"], row["parameter"])
-        if row["method"] == "fitted":
-            rows[key] = {**row, **{method: {} for method in MODEL_METHODS}}
-        if key in rows:
-            rows[key][row["method"]] = row
-    return list(rows.values())
-
-
 AT_BOUND = "*"  #: marks the end of a range that is a bound
 END_DIGITS = 2  #: significant digits of the ends of an interval
 
 
-def describe_parameter(rows: Sequence[Row], truth: float | None = None) -> Row:
-    """Return the cells of one parameter from its rows of `arrange_parameters`, of several folds their range.
+def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> Row:
+    """Return the cells of one parameter from its rows of every method, of several folds their range.
 
     A value stands with its 95 % interval, of the error-minimising fit with its range within the tolerance.
     """
-    name, fixed = str(rows[0]["parameter"]), rows[0]["status"] == "fixed"
-    ends = [row[end] for row in rows for end in ("interval_low", "interval_high")]
-    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [rows[0]["value"]])
-    errors = [] if fixed else [row["fitted_metric"] for row in rows if row["fitted_metric"]]
-    estimates = list(map(choose_estimate, rows))
+    ours, errors, paper = (
+        to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
+    )
+    fixed = ours[0]["status"] == "fixed"
+    ends = [row[end] for row in ours for end in ("interval_low", "interval_high")]
+    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0]["value"]])
+    # the median of the draws, without any the fit's value
+    estimates = [row["value"] if row["median"] is None else row["median"] for row in ours]
+    own = f"{_join_range(estimates, unit)}, fixed" if fixed else _format_estimate(ours, estimates, unit)
+    minimising = [] if fixed else errors
     return {
         "parameter": label,
-        "posterior": f"{_join_range(estimates, unit)}, fixed"
-        if fixed
-        else _format_estimate(rows, estimates, unit),
-        "determined": "" if fixed else _join_determined(rows),
-        "error_minimising": _format_estimate(errors, [row["value"] for row in errors], unit),
-        "errors_determine": _join_determined(errors),
-        "hand_tuned": _join_range([row["hand_tuned"]["value"] for row in rows if row["hand_tuned"]], unit),
+        "posterior": own,
+        "determined": "" if fixed else find_least_determined(str(row["determined"]) for row in ours),
+        "error_minimising": _format_estimate(minimising, [row["value"] for row in minimising], unit),
+        "hand_tuned": _join_range([row["value"] for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
-
-
-def choose_estimate(row: Row) -> float | None:
-    """Return the estimate of a parameter that is printed: the median of its draws, without any the fit's."""
-    estimate: float | None = row["value"] if row["median"] is None else row["median"]
-    return estimate
-
-
-def _join_determined(rows: Sequence[Row]) -> str:
-    return find_least_determined(str(row["determined"]) for row in rows)
 
 
 def _join_range(values: Sequence[float | None], unit: float) -> str:
@@ -404,73 +291,56 @@ def _join_range(values: Sequence[float | None], unit: float) -> str:
 
 def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
     """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
-    estimate = _join_range(values, unit)
-    lows, highs = ([row[f"interval_{end}"] for row in rows] for end in ("low", "high"))
-    if not rows or not all(map(is_known, [*lows, *highs])):
-        return estimate
-    ends = []
-    for end, found in (("low", min(lows)), ("high", max(highs))):
-        bounds = [row[f"bound_{end}"] for row in rows]
-        mark = AT_BOUND if any(map(is_known, bounds)) and _is_at(found, bounds) else ""
-        ends.append(f"{format_plain(round_significant(found / unit, END_DIGITS))}{mark}")
+    estimate, ends = _join_range(values, unit), []
+    for side, choose in (("low", min), ("high", max)):
+        every = [row[f"interval_{side}"] for row in rows]
+        if not rows or not all(map(is_known, every)):
+            return estimate
+        end, bounds = choose(every), [row[f"bound_{side}"] for row in rows]
+        at = any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
+        ends.append(f"{format_plain(round_significant(end / unit, END_DIGITS))}{AT_BOUND if at else ''}")
     return f"{estimate} ({' to '.join(ends)})"
-
-
-def _is_at(end: float, bounds: Sequence[float | None]) -> bool:
-    return any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
 
 
 #: what the intervals of parameters are from, by `draw_source`
 SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
 
 
-def _describe_search(results: Sequence[Run]) -> Row:
-    """Return what the captions state: how draws were made, the tolerances of the errors."""
-    tolerances = [value for one in results for value in one.frames["error_fit"]["tolerance_mm"].tolist()]
-    free = pd.concat([select_free(one.frames["parameters"]) for one in results])
-    specimens = [set(one.frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN} for one in results]
-    return {
-        "sources": [words for source, words in SOURCES.items() if (free["draw_source"] == source).any()],
-        "of_mean": any(len(names) > 1 for names in specimens),
-        "tolerances": [min(tolerances), max(tolerances)] if tolerances else [],
-    }
-
-
-def lay_out_parameters(*results: Run) -> TableLayout:
+def lay_out_parameters(results: Run) -> TableLayout:
     """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
 
-    Parameters with the same cells have one row. Of several studies only free parameters are there.
+    Parameters with the same cells have one row.
     """
-    rows: list[Row] = []
-    for one in results:
-        every, truth = arrange_parameters(tabulate_parameters(one)), one.run.get("truth", {})
-        pairs = [
-            (str(row["parameter"]), row) for row in every if len(results) == 1 or row["status"] == "free"
-        ]
-        cells: dict[tuple[object, ...], Row] = {}
-        for name, members in group_values(pairs).items():
-            row = describe_parameter(members, truth.get(name))
-            key = tuple(row[key] for key in row if key != "parameter")
-            cells.setdefault(key, {**row, "names": []})["names"].append(row["parameter"])
-        about = {"study": scores.study_label(one)}
-        rows += [{**about, **row, "parameter": ", ".join(row["names"])} for row in cells.values()]
-    columns = (
-        *("study", "parameter", "posterior", "determined", "error_minimising", "errors_determine"),
-        *("hand_tuned", "true_value"),
-    )[len(results) == 1 :]
-    single = len(results) == 1
+    frames, truth = results.frames, results.run.get("truth", {})
+    merged: dict[tuple[object, ...], Row] = {}
+    for name, members in frames["parameters"].groupby("parameter", sort=False):
+        if "fitted" not in set(members["method"]):
+            continue
+        row = _describe_parameter(str(name), members, truth.get(name))
+        label = row.pop("parameter")
+        merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
+    rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
+    columns = ("parameter", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
+    tolerances, used = frames["error_fit"]["tolerance_mm"], set(frames["parameters"]["draw_source"])
     values = {
-        "folds": max(int(one.frames["parameters"]["fold"].nunique()) for one in results),
+        "folds": int(frames["parameters"]["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
-        "together": find_known_combination(results[0]) if single else "",
-        "freed": describe_freed(results[0].frames["identification"]) if single else [],
+        "together": find_known_combination(results),
+        "population": list_spreads(results),
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
-        **_describe_search(results),
+        "sources": [words for source, words in SOURCES.items() if source in used],
+        "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
+        "tolerances": [float(tolerances.min()), float(tolerances.max())] if len(tolerances) else [],
     }
-    table = Table("parameters", rows, columns, groups=("study",) if not single else (), heads=int(not single))
-    return _lay_out(table, drop_empty=True, **values)
+    return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
+
+
+def list_spreads(results: Run) -> list[tuple[str, float, int]]:
+    """Return the factor between specimens that is one SD, by parameter, and the number of specimens."""
+    rows = to_records(results.frames["population"].drop_duplicates("parameter"))
+    return [(row["parameter"], math.exp(row["between_sd"]), int(row["other_specimens"])) for row in rows]
 
 
 def find_known_combination(results: Run) -> str:
@@ -484,55 +354,6 @@ def find_known_combination(results: Run) -> str:
     rows = to_records(results.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
     return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
-
-
-def describe_freed(identification: pd.DataFrame) -> list[tuple[list[str], str]]:
-    """Return what freeing the fixed parameters does, each sentence once, with the parameters it is about."""
-    fixed = identification[identification["status"] == "fixed"].sort_values("parameter", kind="stable")
-    pairs = ((describe_evidence(row), str(row["parameter"])) for row in to_records(fixed))
-    return [(names, words) for words, names in group_values(pairs).items()]
-
-
-def lay_out_directions(results: Run) -> TableLayout:
-    """Return the combinations of parameters that the data determine, and how well."""
-    rows = to_records(results.frames["directions"])
-    folds = len({row["fold"] for row in rows}) > 1
-    cells = [
-        {"fold": row["fold"] if folds else "", "known_combination": insert_symbols(str(row["note"]))}
-        for row in rows
-    ]
-    return _lay_out(Table("directions", cells, ("fold", "known_combination")), drop_empty=True)
-
-
-def lay_out_population(results: Run) -> TableLayout:
-    """Return how much the parameters differ between the specimens that were fitted."""
-    rows = to_records(results.frames["population"])
-    folds = len({row["fold"] for row in rows}) > 1
-    cells = [
-        {
-            **row,
-            "fold": row["fold"] if folds else "",
-            "parameter": format_bare_symbol(str(row["parameter"])),
-            "between_factor": math.exp(row["between_sd"]),
-        }
-        for row in rows
-    ]
-    columns = ("fold", "parameter", "between_sd", "between_factor", "other_specimens")
-    return _lay_out(Table("population", cells, columns), drop_empty=True, rows=rows)
-
-
-def lay_out_posterior(results: Run) -> TableLayout:
-    """Return the percentiles of a sampled posterior in printed units."""
-    several, rows = len(results.posteriors) > 1, []
-    percentiles = [f"p{percentile:g}" for percentile in PERCENTILES]
-    for row in to_records(tabulate_percentiles(results)):
-        label, unit = choose_printed_unit(str(row["parameter"]), [row[name] for name in percentiles])
-        cells = {name: row[name] / unit for name in percentiles}
-        state, fold = "" if row["converged"] else "NOT CONVERGED", row["fold"] if several else ""
-        rows.append({**row, **cells, "parameter": label, "fold": fold, "state": state})
-    columns = ("fold", "parameter", *percentiles, "r_hat", "ess", "state")
-    unconverged = any(posterior.faults for posterior in results.posteriors.values())
-    return _lay_out(Table("posterior", rows, columns), drop_empty=True, unconverged=unconverged)
 
 
 def tabulate_percentiles(results: Run) -> pd.DataFrame:
@@ -550,73 +371,3 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
             found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
     columns = ("fold", "parameter", *names, "r_hat", "ess", "acceptance", "converged", "origin")
     return pd.DataFrame(found, columns=columns)
-
-
-# ---- the files of one run, or of several together
-
-
-def lay_out_files(
-    studies: Sequence[Run], tunings: Sequence[Run]
-) -> Iterator[tuple[str, pd.DataFrame, list[TableLayout]]]:
-    """Yield the paper's tables with our rows beside its rows: name, rows, and the tables to print."""
-    every = list({one.name: one for one in (*studies, *tunings)}.values())
-    validation = scores.tabulate_validation(*studies)
-    yield "validation", validation, [lay_out_validation(studies)]
-    yield "tuning", scores.tabulate_tuning(*tunings), lay_out_tuning(tunings)
-    yield "parameters", tabulate_parameters(*every), [lay_out_parameters(*every)]
-
-
-# ---- numbers for a paper
-
-
-def format_macros(results: Sequence[Run]) -> str:
-    """Return a LaTeX file of macros of errors and parameters, by readable keys.
-
-    A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
-    beside it or `-over-floor` after it for the multiple of its noise floor; `<run>-<parameter>`, the median
-    of the posterior, with `-low`, `-high` and `-interval` of its 95 % interval, all in the unit of the
-    tables, `-unit`, and `-determined`.
-    """
-    return latex.format_macros(
-        number
-        for one in results
-        for numbers in (_list_errors(one), _list_parameters(one))
-        for number in numbers
-    )
-
-
-def _list_errors(results: Run) -> Iterator[tuple[str, str]]:
-    for group in scores.list_held_out_groups(results):
-        head = group.head
-        begin = f"{results.name}-{head['medium']}-{head['layers']}"
-        yield f"{begin}-n", str(head["insertions"])
-        for metric in list_metrics():
-            row = {"metric": metric.name, DIGITS: 3 if head["comparison"] == "aligned" else 2}
-            for key, column in (("", "value"), ("floor-", "floor"), ("paper-", "paper")):
-                value = group.get(metric.name, column)
-                if value is not None or not key:
-                    yield f"{begin}-{key}{metric.macro_name}", format_value(METRIC_FORMAT, value, row)
-            if (times := group.over_floor(metric.name)) is not None:
-                words = find_column("over_floor").format_cell({"over_floor": times})
-                yield f"{begin}-{metric.macro_name}-over-floor", words
-
-
-def _list_parameters(results: Run) -> Iterator[tuple[str, str]]:
-    table = arrange_parameters(tabulate_parameters(results))
-    several = len({row["fold"] for row in table}) > 1
-    for row in table:
-        name = str(row["parameter"]).removesuffix("_pa").removesuffix("_mm").replace("_", "-")
-        where = f"-{row['fold']}" if several else ""
-        key = f"{results.name}{where}-{name}"
-        estimate = choose_estimate(row)
-        assert estimate is not None
-        label, scale = choose_interval_unit(row, estimate)
-        yield key, typeset(format_number(estimate / scale))
-        if unit := label.partition(" (")[2].rstrip(")"):
-            yield f"{key}-unit", unit
-        if row["determined"]:
-            yield f"{key}-determined", str(row["determined"])
-        if interval := typeset_interval(row, scale):
-            yield f"{key}-interval", interval
-            low, _, high = interval.partition(" to ")
-            yield from ((f"{key}-low", low), (f"{key}-high", high))

@@ -1,8 +1,8 @@
 """Warn about finished fits: one table of rules, each with its condition and the key of its text."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
+from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:
@@ -31,71 +32,41 @@ if TYPE_CHECKING:
 TEXT = KindText("warnings")
 
 
-@dataclass(frozen=True)
-class WarningRule:
-    """A kind of warning about a finished fit."""
-
-    kind: str  #: of the warning, which programs may rely on
-    find: Callable[[Run], Iterable[Row]]  #: the condition: run -> the values of the text, for each case found
-    text: str = ""  #: key of the blocks of `warnings.md.j2`; the kind if empty
-    complete: bool = True  #: whether only a run that was not interrupted is examined
-
-
 def add_warnings(results: Run, job: "Job") -> Run:
     """Return results whose `run` also has the warnings about data, study, fit and predictions."""
-    found = [*read_warnings(results.run), *job.warnings]
-    found += [one for rule in RULES for one in apply_rule(rule, results)]
+    found = [*read_warnings(results.run), *job.warnings, *list_warnings(results)]
     return replace(results, run={**results.run, **warnings_entry(found)})
 
 
-def apply_rule(rule: WarningRule, results: Run) -> Iterator[ResultWarning]:
-    if not (rule.complete and results.interrupted):
-        for values in rule.find(results):
-            yield write_warning(rule.kind, values, rule.text)
+def list_warnings(results: Run) -> list[ResultWarning]:
+    """Return the warnings about a finished fit; of one that was interrupted those about its validity."""
+    rules = {"validity": RULES["validity"]} if results.interrupted else RULES
+    return [write_warning(kind, values) for kind, find in rules.items() for values in find(results)]
 
 
-def write_warning(kind: str, values: Mapping[str, Any], text: str = "") -> ResultWarning:
-    """Return a warning in the words of `warnings.md.j2`."""
-    key = text or kind
+def write_warning(kind: str, values: Mapping[str, Any]) -> ResultWarning:
+    """Return a warning in the words of `warnings.md.j2`, those of `values["text"]` if it has any."""
+    key = values.get("text", kind)
     return ResultWarning(kind, TEXT.sentence(key, values), fix=TEXT.sentence(f"{key}_fix", values))
 
 
 # ---- parameters at their bounds
 
 
-def _select_bounded(results: Run) -> pd.DataFrame:
-    """Return the rows of free parameters that no bound should limit.
+def _find_bounds(results: Run) -> list[Row]:
+    """Return the parameters that a fit left at a bound, and in how many folds; then intervals that end there.
 
     A shape parameter to which the data add nothing lies anywhere within its bounds, which are its prior.
     """
-    free, keys = select_free(results.frames["parameters"]), ["fold", "parameter"]
-    ratios = results.frames["identification"].reindex(columns=[*keys, "sd_ratio"])
-    shape = free["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
-    uninformed = free[keys].merge(ratios, on=keys, how="left")["sd_ratio"] >= UNINFORMED_SD_RATIO
-    return free[~(shape & uninformed.to_numpy())]
-
-
-def _find_bounds(results: Run) -> Iterator[Row]:
-    """Yield the parameters that a fit left at a bound, and in how many folds."""
-    free = _select_bounded(results)
-    folds = results.frames["parameters"]["fold"].nunique()
-    for name, rows in free.groupby("parameter", sort=False):
-        columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
-        ends = [_describe_bound(str(name), *row) for row in zip(*columns, strict=True)]
-        yield from _count_ends(str(name), ends, folds, "folds" if folds > 1 else "")
-
-
-def _find_interval_bounds(results: Run) -> Iterator[Row]:
-    """Yield the 95 % intervals of a fit that end at a bound; one whose profile is open reaches it."""
-    ends = results.frames["identification"].reindex(columns=["fold", "parameter", "end_low", "end_high"])
-    both = _select_bounded(results).merge(ends, on=["fold", "parameter"], how="left")
-    for side in ("low", "high"):
-        open_end = both[f"end_{side}"] == "bound"
-        both[f"interval_{side}"] = both[f"interval_{side}"].mask(open_end, both[f"bound_{side}"])
-    for name, rows in both.groupby("parameter", sort=False):
-        bounds = (float(rows["bound_low"].iloc[0]), float(rows["bound_high"].iloc[0]))
-        fits = rows[["value", "interval_low", "interval_high"]].astype(float).to_numpy().tolist()
-        yield from _find_cut_off(str(name), fits, bounds)
+    keys = ["fold", "parameter"]
+    known = results.frames["identification"].reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
+    fits = select_free(results.frames["parameters"]).merge(known, on=keys, how="left")
+    shape = fits["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
+    fits = fits[~(shape & (fits["sd_ratio"] >= UNINFORMED_SD_RATIO).to_numpy(dtype=bool))]
+    for side in ("low", "high"):  # one whose profile is open reaches the bound
+        end, is_open = fits[f"interval_{side}"], fits[f"end_{side}"] == "bound"
+        fits = fits.assign(**{f"interval_{side}": end.mask(is_open, fits[f"bound_{side}"])})
+    return _list_bounds(fits, "folds" if fits["fold"].nunique() > 1 else "")
 
 
 def analysis_bound_warnings(
@@ -108,42 +79,44 @@ def analysis_bound_warnings(
     `fits`: a row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
     first column names the parameters used. `parameters`: these, by name.
     """
-    for (model, name), rows in fits.groupby([fits.columns[0], "parameter"], sort=False):
-        bounds = parameters[str(model)].bounds.get(str(name))
-        if bounds is None:
-            continue
-        if intervals:
-            ends = rows[["value", "p2_5", "p97_5"]].astype(float).to_numpy().tolist()
-            found, text = _find_cut_off(str(name), ends, bounds), "interval_at_bound"
-        else:
-            at = [_describe_bound(str(name), value, *bounds) for value in rows["value"]]
-            found, text = _count_ends(str(name), at, len(rows), "fits"), ""
-        for values in found:
-            yield write_warning("parameter_at_bound", {**values, "of": str(model)}, text)
+    fits = fits.rename(columns={"p2_5": "interval_low", "p97_5": "interval_high"})
+    for model, rows in fits.groupby(fits.columns[0], sort=False):
+        bounds = rows["parameter"].map(parameters[str(model)].bounds)
+        ends = dict(zip(("bound_low", "bound_high"), zip(*bounds.dropna(), strict=True), strict=True))
+        for values in _list_bounds(rows[bounds.notna()].assign(**ends), "fits"):
+            if (values["text"] == "interval_at_bound") == intervals:
+                yield write_warning("parameter_at_bound", {**values, "of": str(model)})
 
 
-def _find_cut_off(name: str, fits: Sequence[Sequence[float]], bounds: tuple[float, float]) -> Iterator[Row]:
-    """Yield that intervals end at a bound; `fits` are value, low and high end of each."""
-    reached = [
-        end
-        for value, *interval in fits
-        if not _describe_bound(name, value, *bounds)
-        for one in interval
-        if (end := _describe_bound(name, one, *bounds, CUT_OFF_FRACTION))
-    ]
-    yield from _count_ends(name, reached, len(fits), "")
+def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:
+    """Return the values of the texts: which parameters lie at bounds, then which intervals end at them.
+
+    `fits`: a row per fit and parameter, with its bounds.
+    """
+    found = []
+    for name, rows in fits.groupby("parameter", sort=False):
+        ends: dict[str, list[str]] = {"parameter_at_bound": [], "interval_at_bound": []}
+        for row in to_records(rows):
+            bounds = row["bound_low"], row["bound_high"]
+            at = _describe_bound(str(name), row["value"], *bounds)
+            interval = (row.get("interval_low"), row.get("interval_high"))
+            cut = [_describe_bound(str(name), end, *bounds, CUT_OFF_FRACTION) for end in interval]
+            ends["parameter_at_bound"] += [at]
+            ends["interval_at_bound"] += [] if at else cut
+        about = {"parameter": short_name(str(name)), "total": len(rows), "many": many, "of": ""}
+        for text, every in ends.items():
+            if reached := list(filter(None, every)):
+                bounds_reached = list(dict.fromkeys(reached))
+                found.append({**about, "text": text, "count": len(reached), "bounds": bounds_reached})
+    return sorted(found, key=lambda values: values["text"], reverse=True)
 
 
-def _count_ends(name: str, ends: Sequence[str], total: int, many: str) -> Iterator[Row]:
-    """Yield the values about fits that ended at these bounds, "" for those that did not, if any did."""
-    reached = [end for end in ends if end]
-    if reached:
-        about = {"parameter": short_name(name), "bounds": list(dict.fromkeys(reached)), "of": ""}
-        yield {**about, "count": len(reached), "total": total, "many": many}
-
-
-def _describe_bound(name: str, value: float, low: float, high: float, near: float = BOUND_FRACTION) -> str:
+def _describe_bound(
+    name: str, value: float | None, low: float, high: float, near: float = BOUND_FRACTION
+) -> str:
     """Return at which bound a value lies, to within the part `near` of the bounds; "" if at none."""
+    if value is None:
+        return ""
     least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
     if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
@@ -194,16 +167,34 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
             yield {"medium": str(medium), "count": count, "rms": rms}
 
 
-#: of fits and cross-validations, in the order in which their warnings are kept
-RULES: Sequence[WarningRule] = (
-    WarningRule(
-        "validity",
-        lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
-        complete=False,
-    ),
-    WarningRule("parameter_at_bound", _find_bounds),
-    WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
-    WarningRule("samplers_differ", _find_differing_samplers),
-    WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
-    WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),
-)
+def _find_shared_residual(results: Run) -> Iterator[Row]:
+    """Yield the residual that all insertions fitted to have in common, beyond the noise and beyond chance.
+
+    The mean square of n independent residual curves would fall to 1/n in their mean; what part is left of it
+    gives a t of n - 1 degrees of freedom. Depths of one hole are one curve.
+    """
+    errors, shapes = (select_fitted(results.frames[name], "tune") for name in ("errors", "shapes"))
+    residuals = shapes["measured_y_mm"] - shapes["simulated_y_mm"]
+    holes = shapes["insertion"].map(errors.drop_duplicates("insertion").set_index("insertion")["hole"])
+    sides = shapes["insertion"].map(find_bevel_sides(results))
+    for toward, signs in (("bevels", sides), ("axis", 1)) if len(shapes) else ():
+        table = shapes.assign(hole=holes, residual=residuals * signs)
+        curves = table.pivot_table(index="j", columns="hole", values="residual").to_numpy()
+        shared, every = np.mean(curves.mean(axis=1) ** 2), np.mean(curves**2)
+        count, rms = curves.shape[1], math.sqrt(shared)
+        t = math.sqrt((count - 1) * shared / max(every - shared, 1e-12))
+        if rms > errors["floor_ipe_mean_mm"].mean() and 2 * scipy.special.stdtr(count - 1, -t) < CHANCE:
+            yield {"count": count, "rms": rms, "part": shared / every, "toward": toward}
+            return
+
+
+#: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
+#: the text, for each case found
+RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
+    "validity": lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
+    "parameter_at_bound": _find_bounds,
+    "samplers_differ": _find_differing_samplers,
+    "noise_too_large": partial(_find_wrong_noise, too_large=True),
+    "noise_too_small": partial(_find_wrong_noise, too_large=False),
+    "shared_residual": _find_shared_residual,
+}

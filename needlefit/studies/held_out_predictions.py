@@ -23,7 +23,7 @@ from needlefit.datasets.select import count_layers, find_repeats, list_bevels, n
 from needlefit.errors import ConfigError
 from needlefit.grouping import group_values
 from needlefit.inference import specimens
-from needlefit.inference.compared_points import align
+from needlefit.inference.compared_points import Curve, align
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -363,24 +363,11 @@ class HeldOutPrediction:
 
     row: Row
     band: tuple[Row, ...]
-    median: "PredictiveMedian | None"  #: with bands
     solved: int
     outside: int
-
-
-@dataclass(frozen=True)
-class PredictiveMedian:
-    """The predictive median of a needle as a curve: beam coordinates (K,) -> points (K, 2) in C, mm.
-
-    x is the median over draws, y that of what will be measured, each at its own beam coordinate `s`.
-    """
-
-    s: Floats
-    points: Floats
-
-    def __call__(self, s: Floats) -> Floats:
-        """Return the points at `s` (K,)."""
-        return np.column_stack([np.interp(s, self.s, along) for along in self.points.T])
+    #: with bands, the predictive median as a curve: beam coordinates (K,) -> points (K, 2) in C, mm. x is the
+    #: median over draws, y that of what will be measured, each at its own beam coordinate
+    median: Curve | None
 
 
 def predict_held_out(
@@ -481,9 +468,9 @@ class _Predictor:
             where = {"fold": fold.name, "insertion": insertion.id}
             band = tuple({**where, **point} for point in _band_rows(mixture, observation.measured))
             points = np.column_stack([np.median(aligned[..., 0], axis=0), *quantile(mixture, (0.5,))])
-            median = PredictiveMedian(observation.nodes.s[0], points)
+            median = partial(_interpolate, observation.nodes.s[0], points)
         row = {name: row[name] for name in COLUMNS["predictive"]}
-        return HeldOutPrediction(row, band, median, len(heights), int(np.sum(~found.valid[solved])))
+        return HeldOutPrediction(row, band, len(heights), int(np.sum(~found.valid[solved])), median)
 
     def _simulate(
         self,
@@ -519,6 +506,11 @@ class _Predictor:
         again[found.solved] = aligned[:, -1, 1]
         errors = first.sd[-1] * rng.standard_normal((2, len(sets)))
         return estimate_width_after_one(again + errors[0], first.means[:, -1] + errors[1])
+
+
+def _interpolate(known: Floats, points: Floats, s: Floats) -> Floats:
+    """Return the points (K, 2) of a curve at `s` (K,); `points` are those at `known`."""
+    return np.column_stack([np.interp(s, known, along) for along in points.T])
 
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:
@@ -597,7 +589,6 @@ def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: f
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= at <= high}
         row |= {f"shape_in_{name}": shape_pit <= level}
-        row |= {f"points_in_{name}": float(np.mean(np.abs(pit - 0.5) <= level / 2))}
     # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
     beyond = max(low - at, at - high, 0.0)
     return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

@@ -139,25 +139,19 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
 
     A fit within the noise is not compared with curves: they were fitted to the same needles.
     """
-    group = pool_insertions(results, role)
+    group, found = pool_insertions(results, role), list[Finding]()
     judged = None if group is None else judge(results, group)
-    found = [] if judged is None else [_check_curves(judged), _check_noise(judged)]
-    if role == "tune" and judged is not None and judged.noise_ratio is not None and judged.noise_ratio <= 1:
-        found = found[1:]
+    if judged is not None:
+        ratio, error, curve = judged.noise_ratio, judged.error_mm, judged.curve_mm
+        if role != "tune" or ratio is None or ratio > 1:
+            closer = None if curve is None else error < curve
+            found.append(Finding(Check.CURVES, closer, error, curve, judged.curve))
+        within = None if ratio is None else ratio <= MAX_NOISE_RATIO
+        found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
         found += _check_intervals(predictive, results.run)
     return (*found, _check_data(results))
-
-
-def _check_curves(judged: Judgement) -> Finding:
-    passed = None if judged.curve_mm is None else judged.error_mm < judged.curve_mm
-    return Finding(Check.CURVES, passed, judged.error_mm, judged.curve_mm, judged.curve)
-
-
-def _check_noise(judged: Judgement) -> Finding:
-    ratio = judged.noise_ratio
-    return Finding(Check.NOISE, None if ratio is None else ratio <= MAX_NOISE_RATIO, ratio, MAX_NOISE_RATIO)
 
 
 def _check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:

@@ -25,11 +25,11 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
         raise ConfigError("is not empty", where=str(folder), fix="name a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     for path in sorted(run_folder.iterdir()):
-        if path.suffix in (".tex", ".bib"):
+        if path.suffix == ".tex":
             shutil.copyfile(path, folder / path.name)
     for word, width in WIDTHS_IN.items():
         with fix_width(width), draw_together():
-            drawn, _ = find_kind(result.kind).report.draw(result, folder)
+            drawn = find_kind(result.kind).report.draw(result, folder)
         figures = {}
         for name, path in drawn.items():
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it

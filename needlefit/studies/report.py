@@ -19,7 +19,6 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex
-from needlefit.reporting.number_format import join_words
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
@@ -82,17 +81,9 @@ class StudyReport:
         values, every = self.values(result), self.tables(result)
         return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
 
-    def draw(self, result: Run, folder: Path, all_figures: bool = True) -> tuple[dict[str, Path], list[str]]:
-        """Write what each figure shows to a folder, as CSV; draw all, or those that are not optional.
-
-        Return the files by name, and the names of the figures that are not drawn.
-        """
-        every = self.figures(result)
-        drawn = {name: one for name, one in every.items() if all_figures or not one.optional}
-        left = [name for name in every if name not in drawn]
-        for name in left:
-            write_csv(every[name].frame, folder / f"{name}.csv")
-        return {name: one.save(folder / f"{name}.pdf") for name, one in drawn.items()}, left
+    def draw(self, result: Run, folder: Path) -> dict[str, Path]:
+        """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
+        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(result).items()}
 
     def write(self, result: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
@@ -167,10 +158,10 @@ def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Bloc
     ]
 
 
-def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
+def write_run(result: Run, folder: Path) -> Path:
     """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
-    Every frame as CSV, tables as LaTeX, figures as PDF (optional ones with `all_figures`),
+    Every frame as CSV, tables as LaTeX, figures as PDF,
     the report as PDF and HTML, `run.json`, `results.json.gz`, from which all of this can be made again, and
     `timing.json`.
 
@@ -180,11 +171,11 @@ def write_run(result: Run, folder: Path, all_figures: bool = False) -> Path:
         for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / name, new / name)
-        write_files(result, new, all_figures)
+        write_files(result, new)
     return folder
 
 
-def rebuild(run: Path, folder: Path, all_figures: bool = False) -> Run:
+def rebuild(run: Path, folder: Path) -> Run:
     """Write tables, figures and report of a stored run to `folder` again, without any computation.
 
     Raises DataError if the run stored no results, or they do not agree with their manifest; ConfigError if
@@ -192,7 +183,7 @@ def rebuild(run: Path, folder: Path, all_figures: bool = False) -> Run:
     """
     with convert_stored_errors(run):
         result = restore_run(run)
-        write_run(result, folder, all_figures)
+        write_run(result, folder)
         return result
 
 
@@ -201,18 +192,18 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
     return {"checks": tabulate_checks(result.answer.checks), **find_kind(result.kind).report.files(result)}
 
 
-def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
+def write_files(result: Run, folder: Path) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
     page = find_kind(result.kind).report
     with draw_together() as begin_drawing:
-        figures, left = page.draw(result, folder, all_figures)
+        figures = page.draw(result, folder)
         begin_drawing()
         for name, file in list_files(result).items():
             if isinstance(file, str):
                 (folder / name).write_text(file, encoding="utf-8")
-            elif name not in (*figures, *left) and len(file.columns):
+            elif name not in figures and len(file.columns):
                 # of a frame that a figure shows, the figure's is the file
                 rows = file if "origin" in file else file.assign(origin=result.origin)
                 write_csv(rows, folder / f"{name}.csv")
@@ -222,7 +213,7 @@ def write_files(result: Run, folder: Path, all_figures: bool = False) -> None:
         if "needles" in result.frames and len(result.frames["needles"]):
             write_needles(result.frames["needles"], result.synthetic, folder / "slicer")
         store_run(result, folder)
-        report = compose_run_report(result, figures, left)
+        report = compose_run_report(result, figures)
     write_report(report, folder)
     label_figures(figures, result.synthetic)
     write_json(folder / "run.json", result.run_json)
@@ -243,8 +234,8 @@ def write_report(report: Document, folder: Path, name: str = "report") -> None:
     (folder / f"{name}.html").write_bytes(document.compile_html(report))
 
 
-def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[str] = ()) -> Document:
-    """Return the report: the first page, then everything else once; `left` are figures not drawn."""
+def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
+    """Return the report: the first page, then everything else once."""
     page = find_kind(result.kind).report
     shown = {one.name for one in result.answer.tables}
     tables = [one for one in page.lay_out(result) if one.name not in shown]
@@ -256,9 +247,6 @@ def compose_run_report(result: Run, figures: Mapping[str, Path], left: Sequence[
         *compose_warnings(read_warnings(result.run)),
         *_run_blocks(result),
     ]
-    if left:
-        words = f"needlefit report {result.name} --figures all also draws {join_words(left)}."
-        blocks.append(document.note(words))
     return Document(
         result.title,
         subtitle(result),

@@ -11,7 +11,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.datasets.select import count_layers, get_other_rule, name_holes
+from needlefit.datasets.select import count_layers, name_holes
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points
@@ -114,7 +114,6 @@ class Scorer:
             "hole": self._holes.get(insertion.id, insertion.id),
             "specimen": insertion.specimen,
             "layers": count_layers(insertion, self.layer_count_rule),
-            "layers_other": count_layers(insertion, get_other_rule(self.layer_count_rule)),
             "depth_mm": insertion.depth,
             "comparison": "world" if self.dataset.pose == "known" else "aligned",
             **floor,

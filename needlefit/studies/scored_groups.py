@@ -1,20 +1,17 @@
 """Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import paper
-from needlefit.studies.fit_frames import SCORE_KEYS, list_methods
+from needlefit.studies.fit_frames import list_methods
 from needlefit.studies.run import Run, once_per_run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
@@ -36,34 +33,23 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         insertions that deflect by more than their noise floor. Counts of insertions: `insertions`,
         `edp_flagged` (the others of these) and `not_converged`.
     """
-    metrics = list_metrics()
+    metrics, keys = list_metrics(), list(by)
     names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
-    finite = {name: _finite_column(errors, name).to_numpy() for name in names}
-    flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
-    insertions = errors["insertion"].to_numpy()
-    keys = list(errors[list(by)].itertuples(index=False, name=None))
+    finite = errors.assign(**{name: _finite_column(errors, name) for name in names})
     rows = []
-    group = errors.groupby(list(by), sort=False).ngroup().to_numpy()
-    for number in range(int(group.max(initial=-1)) + 1):
-        at = np.flatnonzero(group == number)
-        head, clear = dict(zip(by, keys[at[0]], strict=True)), at[~flagged[at]]
-        counts = {
-            "insertions": len(set(insertions[at])),
-            "edp_flagged": len(set(insertions[at[flagged[at]]])),
-            "not_converged": len(set(insertions[at[~converged[at]]])),
+    for key, group in finite.groupby(keys, sort=False):
+        flagged, converged = group["edp_flagged"].astype(bool), group["converged"].astype(bool)
+        head = {
+            **dict(zip(keys, key, strict=True)),
+            "insertions": group["insertion"].nunique(),
+            "edp_flagged": group.loc[flagged, "insertion"].nunique(),
+            "not_converged": group.loc[~converged, "insertion"].nunique(),
         }
-        for metric in metrics:
-            value, floor = finite[metric.name], finite[f"floor_{metric.name}"]
-            means = {"value": _mean(value[at]), "floor": _mean(floor[at]), "unflagged": _mean(value[clear])}
-            rows.append({**head, "metric": metric.name, **means, **counts})
+        means, unflagged = group[names].mean(), group.loc[~flagged, names].mean()
+        for name in (metric.name for metric in metrics):
+            cells = {"value": means[name], "floor": means[f"floor_{name}"], "unflagged": unflagged[name]}
+            rows.append({**head, "metric": name, **cells})
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
-
-
-def _mean(values: NDArray[np.floating[Any]]) -> float:
-    """Return the mean of the values that are there, NaN without any."""
-    there = ~np.isnan(values)
-    # zeros keep the order in which numpy adds up: pandas' mean has the same digits
-    return float(np.where(there, values, 0.0).sum() / there.sum()) if there.any() else math.nan
 
 
 def compare_methods(results: Run, role: str) -> pd.DataFrame:
@@ -81,43 +67,19 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     """
     errors = results.frames["errors"]
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
-    errors = errors.assign(group=group_rows(errors))
     names = [metric.name for metric in headline_metrics()]
-    tables = {
-        name: errors.assign(value=_finite_column(errors, name)).pivot_table(
-            index=["fold", "group"], columns="method", values="value", sort=False
-        )
-        for name in names
-    }
-    compared, rows = tables[TE], []
-    for method in [name for name in list_methods() if name in compared and "fitted" in compared]:
-        gaps = (compared[method] - compared["fitted"]).replace([np.inf, -np.inf], np.nan).dropna()
-        gap = gaps.to_numpy(dtype=np.float64)
-        n = len(gap)
-        means = {
-            name: float(table[method].reindex(gaps.index).mean()) if method in table else np.nan
-            for name, table in tables.items()
-        }
-        rows.append(
-            {
-                "method": method,
-                "insertions": n,
-                **means,
-                "difference_mm": gap.mean() if n else np.nan,
-                "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
-                "better": int((gap > 0).sum()),
-            }
-        )
+    errors = errors.assign(group=group_rows(errors), **{name: _finite_column(errors, name) for name in names})
+    means = errors.groupby(["method", "fold", "group"], sort=False)[names].mean()
+    found, rows = set(errors["method"]), []
+    for method in [name for name in list_methods() if {name, "fitted"} <= found]:
+        theirs = means.loc[method]
+        gaps = (theirs[TE] - means.loc["fitted"][TE]).dropna()
+        averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
+        row = {"method": method, "insertions": len(gaps), **averages}
+        row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}
+        rows.append(row)
     columns = ("method", "insertions", *names, "difference_mm", "difference_se_mm", "better")
     return pd.DataFrame(rows, columns=columns)
-
-
-def tabulate_points(results: Run) -> pd.DataFrame:
-    """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
-    about = results.frames["errors"][[*SCORE_KEYS, "medium", "layers"]]
-    shapes = results.frames["shapes"]
-    across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
-    return shapes.assign(ipe_mm=np.hypot(across, along)).merge(about, on=list(SCORE_KEYS), how="inner")
 
 
 @once_per_run
@@ -142,17 +104,11 @@ def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
-_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparable", "comparison", "origin")
+_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
 TE = "te_mm"  #: the metric of verdicts, of warnings about them, and of every comparison of methods in words
-#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers or by medium
-HELD_OUT, BY_LAYERS, BY_MEDIA = "held_out", "layers", "media"
-#: the paper's table of each grouping, and which of our columns stand in its columns
-PUBLISHED: Mapping[str, tuple[paper.TableName, Mapping[str, str]]] = {
-    HELD_OUT: ("validation", {"validate_medium": "medium", "validate_layers": "layers"}),
-    BY_LAYERS: ("tuning_by_layers", {"medium": "medium", "layers": "layers"}),
-    BY_MEDIA: ("tuning_by_media", {"medium": "medium"}),
-}
+#: values of `grouping`: insertions held out, or fitted to, by medium and number of layers
+HELD_OUT, BY_LAYERS = "held_out", "layers"
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,29 +130,24 @@ class ScoredGroup:
         error, floor = self.get(metric, column, **where), self.get(metric, "floor")
         return None if error is None or not floor else error / floor
 
-    @property
-    def printed(self) -> bool:
-        """Whether the paper has a row of this group."""
-        return any(self.get(metric.name, "paper") is not None for metric in headline_metrics())
-
 
 def tabulate_validation(*results: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
 
     `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
-    parameters would still show, `paper` the paper's cell of the group, blank where it has none; `comparable`
-    says what makes the two comparable or not. With `boundaries` "planned" layers are those that the predicted
-    needle crosses, because the measured crossings of a held-out insertion leak its outcome.
+    parameters would still show, `paper` the paper's cell of the group, of its own needles, blank where it has
+    none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
+    crossings of a held-out insertion leak its outcome.
     """
-    return _make_frame(results, (HELD_OUT,))
+    return _make_frame(results, HELD_OUT)
 
 
 def tabulate_tuning(*results: Run) -> pd.DataFrame:
-    """Return the in-sample errors of every fit by layers and by media (`grouping`), beside the paper's.
+    """Return the in-sample errors of every fit by medium and number of layers, beside the paper's.
 
     Columns as in `tabulate_validation`.
     """
-    return _make_frame(results, (BY_LAYERS, BY_MEDIA))
+    return _make_frame(results, BY_LAYERS)
 
 
 def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
@@ -245,75 +196,47 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
     fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
     if fitted is None:
         return None
-    grouping = HELD_OUT if role == "validate" else BY_MEDIA
+    grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
     return ScoredGroup({**fitted, **head}, by_place)
 
 
-def _make_frame(results: Iterable[Run], groupings: tuple[str, ...]) -> pd.DataFrame:
+def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [row for one in results for grouping in groupings for row in _list_rows(one, grouping)]
+    rows = [row for one in results for row in _list_rows(one, grouping)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
 @once_per_run
 def _list_rows(results: Run, grouping: str) -> list[Row]:
-    keys = ("medium",) if grouping == BY_MEDIA else ("medium", "layers")
-    role = "validate" if grouping == HELD_OUT else "tune"
-    errors = results.frames["errors"][results.frames["errors"]["role"] == role]
-    table, found = aggregate(errors, (*keys, "method", "boundaries")), list[Row]()
-    about = {
-        "study": study_label(results),
-        "grouping": grouping,
-        "layer_count_rule": results.record.layer_count_rule,
-        "origin": results.origin,
-        "comparison": str(results.frames["errors"]["comparison"].iloc[0]) if len(errors) else "",
-    }
-    for key, group in table.groupby(list(keys), sort=False):
+    errors = results.frames["errors"]
+    errors = errors[errors["role"] == ("validate" if grouping == HELD_OUT else "tune")]
+    table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
+    for _, group in table.groupby(["medium", "layers"], sort=False):
         rows = to_records(group)
-        ours = next((r for r in rows if (r["method"], r["boundaries"]) == ("fitted", "measured")), None)
-        if ours is not None:
-            head = {**about, **dict(zip(keys, key, strict=True))}
-            printed, beside = _find_paper_row(results, head, ours["insertions"])
-            found += [{**head, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
+        medium, layers = rows[0]["medium"], rows[0]["layers"]
+        if not any((row["method"], row["boundaries"]) == ("fitted", "measured") for row in rows):
+            continue
+        about = {"study": study_label(results), "grouping": grouping, "medium": medium, "layers": layers}
+        printed, insertions = _find_paper_row(about)
+        beside = {
+            "paper_insertions": insertions,
+            "layer_count_rule": results.record.layer_count_rule,
+            "origin": results.origin,
+            "comparison": str(errors["comparison"].iloc[0]),
+        }
+        found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found
 
 
-def _find_paper_row(results: Run, head: Row, insertions: int) -> tuple[Row, Row]:
-    """Return the paper's row of a group, and what its number of insertions says of comparability."""
-    name, columns = PUBLISHED[head["grouping"]]
-    held_out = head["grouping"] == HELD_OUT
-    match = {theirs: head[ours] for theirs, ours in columns.items()}
-    match |= {"study": head["study"]} if held_out else {}
-    printed = paper.select_rows(name, **match)
-    if held_out:
-        design = paper.select_rows("study_design", **match)
-        count, where = design[0]["validate_insertions"] if design else None, ""
-    else:
-        listed = [row["insertions"] for row in paper.select_rows("insertions", **match)]
-        count, where = sum(listed) if printed else None, "in-sample"
-    sentence = compare_with_paper(results, insertions, count, where)
-    return printed[0] if printed else {}, {"paper_insertions": count, "comparable": sentence}
-
-
-# ---- comparable with the paper's rows, or not
-
-
-def compare_with_paper(results: Run, insertions: int, paper_insertions: int | None, where: str = "") -> str:
-    """Return the sentence on comparability of a group of insertions, held out or `where`.
-
-    `paper_insertions` is None where the paper has no row.
-    """
-    if paper_insertions is None:
-        return f"{where.capitalize()}; the paper has no such row." if where else "The paper has no such row."
-    if (results.frames["errors"]["comparison"] == "aligned").any():
-        return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
-    verdict, count = "Same metrics and design, other data", ""
-    if insertions != paper_insertions:
-        verdict = "Same metrics, other data and insertions"
-        count = f", {insertions} insertion{'s' * (insertions != 1)} here, {paper_insertions} there"
-    data = "the needles are not the paper's"
-    if results.origin == "synthetic":
-        data = "ours are of simulated needles, the paper's of real ones"
-    conditions = ", ".join(filter(None, (where, "measured boundaries, mean over insertions")))
-    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
+def _find_paper_row(group: Row) -> tuple[Row, int | None]:
+    """Return the paper's row of a group, empty where it has none, and its number of insertions."""
+    medium, layers = group["medium"], group["layers"]
+    if group["grouping"] == HELD_OUT:
+        match = {"study": group["study"], "validate_medium": medium, "validate_layers": layers}
+        printed, design = (paper.select_rows(name, **match) for name in ("validation", "study_design"))
+        return next(iter(printed), {}), design[0]["validate_insertions"] if design else None
+    printed, listed = (
+        paper.select_rows(name, medium=medium, layers=layers) for name in ("tuning_by_layers", "insertions")
+    )
+    return next(iter(printed), {}), sum(row["insertions"] for row in listed) if printed else None

@@ -16,11 +16,10 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures import Drawing
+from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
-    TEXT_WIDTH_IN,
     choose_vertical_scale,
     choose_width,
     count_legend_columns,
@@ -34,19 +33,15 @@ from needlefit.reporting.labels import (
     METHOD_COLOURS,
     PAPER_COLOUR,
     method_colour,
-    method_name,
 )
 from needlefit.reporting.number_format import (
     choose_interval_unit,
-    choose_printed_unit,
     format_number,
-    format_plain,
     typeset,
     typeset_interval,
 )
 from needlefit.reporting.table_files import Row, to_records
 
-_DASHED = (0, (2, 1.5))
 _OURS = METHOD_COLOURS["fitted"]
 
 
@@ -215,102 +210,50 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 
 # ---- errors by group
 
-QUARTILES = {"5 %": 5, "25 %": 25, "median": 50, "75 %": 75, "95 %": 95}
-MAX_COLUMN_GROUPS = 3  # groups at most of a figure as wide as one column of a paper
-_ERROR_COLOURS = {"IPE": "#0072B2", "TE": "#009E73"}
-
 
 def errors_by_group(marks: pd.DataFrame) -> Figure:
-    """Draw boxes (quartiles; whiskers to 5 and 95 %), single tips, means, floor and the paper's means.
+    """Draw a line for each group: single tip errors, the means of the closest curve and of the paper, noise.
 
-    `marks` has a row per `group`, `metric` ("IPE", "TE") and `mark`, with its `value`, mm.
+    `marks` has a row per `group` and `mark` ("tip", "curve", "paper", "noise"), with its `te_mm`.
     """
     groups = list(dict.fromkeys(marks["group"]))
-    wide = choose_width(TEXT_WIDTH_IN if len(groups) > MAX_COLUMN_GROUPS else COLUMN_WIDTH_IN)
-    figure = Figure(figsize=(wide, 2.1))
+    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)))
     axes = figure.add_subplot()
-    for x, group in enumerate(groups):
-        for (metric, colour), shift in zip(_ERROR_COLOURS.items(), (-0.19, 0.19), strict=True):
-            here = marks[(marks["group"] == group) & (marks["metric"] == metric)]
-            _draw_error(axes, x + shift, here, colour)
-    labels = [group.replace(", ", "\n") for group in groups]
-    if len({label.partition("\n")[0] for label in labels}) == 1:  # the title names the study
-        labels = [label.partition("\n")[2] for label in labels]
-    axes.set_xticks(range(len(groups)), labels, linespacing=1.25)
-    axes.tick_params(axis="x", length=0, pad=5)
-    margin = 0.55 + 0.25 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
-    axes.set(xlim=(-margin, len(groups) - 1 + margin), ylabel="error (mm)")
-    axes.set_ylim(bottom=0)
-    draw_grid(axes, "y")
-    handles = [
-        _line("in-plane error (IPE)", color=lighten(_ERROR_COLOURS["IPE"], 0.6), lw=5),
-        _line("tip error (TE)", color=lighten(_ERROR_COLOURS["TE"], 0.6), lw=5),
-        _line("our mean", color=_ERROR_COLOURS["IPE"], marker="D", mec="white", ms=4, lw=0),
-        _line("paper's mean", color=PAPER_COLOUR, marker="D", mfc="white", ms=3.6, lw=0),
-        _line("noise floor", color=INK, lw=0.8, ls=_DASHED),
-    ]
-    printed = (marks["mark"] == "paper").any()
-    _add_legend(figure, handles if printed else [*handles[:3], handles[4]], 5)
+    looks: dict[str, tuple[str, dict[str, Any]]] = {
+        "noise": ("measurement noise", {"color": lighten(GREY, 0.6), "lw": 6, "solid_capstyle": "butt"}),
+        "curve": ("closest curve, mean", {"color": GREY, "marker": "|", "ms": 9, "mew": 1.4, "lw": 0}),
+        "paper": (
+            "paper, own needles",
+            {"mec": PAPER_COLOUR, "marker": "D", "ms": 3.6, "mfc": "white", "lw": 0},
+        ),
+        "tip": ("our predictions", {"mfc": _OURS, "marker": "o", "ms": 3.4, "mec": "white", "lw": 0}),
+    }
+    for order, (mark, (_, look)) in enumerate(looks.items()):
+        for row in to_records(marks[marks["mark"] == mark]):
+            ends = [0, row["te_mm"]] if mark == "noise" else [row["te_mm"]]
+            axes.plot(ends, [groups.index(row["group"])] * len(ends), zorder=2 + order, **look)
+    axes.set_yticks(range(len(groups)), groups)
+    axes.tick_params(axis="y", length=0)
+    axes.set(ylim=(len(groups) - 0.5, -0.5), xlabel="tip error (mm)")
+    axes.set_xlim(left=0)
+    draw_grid(axes, "x")
+    shown = [_line(label, **look) for mark, (label, look) in looks.items() if mark in set(marks["mark"])]
+    _add_legend(figure, shown, 4)
     return figure
-
-
-def _draw_error(axes: Axes, x: float, marks: pd.DataFrame, colour: str) -> None:
-    """Draw the box of one error of one group, single tips, our mean, the noise floor's and the paper's."""
-    at = {str(row["mark"]): row["value"] for row in to_records(marks)}
-    if all(end in at for end in QUARTILES):
-        names = ("whislo", "q1", "med", "q3", "whishi")
-        box = dict(zip(names, (at[end] for end in QUARTILES), strict=True))
-        look: dict[str, Any] = {"showfliers": False, "patch_artist": True, "manage_ticks": False}
-        look |= {"boxprops": {"facecolor": lighten(colour, 0.6), "linewidth": 0}}
-        look |= {"medianprops": {"color": colour, "linewidth": 1.6}, "capprops": {"linewidth": 0}}
-        axes.bxp([box], [x], widths=0.3, whiskerprops={"color": colour, "linewidth": 0.8}, **look)
-    tips = marks.loc[marks["mark"] == "tip", "value"]
-    spread = np.linspace(-0.07, 0.07, len(tips)) if len(tips) > 1 else np.zeros(len(tips))
-    axes.plot(x + spread, tips, "o", ms=2.6, mfc=colour, mec="white", mew=0.3, zorder=4)
-    if "mean" in at:
-        axes.plot(x, at["mean"], "D", ms=3.2, mfc=colour, mec="white", mew=0.5, zorder=5)
-    if "noise floor" in at:
-        axes.hlines(at["noise floor"], x - 0.17, x + 0.17, color=INK, lw=0.8, ls=_DASHED, zorder=5)
-    if "paper" in at:
-        axes.plot(x, at["paper"], "D", ms=3.6, mfc="white", mec=PAPER_COLOUR, mew=1.0, zorder=6)
 
 
 # ---- predictive check
 
 PREDICTED_QUANTITIES = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
-PREDICTED_LEVELS = (50, 95)
 _BAND_COLOUR = lighten(GREY, 0.75)
 
 
 def predictive_check(rows: pd.DataFrame) -> Figure:
-    """Draw, a row of panels per `study`, the ECDF of PIT values with its band, and coverage of intervals."""
-    studies = list(rows.groupby("study", sort=False))
-    several = len(studies) > 1
-    width = choose_width(TEXT_WIDTH_IN if several else COLUMN_WIDTH_IN)
-    head = 0.55 if width > COLUMN_WIDTH_IN else 0.75
-    figure = Figure(figsize=(width, head + (1.05 if several else 1.5) * len(studies)))
-    grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
-    for (left, right), (name, some) in zip(grid, studies, strict=True):
-        count, trials = int(some["insertions"].iloc[0]), int(some["replicates"].iloc[0])
-        words = f"{count} insertions" + ("" if trials == count else f", {trials} independent")
-        left.set_title(f"{name}: {words}" if several else words, loc="left")
-        _draw_ecdfs(left, some)
-        _draw_coverage(right, some)
-        # a low panel is shorter than the name in one line
-        right.set_ylabel("empirical\ncoverage" if several else "empirical coverage")
-        for axes in (left, right):
-            axes.set_ylim(-0.04, 1.04)
-            axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
-    grid[-1, 0].set_xlabel("PIT")
-    grid[-1, 1].set_xlabel("interval")
-    handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
-    handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
-    handles.append(_line("nominal", color=INK, lw=0.8, ls=_DASHED))
-    _add_legend(figure, handles, 4)
-    return figure
-
-
-def _draw_ecdfs(axes: Axes, rows: pd.DataFrame) -> None:
+    """Draw the ECDFs of PIT values, and the band of uniform ones."""
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
+    axes = figure.add_subplot()
+    count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
+    axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
     chance = rows[rows["mark"] == "band"]
     low, high = (chance[side].astype(float) for side in ("low", "high"))
     axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0)
@@ -318,187 +261,13 @@ def _draw_ecdfs(axes: Axes, rows: pd.DataFrame) -> None:
     for quantity, (_, colour) in PREDICTED_QUANTITIES.items():
         steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == quantity)]
         axes.step(steps["probability"], steps["share"], where="post", color=colour, lw=1.2)
-    axes.set(xlim=(-0.02, 1.02), ylabel="empirical CDF")
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.04, 1.04), xlabel="PIT", ylabel="empirical CDF")
     axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
-
-
-def _draw_coverage(axes: Axes, rows: pd.DataFrame) -> None:
-    """Draw what part of needles each interval held, with what so few of them leave open."""
-    for at, level in enumerate(PREDICTED_LEVELS):
-        axes.plot([at - 0.32, at + 0.32], [level / 100] * 2, color=INK, lw=0.8, ls=_DASHED)
-    for shift, (quantity, (_, colour)) in zip((-0.13, 0.13), PREDICTED_QUANTITIES.items(), strict=True):
-        some = rows[(rows["mark"] == "coverage") & (rows["quantity"] == quantity)]
-        for at, row in enumerate(to_records(some)):
-            axes.plot([at + shift] * 2, [row["low"], row["high"]], color=colour, lw=1.2)
-            axes.plot(at + shift, row["share"], "o", ms=4, color=colour, mec="white", mew=0.5)
-    axes.set_xticks(range(len(PREDICTED_LEVELS)), [f"{level} %" for level in PREDICTED_LEVELS])
-    axes.tick_params(axis="x", length=0)
-    axes.set_xlim(-0.6, len(PREDICTED_LEVELS) - 0.4)
-    draw_grid(axes, "y")
-
-
-# ---- starts of a search
-
-MIN_SHOWN_EXCESS = 1e-3
-"""Tolerances: starts nearer to the best one are drawn here, for the axis is logarithmic."""
-
-
-def waterfall(marks: pd.DataFrame, title: str) -> Figure:
-    """Draw the objective of all starts above the best one."""
-    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 1.8))
-    _draw_ranked(figure.subplots(), marks, title)
+    axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
+    handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
+    handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
+    _add_legend(figure, handles, 3)
     return figure
-
-
-def _draw_ranked(axes: Axes, starts: pd.DataFrame, title: str) -> None:
-    """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
-    for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
-        ranked = group[group["rank"].notna()].sort_values("rank")
-        shown = ranked["excess"].clip(lower=MIN_SHOWN_EXCESS)
-        axes.plot(ranked["rank"], shown, "o-", color=method_colour(str(fit)), ms=3, lw=0.8)
-    each = ", a line per fold" if starts["fold"].nunique() > 1 else ""
-    fits = [str(fit) for fit in dict.fromkeys(starts["fit"])]
-    looks = {fit: {"color": method_colour(fit), "marker": "o", "ms": 3, "lw": 0.8} for fit in fits}
-    handles = [_line(method_name(fit) + each, **look) for fit, look in looks.items()]
-    axes.legend(handles=handles, loc="best", handlelength=1.5)
-    failed = int(starts["failed"].sum())
-    axes.set_title(title + (f",\n{failed} without a result" if failed else ""), loc="left")
-    axes.axhline(1, color=GREY, lw=0.6, ls=_DASHED)
-    axes.set(xlabel="start, sorted", ylabel="objective − best (tolerances)", yscale="log")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylim(bottom=0.5 * MIN_SHOWN_EXCESS)
-    draw_grid(axes, "y")
-
-
-# ---- draws: every parameter, every pair
-
-_MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
-_MAX_PANEL_IN, _MIN_PANEL_IN = 0.64, 0.8  # inches; in narrower panels numbers are turned
-_MAX_TICK_LETTERS = 2  # signs of a number of which more than two stand along a panel
-_MAX_LABEL_LETTERS = 12
-_MAX_COLUMN_PARAMETERS = 3
-_BOUNDS: dict[str, Any] = {"color": GREY, "lw": 0.8, "ls": (0, (1, 1.5))}
-DRAWN_SETS: Mapping[str, tuple[str, float, str]] = {
-    "fitted": ("D", 4.2, INK),
-    "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"]),
-}
-
-
-def corner(frame: pd.DataFrame, names_of_sets: Mapping[str, str]) -> Figure:
-    """Draw draws with the fit, the paper's parameters and the bounds: marginals and pairs.
-
-    `frame` has a column per parameter (Pa, mm) and `mark`: "draw", "fitted", "hand_tuned", "lower bound" or
-    "upper bound".
-    """
-    names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
-    count = len(names)
-    width = choose_width(COLUMN_WIDTH_IN if count <= _MAX_COLUMN_PARAMETERS else TEXT_WIDTH_IN)
-    figure = Figure(figsize=(width, min(max(_MAX_PANEL_IN * count, 2.2) + 0.4, 1.1 * width)))
-    grid = figure.add_gridspec(count, count)
-    marginals: list[Axes] = []
-    for row, below in enumerate(names):
-        for column, left in enumerate(names[: row + 1]):
-            if column == row:
-                axes = figure.add_subplot(grid[row, column])
-                marginals.append(axes)
-                _draw_marginal(axes, frame, left)
-            else:
-                axes = figure.add_subplot(grid[row, column], sharex=marginals[column])
-                _draw_pair(axes, frame, left, below)
-            _format_pair(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
-            if width / count < _MIN_PANEL_IN:
-                axes.tick_params(axis="x", labelrotation=90)
-                axes.set_xlabel(axes.get_xlabel().replace(" ", "\n", 1))
-                axes.set_ylabel(axes.get_ylabel().replace(" ", "\n", 1))
-                axes.set_title("", loc="left")
-    handles = [_line("draws", marker="o", ms=3, mew=0, lw=0, color=_OURS, alpha=0.6)]
-    for mark, (marker, size, colour) in DRAWN_SETS.items():
-        if (frame["mark"] == mark).any():
-            handles.append(_line(names_of_sets[mark], marker=marker, ms=size, mfc=colour, mec="white", lw=0))
-    handles.append(_line("bounds, flat prior", **_BOUNDS))
-    if figure.get_figwidth() > COLUMN_WIDTH_IN:
-        figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))
-    else:
-        figure.legend(handles=handles, loc="outside upper left", handlelength=1.5)
-    return figure
-
-
-def to_log_coordinates(values: pd.DataFrame) -> Floats:
-    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
-    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
-    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
-
-
-def _draw_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
-    """Draw how the draws of one parameter fall, beside the flat prior between its bounds."""
-    logarithmic = is_logarithmic(name)
-    axes.set_xscale("log" if logarithmic else "linear")
-    at = to_log_coordinates(frame[frame["mark"] == "draw"][[name]])[:, 0]
-    heights, edges = np.histogram(at, bins=min(24, max(8, len(at) // 16)), density=True)
-    back = np.exp(edges) if logarithmic else edges
-    axes.stairs(heights, back, fill=True, color=lighten(_OURS, 0.65), lw=0)
-    bounds = to_log_coordinates(frame[frame["mark"].str.endswith("bound")][[name]])[:, 0]
-    # A parameter without bounds has no flat prior to draw.
-    if np.isfinite(bounds).all():
-        axes.axhline(1 / float(np.ptp(bounds)), **_BOUNDS)
-    for mark, (_, _, colour) in DRAWN_SETS.items():
-        for value in frame.loc[frame["mark"] == mark, name]:
-            axes.axvline(value, color=colour, lw=0.9)
-    axes.set_ylim(bottom=0)
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
-
-
-def _draw_pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
-    axes.set_xscale("log" if is_logarithmic(left) else "linear")
-    axes.set_yscale("log" if is_logarithmic(below) else "linear")
-    draws = frame[frame["mark"] == "draw"]
-    # one path of lines without length and with round ends: a tenth of the bytes of marks
-    twice = (np.repeat(draws[name].to_numpy(dtype=np.float64), 3) for name in (left, below))
-    across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
-    (line,) = axes.plot(across, up, color=_OURS, alpha=0.45, lw=1.7, solid_capstyle="round")
-    line.get_path().should_simplify = False  # or what has no length would be left out
-    for mark, (marker, size, colour) in DRAWN_SETS.items():
-        some = frame[frame["mark"] == mark]
-        axes.plot(some[left], some[below], marker, ms=size, mfc=colour, mec="white", mew=0.5, zorder=4)
-    bounds = frame[frame["mark"].str.endswith("bound")]
-    for x, y in zip(bounds[left], bounds[below], strict=True):
-        axes.axvline(x, **_BOUNDS)
-        axes.axhline(y, **_BOUNDS)
-
-
-def _find_axis_limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
-    """Return the range of draws, fit and the paper's set, with room; bounds may lie outside."""
-    seen = frame[frame["mark"].isin(["draw", *DRAWN_SETS])][[name]].dropna()
-    at = to_log_coordinates(seen)[:, 0]
-    room = _MARGIN_FRACTION * max(float(np.ptp(at)), 1e-3)
-    ends = float(at.min()) - room, float(at.max()) + room
-    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if is_logarithmic(name) else ends
-
-
-def _format_pair(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
-    """Give axes limits, round places, and names where they are the last of their column or row."""
-    alone = names[0] == names[1]
-    for axis, name, last in zip((axes.xaxis, axes.yaxis), names, outer, strict=True):
-        if axis is axes.yaxis and alone:
-            continue
-        low, high = _find_axis_limits(frame, name)
-        label, unit = choose_printed_unit(name, [low])
-        (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low, high)
-        if is_logarithmic(name):
-            axis.set_minor_locator(NullLocator())
-            ticks = choose_log_ticks(low, high)
-            if any(len(format_plain(tick / unit)) > _MAX_TICK_LETTERS for tick in ticks):
-                ticks = [ticks[0], ticks[-1]]
-            axis.set_ticks(ticks, [format_plain(tick / unit) for tick in ticks])
-        else:
-            axis.set_major_locator(MaxNLocator(3))
-        axis.set_tick_params(labelbottom=last, labelleft=last)
-        if last:  # a long name would reach into the next panel
-            axis.set_label_text(label.replace(" ", "\n", 1) if len(label) > _MAX_LABEL_LETTERS else label)
-    if alone:
-        label, _ = choose_printed_unit(names[0], [_find_axis_limits(frame, names[0])[0]])
-        axes.set_title(label, loc="left", pad=2)
 
 
 # ---- profile likelihoods
@@ -513,6 +282,12 @@ _VERDICT_COLUMNS = [
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
 ]
 """Columns of the identification that the figure shows."""
+
+
+def to_log_coordinates(values: pd.DataFrame) -> Floats:
+    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
+    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
 def draw_profiles(identification: pd.DataFrame, computed: pd.DataFrame, origin: str) -> Drawing:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures import Look, Panel
+from needlefit.reporting.figures.looks import Look, Panel
 from needlefit.reporting.figures.style import (
     TEXT_WIDTH_IN,
     count_legend_columns,

@@ -31,8 +31,6 @@ number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`,
 `medium`, ...), `quantity` (with the parameter's name), `ratio` (two digits),
 `significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
 
-Links to `cite:KEY,KEY` are citations: `format_latex` makes \\cite of them, reports leave them out.
-
 `needlefit.studies.report.StudyReport` makes a report of a text, its values, tables and figures;
 `needlefit/studies/kinds/calibration.py` is an example.
 """
@@ -53,7 +51,6 @@ from markupsafe import Markup
 from needlefit.reporting import document
 from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
-from needlefit.reporting.latex import escape_latex
 from needlefit.reporting.number_format import (
     format_bare_symbol,
     format_quantity,
@@ -65,7 +62,6 @@ from needlefit.reporting.table import Table, TableLayout
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
 _SPACE = re.compile(r"\s+")
 _REFERENCE = re.compile(r"\[\[(table|figure|block):(\w+)\]\]")
-_CITATION = "cite:"
 _INLINE_RULES = ("escape", "backticks", "emphasis", "link", "newline")
 
 
@@ -148,16 +144,6 @@ class KindText:
         """Return a block as one line of plain text."""
         return " ".join(self.sentences(block, values))
 
-    def format_latex(self, block: str, values: Mapping[str, Any]) -> tuple[str, list[str]]:
-        """Return a block as LaTeX, a line for each paragraph, and the keys that it cites, each once."""
-        lines, cited = [], []
-        for token in _parser().parse(self.render(block, values)):
-            if token.type == "inline":
-                parts = list(_iterate_latex(token))
-                lines.append("".join(latex for latex, _ in parts))
-                cited += [key for _, keys in parts for key in keys]
-        return "\n".join(lines), list(dict.fromkeys(cited))
-
     def lay_out(self, table: Table, values: Mapping[str, Any], drop_empty: bool = False) -> TableLayout:
         """Return a table with caption and notes from the block `table_<name>`, if there is one."""
         head, *notes = self.sentences(f"table_{table.name}", values) or [table.caption]
@@ -170,14 +156,12 @@ class KindText:
         tables: Iterable[TableLayout] = (),
         figures: Mapping[str, Path] | None = None,
         further: Mapping[str, list[Block]] | None = None,
-        captions: Mapping[str, str] | None = None,
     ) -> list[Block]:
         """Return a block as blocks of a report, with all that it refers to; `further` are blocks by name."""
         known = {("table", one.name): [document.table(one)] for one in tables}
         known |= {("block", name): blocks for name, blocks in (further or {}).items()}
         for name, path in (figures or {}).items():
-            caption = (captions or {}).get(name) or self.sentence(f"figure_{name}", values)
-            known[("figure", name)] = [document.figure(path, caption)]
+            known[("figure", name)] = [document.figure(path, self.sentence(f"figure_{name}", values))]
         return list(_compose(_parser().parse(self.render(block, values)), known))
 
 
@@ -211,16 +195,6 @@ def _compose(tokens: list[Token], known: Mapping[tuple[str, str], list[Block]]) 
                 yield document.note(_runs(replace(token, children=children[1:-1])))
             else:
                 yield document.text(_runs(token))
-
-
-def _iterate_latex(token: Token) -> Iterator[tuple[str, list[str]]]:
-    for child in token.children or []:
-        target = str(child.attrs.get("href", ""))
-        if child.type == "link_open" and target.startswith(_CITATION):
-            keys = target.removeprefix(_CITATION)
-            yield f"~\\cite{{{keys}}}", keys.split(",")
-        elif child.type in ("text", "code_inline", "softbreak"):
-            yield escape_latex(" " if child.type == "softbreak" else child.content), []
 
 
 def _plain(token: Token) -> str:

@@ -4,46 +4,36 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
 
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
-from needlefit.inference.parameters import BEVEL_SPREAD, find_tie_spread, parse_tie
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
-from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import (
     format_bare_symbol,
     format_metric,
-    format_number,
     format_quantity_range,
 )
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import Row, format_csv, to_records, to_tidy
-from needlefit.schemas.medium import ParameterRecord
-from needlefit.schemas.study import StudyRecord
+from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.answer import Answer, Check, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import find_scored_role, select_draws, select_free
+from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import STATUS, Judgement, judge, list_checks
+from needlefit.studies.judge import STATUS, judge, list_checks
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
 
 __all__ = ["FRAMES", "REPORT"]
-
-_ALGORITHMS = {"leastsquares": "nonlinear least squares with the exact Jacobian"}
-_PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "NLopt"}
-
 
 # ---- what the text prints
 
@@ -52,142 +42,40 @@ _PACKAGES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "nlopt": "N
 def collect_values(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
     run, frames, role = results.run, results.frames, find_scored_role(results.frames["errors"])
-    folds = list(run.get("folds", ()))
+    folds, starts, errors = list(run.get("folds", ())), frames["starts"], frames["errors"]
     counts = sorted(len(fold["tune"]) for fold in folds)
-    certified = frames["draws"]["certified"].astype(bool).all()
-    by_metric = _minimises_errors(results)
+    group = scores.pool_insertions(results, role)
+    floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
     return {
         "results": results,
         "frames": frames,
         "role": role,
         "dataset": str(run.get("dataset", {}).get("name", results.dataset_title)),
-        "media": {one: _list_media(frames["errors"], one) for one in ("tune", "validate")},
+        "media": {
+            name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
+            for name in ("tune", "validate")
+        },
         "folds": len(folds),
         "held_out": len({one for fold in folds for one in fold["validate"]}),
         "depths": {
             str(name): [float(found.min()), float(found.max())]
-            for name, found in frames["errors"].query("method == 'fitted'").groupby("role")["depth_mm"]
+            for name, found in errors.query("method == 'fitted'").groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
-        "floors": _list_floors(results, role),
-        "by_metric": by_metric,
-        "printed": any(group.printed for group in scores.list_held_out_groups(results)),
-        "no_bands": not certified and role == "validate",
-        "unconverged": any(posterior.faults for posterior in results.posteriors.values()),
-        "draws_of_predictions": int(frames["predictive"]["draws"].max()) if len(frames["predictive"]) else 0,
-        "failed": _count_failures(results),
-        "agreement": _describe_agreement(frames["starts"]),
-        "drawn": _describe_draws(frames) if len(frames["draws"]) else {},
-        "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
-        # results that were made up have none
-        "methods": _describe_methods(results, by_metric) if "recipe" in run else {},
-    }
-
-
-def _list_media(errors: pd.DataFrame, role: str) -> list[str]:
-    return list(dict.fromkeys(errors.loc[errors["role"] == role, "medium"]))
-
-
-def _minimises_errors(results: Run) -> bool:
-    """Return whether the fit minimises errors: by its recipe, or because the data state no noise."""
-    starts = results.frames["starts"].query("fit == 'fitted'")
-    stated = (results.run.get("recipe") or {}).get("minimize") == "metric"
-    return stated or bool((starts["minimized"] == "metric").any())
-
-
-def _list_floors(results: Run, role: str) -> list[str]:
-    """Return each metric's noise floor; none where no noise is stated."""
-    group = scores.pool_insertions(results, role)
-    known = {one: None if group is None else group.get(one.name, "floor") for one in list_metrics()}
-    return [
-        f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
-        for one, floor in known.items()
-        if floor is not None and one.has_floor
-    ]
-
-
-def _count_failures(results: Run) -> Row:
-    starts, failures = results.frames["starts"], results.frames["failures"]
-    reasons = Counter(str(reason).partition(":")[0] for reason in failures["note"]).most_common()
-    return {
-        "searches": int(starts["failed_solves"].sum()),
-        "evaluations": int(starts["evaluations"].sum()),
-        "sampled": sum(posterior.failures for posterior in results.posteriors.values()),
-        "recorded": len(failures),
-        "reasons": ", ".join(f"{count} {reason}" for reason, count in reasons),
-    }
-
-
-def _describe_agreement(starts: pd.DataFrame) -> str:
-    """Return how many starts there are, where all end within tolerance; else nothing."""
-    all_agree = len(starts) and starts["within_tolerance"].astype(bool).all()
-    return fit_figures.describe_counts(starts) if all_agree else ""
-
-
-def _describe_draws(frames: Mapping[str, pd.DataFrame]) -> Row:
-    """Return source and convergence of the draws of the first fold."""
-    draws = select_draws(frames["draws"])
-    return {
-        "count": len(draws),
-        "source": str(draws["draw_source"].iloc[0]),
-        "pareto_k": float(draws["pareto_k"].iloc[0]),
-        "certified": bool(draws["certified"].iloc[0]),
-        "folds": int(frames["draws"]["fold"].nunique()),
-        "fold": str(draws["fold"].iloc[0]),
-        # beside the mean and a new specimen each has draws of its own
-        "separate": frames["draws"]["specimen"].nunique() > 2,
-    }
-
-
-def _group_ties(
-    parameters: Mapping[str, Mapping[str, Any]], exact_alone: bool
-) -> list[tuple[float | None, list[Row]]]:
-    """Return tied parameters by the spread of their prior; None: exactly tied."""
-    groups: defaultdict[float | None, list[Row]] = defaultdict(list)
-    for name, how in parameters.items():
-        if (tie := how.get("tie")) is not None:
-            factor, source = parse_tie(name, tie)
-            spread = find_tie_spread(name, ParameterRecord(tie=tie, spread=how.get("spread")))
-            exact = spread == 1 or exact_alone
-            groups[None if exact else spread].append({"name": name, "factor": factor, "source": source})
-    return sorted(groups.items(), key=lambda item: item[0] is not None)
-
-
-def _describe_methods(results: Run, by_metric: bool) -> Row:
-    """Return what the methods paragraph of a paper states."""
-    run, frames = results.run, results.frames
-    recipe, parameters, how = run["recipe"], run["medium"]["parameters"], run["recipe"]["likelihood"]
-    stored = how.get("measurement", "stored") == "stored" and how["noise"] == "correlated"
-    shared = (run["dataset"]["boundary_shared_sd_mm"] or ()) if how["depths"] != "fixed" else ()
-    predicted, by_angle = frames["predictive"], "cut_angle_deg" in parameters
-    pareto = frames["draws"]["pareto_k"].max()
-    new = (predicted["specimen_treatment"] == "others").any()
-    return {
-        **{"recipe": recipe, "rules": run["rules"], "versions": run["versions"]},
-        "law": str(run["rules"]["law"]).capitalize(),
-        "bevel": "cut angle" if by_angle else "bevel offset",
-        "symbol": "θ" if by_angle else "b",
-        "free": [name for name, one in parameters.items() if one["bounds"]],
-        "held": [name for name, one in parameters.items() if one["fixed"] is not None],
-        "ties": _group_ties(parameters, by_metric),
-        "measurement": run["dataset"]["measurement"],
-        "compared": stored or run["dataset"]["measurement"]["operator"] == "none",
-        "shared_sd_mm": list(dict.fromkeys(map(format_number, (*shared[:1], *shared[-1:])))),
-        "spread": bool((frames["parameters"]["parameter"] == BEVEL_SPREAD).any()),
-        "algorithm": " and then ".join(
-            _ALGORITHMS.get(part, part.upper()) for part in recipe["algorithm"].split("+")
-        ),
-        "is_study": isinstance(results.record, StudyRecord),
-        "distinct_held_out": len({one for fold in run["folds"] for one in fold["validate"]}),
-        "first_draws": int(predicted["draws"].iloc[0]) if len(predicted) else 0,
-        "folds": predicted["fold"].nunique(),
-        "sampled_folds": predicted[predicted["draw_source"] == "posterior"]["fold"].nunique(),
-        "pareto_k": None if pd.isna(pareto) or pareto == float("inf") else float(pareto),
-        "specimens": recipe.get("specimens") if new else None,
-        "packages": [
-            f"{_PACKAGES[name]} {run['versions'][name]}" for name in _PACKAGES if name in run["versions"]
+        "floors": [
+            f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
+            for one, floor in floors.items()
+            if floor is not None and one.has_floor
         ],
+        "no_bands": role == "validate" and not frames["draws"]["certified"].astype(bool).all(),
+        "starts": len(starts),
+        "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
+        "evaluations": int(starts["evaluations"].sum()),
+        "failed": int(starts["failed_solves"].sum()),
+        "population": fit_tables.list_spreads(results),
+        "chains": fit_tables.tabulate_percentiles(results),
+        "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
     }
 
 
@@ -195,69 +83,46 @@ def _describe_methods(results: Run, by_metric: bool) -> Row:
 
 
 def find_answer(results: Run) -> Answer:
-    """Return the parts of the first page; of a study the verdict on each held-out group follows the first."""
+    """Return the parts of the first page."""
     role, values = find_scored_role(results.frames["errors"]), collect_values(results)
     checks, group = list_checks(results, role), scores.pool_insertions(results, role)
     judged = None if group is None else judge(results, group)
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
-    words = {**values, "judged": judged, "checks": {str(one.check): one for one in checks}}
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
-    words["gain"] = None if pd.isna(gain) else float(gain)
-    words["determined"] = _list_determined(results)
-    numbers = _collect_numbers(group, judged)
-    if role == "tune":
-        opening, status = _open_fit(results, [name for name, found in words["determined"] if found])
-        words |= {"opening": opening, "insertions": group.head["insertions"]}
-        numbers["not_determined"] = ", ".join(
-            name for word, names in words["determined"] if word != "yes" for name in names
-        )
-        verdicts = [Verdict(TEXT.sentence("fitted", words), status, "", numbers)]
-        tables = [fit_tables.lay_out_parameters(results)]
-    else:
-        groups = scores.list_held_out_groups(results)
-        if len(groups) == 1:  # all insertions are those of the paper's row
-            numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper")
-        verdicts = [Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], "", numbers)]
-        verdicts += _judge_groups(results, words)
-        tables = [fit_tables.lay_out_summary(results)]
-    return Answer(
-        verdicts,
-        tables,
-        TEXT.sentence("about", words),
-        checks,
-        TEXT.sentence("advice", words),
-        TEXT.sentence("determined", words),
-    )
-
-
-def _judge_groups(results: Run, values: Mapping[str, Any]) -> Iterator[Verdict]:
-    """Yield the verdict on each held-out group, where there are several."""
-    groups = scores.list_held_out_groups(results)
-    media = [group.head["medium"] for group in groups]
-    for group in groups if len(groups) > 1 else ():
-        medium, layers = group.head["medium"], group.head["layers"]
-        several = media.count(medium) > 1
-        name = labels.group_name(medium, layers) if several else labels.medium_name(medium)
-        if (judged := judge(results, group)) is None:
-            yield Verdict(TEXT.sentence("nothing_scored", values), "fail", name)
-            continue
-        words = {**values, "judged": judged, "media": {**values["media"], "validate": [name]}}
-        numbers = _collect_numbers(group, judged)
-        yield Verdict(TEXT.sentence("predicted", words), STATUS[judged.outcome], name, numbers)
-
-
-def _collect_numbers(group: scores.ScoredGroup, judged: Judgement) -> dict[str, float | str | None]:
-    return {
+    determined, intervals = _list_determined(results)
+    words = {
+        **values,
+        "judged": judged,
+        "insertions": group.head["insertions"],
+        "checks": {str(one.check): one for one in checks},
+        "gain": None if pd.isna(gain) else float(gain),
+        "determined": determined,
+        "intervals": intervals,
+        "opening": "",
+    }
+    numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
         scores.TE: judged.error_mm,
         "floor_te_mm": group.get(scores.TE, "floor"),
         "te_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
-        "paper_te_mm": group.get(scores.TE, "paper"),
         "insertions": group.head["insertions"],
     }
+    if role == "tune":
+        words["opening"], status = _open_fit(results, [word for word, _ in determined])
+        rest = (name for word, names in determined if word != "yes" for name in names)
+        numbers["not_determined"] = ", ".join(rest)
+        sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(results)
+    else:
+        groups = scores.list_held_out_groups(results)
+        # where there is one group, all insertions are those of the paper's row
+        numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
+        sentence, status = TEXT.sentence("predicted", words), STATUS[judged.outcome]
+        table = fit_tables.lay_out_summary(results)
+    about, advice, known = (TEXT.sentence(block, words) for block in ("about", "advice", "determined"))
+    return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
 
 
 def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
@@ -272,19 +137,24 @@ def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
     return ("Fitted in part", "warn") if set(determined) - {"yes"} else ("Fitted", "pass")
 
 
-def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
-    """Return the free parameters by whether the data determine them; those that they do with intervals."""
+MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals
+
+
+def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
+    """Return the free parameters by whether the data determine them, and whether those have intervals."""
     rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
-    several = rows["fold"].nunique() > 1
-    pairs = []
-    for name, some in rows.groupby("parameter", sort=False):
-        word = find_least_determined(map(str, some["determined"]))
-        low, high = (float(some[f"interval_{end}"].iloc[0]) for end in ("low", "high"))
-        words = format_bare_symbol(str(name))
-        if word == "yes" and not several and low == low:
-            words = f"{words} {format_quantity_range(str(name), low, high)}"
-        pairs.append((word, words))
-    return list(group_values(pairs).items())
+    rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
+    words = {
+        str(name): find_least_determined(map(str, some["determined"]))
+        for name, some in rows.groupby("parameter", sort=False)
+    }
+    names = {name: format_bare_symbol(name) for name in words}
+    known = rows[rows["parameter"].map(words) == "yes"].dropna(subset=["interval_low", "interval_high"])
+    if shown := rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
+        for row in to_records(known):
+            interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
+            names[row["parameter"]] += f" {interval}"
+    return list(group_values((words[name], label) for name, label in names.items()).items()), shown
 
 
 # ---- tables and figures
@@ -293,28 +163,19 @@ def _list_determined(results: Run) -> list[tuple[str, list[str]]]:
 def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(results.frames["errors"]), results.frames
-    (_, _, validation), (_, _, tuning), (_, _, parameters) = _lay_out_own_files(results)
-    identification = frames["identification"]
+    # the parameters that are freed for it, and those of which more is to say than their interval
+    explained = frames["identification"].query("status == 'fixed' or note != ''")
     found = [
         fit_tables.lay_out_summary(results),
-        *validation,
+        fit_tables.lay_out_validation(results),
         *([fit_tables.lay_out_coverage(results)] if len(frames["predictive"]) else []),
         fit_tables.lay_out_baselines(results, role),
         fit_tables.lay_out_insertions(results, role),
-        *parameters,
-        fit_tables.lay_out_directions(results),
-        *([fit_tables.lay_out_population(results)] if len(frames["population"]) else []),
-        *([lay_out_identification(identification)] if len(identification) else []),
-        *([fit_tables.lay_out_posterior(results)] if results.posteriors else []),
-        fit_tables.lay_out_design([results]),
-        *tuning,
+        fit_tables.lay_out_parameters(results),
+        *([lay_out_identification(explained)] if len(explained) else []),
+        fit_tables.lay_out_tuning(results),
     ]
     return [table for table in found if table.rows]
-
-
-@once_per_run
-def _lay_out_own_files(result: Run) -> list[tuple[str, pd.DataFrame, list[TableLayout]]]:
-    return list(fit_tables.lay_out_files([result], [result]))
 
 
 def list_figures(results: Run) -> dict[str, Drawing]:
@@ -325,77 +186,36 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(results, role)
         found["overlays"] = fit_figures.draw_overlays(results, role)
-    if len(frames["draws"]) and len(select_free(frames["parameters"])):
-        names = {"fitted": "the fit", "hand_tuned": labels.method_name("hand_tuned", results.origin)}
-        marks = fit_figures.tabulate_marks(results)
-        found["corner"] = Drawing(forms.corner, marks, {"names_of_sets": names}, optional=True)
-    if len(frames["starts"]) and not collect_values(results)["agreement"]:
-        found["waterfall"] = fit_figures.draw_starts(results)
+    if len(frames["predictive"]):
+        found["predicted"] = fit_figures.draw_predictive_check(results)
     if len(frames["profiles"]):
         found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
-    return found | fit_figures.draw_errors([results])
+    return found
 
 
 # ---- files
 
 
 def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
-    """Return the tables that are written as CSV, by name, and the numbers and methods for a paper."""
-    names = ("design", "errors", "shapes", "starts", "directions")
-    found: dict[str, pd.DataFrame | str] = {name: result.frames[name] for name in names}
-    found |= {
-        name: result.frames[name]
-        for name in ("predictive", "error_fit", "population")
-        if len(result.frames[name])
+    """Return the tables that are written as CSV, by name."""
+    written: dict[str, pd.DataFrame] = {
+        "validation": scores.tabulate_validation(result),
+        "tuning": scores.tabulate_tuning(result),
+        "parameters": result.frames["parameters"].assign(origin=result.origin),
+        "identify": result.frames["identification"],
+        "posterior": fit_tables.tabulate_percentiles(result),
     }
-    found |= {name: frame for name, frame, _ in _lay_out_own_files(result) if len(frame)}
-    if len(result.frames["identification"]):
-        found["identify"] = result.frames["identification"]
-    if result.posteriors:
-        found["posterior"] = fit_tables.tabulate_percentiles(result)
-    # with every digit: it is exactly these values that fail again
-    found["failures.csv"] = format_csv(result.frames["failures"].assign(origin=result.origin), digits=None)
-    found["numbers.tex"] = fit_tables.format_macros([result])
-    if collect_values(result)["methods"]:
-        lines, cited = format_methods(result)
-        found |= {"methods.tex": lines, "references.bib": format_references(cited)}
-    return found
+    written |= {name: result.frames[name] for name in ("predictive", "error_fit", "population", "draws")}
+    found: dict[str, pd.DataFrame | str] = {
+        name: result.frames[name] for name in ("errors", "shapes", "starts", "directions")
+    }
+    return found | {name: frame for name, frame in written.items() if len(frame)}
 
 
 def fit_to_json(result: Run) -> dict[str, Any]:
-    """Return the errors beside the paper's; of a fit also its parameters, starts and what they determine."""
-    frames = {"validation": scores.tabulate_validation(result)}
-    if result.kind == "fit":
-        names = ("errors", "starts", "failures", "error_fit", "directions", "identification", "profiles")
-        frames = {
-            "parameters": fit_tables.tabulate_parameters(result),
-            **{name: result.frames[name] for name in names},
-        }
-        if result.posteriors:
-            frames["posterior"] = fit_tables.tabulate_percentiles(result)
-    return {name: to_records(to_tidy(frame)) for name, frame in frames.items()}
-
-
-def format_methods(result: Run) -> tuple[str, list[str]]:
-    """Return the methods paragraph as LaTeX, and the keys of `references.bib` that it cites."""
-    values = collect_values(result)
-    parts = [TEXT.format_latex(block, values) for block in ("methods_data", "methods")]
-    cited = dict.fromkeys(key for _, keys in parts for key in keys)
-    return "\n".join(lines for lines, _ in parts if lines) + "\n", list(cited)
-
-
-_REFERENCES_HEAD = (
-    "% Cited by methods.tex. Needs \\usepackage{url} and, at the end, \\bibliographystyle and "
-    "\\bibliography{references}."
-)
-
-
-def format_references(cited: Sequence[str]) -> str:
-    """Return the BibTeX entries of these keys, which ship with needlefit."""
-    text = (files("needlefit.reporting") / "templates" / "references.bib").read_text(encoding="utf-8")
-    entries = [entry.strip() for entry in text.split("\n\n") if entry.strip()]
-    known = {entry.split("{", 1)[1].split(",", 1)[0]: entry for entry in entries}
-    return "\n\n".join([_REFERENCES_HEAD, *(known[key] for key in cited)]) + "\n"
+    """Return the tables that are written as CSV, but for points and draws."""
+    frames = {name: frame for name, frame in list_files(result).items() if name not in ("shapes", "draws")}
+    return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 
 REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, find_answer, list_files, fit_to_json)

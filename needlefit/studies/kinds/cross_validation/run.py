@@ -7,13 +7,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import count_layers
 from needlefit.grouping import group_values
 from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
@@ -29,9 +29,9 @@ from needlefit.inference.identifiability.identify import (
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import HYPERPARAMETERS, Theta, to_value
+from needlefit.inference.parameters import HYPERPARAMETERS, to_value
 from needlefit.inference.predict import Draws
-from needlefit.inference.problem import Problem, explain_failure, find_outside_validity
+from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
@@ -107,8 +107,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         origin=job.dataset.origin,
         dataset_title=job.dataset.title or job.dataset.name,
         frames={
-            **{frame: going.frame(frame) for frame in FRAMES if frame not in ("design", "needles")},
-            "design": tabulate_design(job),
+            **{frame: going.frame(frame) for frame in FRAMES if frame != "needles"},
             "needles": tabulate_needles(going.needles.values()),
         },
         posteriors=going.posteriors,
@@ -121,7 +120,9 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             },
             **describe_insertions(job),
             **_find_truth(job),
-            **going.summarize_searches(),
+            "differing_intervals": going.differing,
+            "search_faults": going.search_faults,
+            VALIDITY_KEY: going.counts.table(),
         },
         timing={"dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
@@ -166,6 +167,7 @@ class _Drawn:
     made: FoldDraws
     specimens: Specimens
     predicted: tuple[HeldOutPrediction, ...]
+    outside: int  #: of the draws that are shown, those outside what the model assumes
 
 
 @dataclass
@@ -180,10 +182,9 @@ class _StudyRun:
     checkpoint: Checkpoint
     interrupted: bool = False
     rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
-    verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     #: by fold the parameters whose intervals by both samplers differ
-    differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    differing: dict[str, list[str]] = field(default_factory=dict)
     uncertified: list[RunFault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
@@ -199,7 +200,7 @@ class _StudyRun:
 
     def frame(self, name: str) -> pd.DataFrame:
         """Return one table; without rows it still has its columns."""
-        values = self.job.parameters.names if name in ("starts", "failures", "profiles", "draws") else ()
+        values = self.job.parameters.names if name in ("starts", "profiles", "draws") else ()
         rows = self.rows[name]
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
@@ -275,15 +276,15 @@ class _StudyRun:
         other.settings = replace(self.settings, progress=no_progress, stop=stop_requested)
         return other
 
-    def _report(self, number: int, phase: str, part: float = 0.0) -> None:
-        """Report a part of a phase of a fold as done."""
+    def _report(self, number: int, phase: str, step: int = 0, steps: int = 1) -> None:
+        """Report so many steps of a phase of a fold as done."""
         job, folds = self.job, self.job.folds
-        self.parts[number, phase] = part
+        self.parts[number, phase] = step / steps
         phases = [(n, item) for n, fold in enumerate(folds) for item in self._list_phases(fold).items()]
-        done = sum(self.parts.get((n, name), 0.0) * steps for n, (name, steps) in phases)
+        done = sum(self.parts.get((n, name), 0.0) * size for n, (name, size) in phases)
         which = f"{job.name}: {folds[number].name} (fold {number + 1} of {len(folds)})"
         label = f"{which if len(folds) > 1 else job.name}: {phase}"
-        self.settings.progress(label, round(done), sum(steps for _, (_, steps) in phases))
+        self.settings.progress(label, round(done), sum(size for _, (_, size) in phases))
 
     def _list_phases(self, fold: Fold) -> dict[str, int]:
         """Return the steps of each phase of a fold, each about as long in a typical one."""
@@ -325,8 +326,8 @@ class _StudyRun:
         kept, starts = read_starts(self.checkpoint, key), job.recipe.starts
         ended = len(kept)
 
-        def report(approached: int) -> None:
-            self._report(number, SEARCH_WORDS[search], (approached + ended) / (2 * starts))
+        def report(approached: int, total: int = starts) -> None:
+            self._report(number, SEARCH_WORDS[search], approached + ended, 2 * starts)
 
         def keep(start: Start) -> None:
             nonlocal ended
@@ -334,12 +335,9 @@ class _StudyRun:
             ended += 1
             report(starts)
 
-        def approach(at: int, total: int) -> None:
-            report(at)
-
         report(0)
         rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-        callbacks = Callbacks(kept, keep, settings.stop, approach, settings.jobs)
+        callbacks = Callbacks(kept, keep, settings.stop, report, settings.jobs)
         return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
     def _examine(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> FitProfiles | None:
@@ -349,13 +347,9 @@ class _StudyRun:
             return None
         if fit.minimized != "posterior":  # no noise is stated: there is no posterior
             return None
-        settings, problem = self.settings, self.job.problem(fold)
-
-        def step(done: int, total: int) -> None:
-            self._report(number, "profiles", done / total)
-
-        step(0, 1)
-        return profile_parameters(problem, fit, settings.jobs, settings.stop, step)
+        step, settings = partial(self._report, number, "profiles"), self.settings
+        step(0)
+        return profile_parameters(self.job.problem(fold), fit, settings.jobs, settings.stop, step)
 
     def _examine_errors(
         self, number: int, fold: Fold, fits: Mapping[str, Fit], drawn: "_Drawn | None"
@@ -409,22 +403,17 @@ class _StudyRun:
             return None
         if fit.minimized != "posterior":  # no noise is stated: there is no posterior
             return None
-
-        def sampled(done: int, total: int) -> None:
-            self._report(number, "posterior draws", done / total)
-
-        def step(done: int, total: int) -> None:
-            self._report(number, "predictions", done / total)
-
-        sampled(0, 1)
+        sampled, step = (partial(self._report, number, phase) for phase in ("posterior draws", "predictions"))
+        sampled(0)
         made = draw_fold_parameters(job, fold, fit, settings, self.checkpoint, sampled)
-        sampled(1, 1)
+        sampled(1)
         if settings.sample and made.posterior is not None:
             self.posteriors[fold.name] = made.posterior
         specimens = Specimens(job, fold, made.draws, settings.jobs, self.specimens)
-        step(0, 1)
+        step(0)
         predicted = () if specimens.faults else predict_held_out(specimens, bands=True, step=step)
-        return _Drawn(made, specimens, tuple(predicted))
+        outside = find_outside_validity(job.problem(fold), specimens.replace_mean(made.shown).thetas)
+        return _Drawn(made, specimens, tuple(predicted), int(outside.sum()))
 
     def _tabulate_draws(self, fold: Fold, drawn: "_Drawn") -> None:
         """Add predictions, and draws in Pa and mm: of the specimens' mean, of each and of a new one."""
@@ -432,9 +421,6 @@ class _StudyRun:
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
             self.counts.predicted.add(one.solved, one.outside)
-        if (posterior := self.posteriors.get(fold.name)) is not None:
-            place = {"fold": fold.name, "fit": "posterior", "start": 0}
-            self.rows["failures"] += _failure_rows(place, self.job.problem(fold), posterior.failed)
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
         if fold.name not in self.posteriors:
@@ -444,8 +430,7 @@ class _StudyRun:
         for specimen, thetas in every.items():
             where = about | {"specimen": specimen}
             self.rows["draws"] += [{**where, **job.parameters.values(theta)} for theta in thetas]
-        outside = find_outside_validity(job.problem(fold), draws.thetas)
-        self.counts.draws.add(len(draws.thetas), int(outside.sum()))
+        self.counts.draws.add(len(draws.thetas), drawn.outside)
 
     def _tabulate_searches(self, fold: Fold, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> None:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
@@ -454,9 +439,6 @@ class _StudyRun:
             self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
             ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
             self.counts.starts.add(len(ends), int(find_outside_validity(problem, ends).sum()))
-            for start in fit.starts:
-                where = {**place, "start": start.index}
-                self.rows["failures"] += _failure_rows(where, problem, start.failed)
         faults = [fits["fitted"].fault] if "fitted" in fits and fits["fitted"].fault else []
         if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
             faults.append(
@@ -478,7 +460,8 @@ class _StudyRun:
         if drawn is not None:
             draws, importance = drawn.specimens.replace_mean(drawn.made.draws), drawn.made.importance
             if posterior is not None:
-                self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
+                names = list_differing_intervals(job.parameters, importance, posterior)
+                self.differing |= {fold.name: list(names)} if names else {}
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 self.rows["population"] += drawn.specimens.tabulate_population()
@@ -492,9 +475,13 @@ class _StudyRun:
                 }
                 for one in verdict.directions
             ]
-        else:  # without stated noise nothing says how far the data can be trusted
+        # without stated noise nothing says how far the data can be trusted, outside its validity the model
+        invalid = drawn is not None and drawn.outside > len(drawn.made.shown.thetas) / 2
+        if fit.minimized != "posterior" or invalid:
             nothing = dict.fromkeys(verdict.determined, False)
+            notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")
             verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
+            verdict = replace(verdict, notes=notes) if invalid else verdict
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
@@ -502,35 +489,12 @@ class _StudyRun:
             judged = [{"fold": fold.name, **row} for row in found.rows]
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
-        self.verdicts[fold.name] = verdict
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
         sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
         self.rows["identification"] += judged
         self.rows["parameters"] += fitted
-
-    def summarize_searches(self) -> dict[str, Any]:
-        """Return what `run.json` states of the searches and of the draws, by fold."""
-        draws = self.frame("draws").drop_duplicates("fold")
-        return {
-            "not_determined": {
-                fold: [name for name, known in verdict.determined.items() if not known]
-                for fold, verdict in self.verdicts.items()
-            },
-            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
-            "sampled": bool(self.posteriors),
-            "draws": {
-                str(row["fold"]): {
-                    "draw_source": row["draw_source"],
-                    **{key: None if pd.isna(row[key]) else float(row[key]) for key in ("pareto_k", "ess")},
-                    "certified": bool(row["certified"]),
-                }
-                for _, row in draws.iterrows()
-            },
-            "search_faults": self.search_faults,
-            VALIDITY_KEY: self.counts.table(),
-        }
 
 
 def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> Fit | None:
@@ -565,18 +529,12 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
     }
 
 
-def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list[Row]:
-    """Return one row per theta that failed, simulated again for the insertion and the reason."""
-    found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
-    return [{**place, "insertion": f.insertion, "note": f.reason, **values} for f, values in found]
-
-
 #: of a row of "parameters": what is known of fitted ones only
 _UNKNOWN: Row = {
     **dict.fromkeys(("bound_low", "bound_high"), math.nan),
     **NO_SOURCE,
     **dict.fromkeys(("sd", "low", "high"), math.nan),
-    **{"determined": "", "condition": ""},
+    **dict.fromkeys(("determined", "condition", "note"), ""),
 }
 
 
@@ -621,7 +579,7 @@ def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisi
             continue
         factor, source = parameters.ties.get(name, (1.0, name))
         row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
-        row["status"], row["note"] = parameters.status[name], ""
+        row["status"] = parameters.status[name]
         if source in parameters.bounds:
             ends = (factor * bound for bound in parameters.bounds[source])
             row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
@@ -630,12 +588,6 @@ def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisi
             row |= {"interval_low": factor * to_value(source, one.low)}
             row |= {"interval_high": factor * to_value(source, one.high), "draw_source": "tolerance"}
             row["determined"] = found.determined(source)
-            sides = tuple(zip(("lower", "upper"), one.ends, strict=True))
-            at_bound = [side for side, end in sides if end == "bound"]
-            notes = [f"its range ends at its {' and its '.join(at_bound)} bound"] if at_bound else []
-            if lost := [side for side, end in sides if end == "lost"]:
-                notes.append(f"no solution was found beyond its {' and its '.join(lost)} end")
-            row["note"] = "; ".join(notes)
         yield row
 
 
@@ -654,27 +606,5 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
             free = method == "hand_tuned_b" and name == "bevel_mm"
             row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
             row |= {"status": "free" if free else "published", **_UNKNOWN}
-            row |= {"determined": name_determined(found.get(name, False), False) if free else ""}
-            rows.append({**row, "note": "re-tuned alone" if free else "tuned by hand"})
+            rows.append(row | {"determined": name_determined(found.get(name, False), False) if free else ""})
     return rows
-
-
-def tabulate_design(job: Job) -> pd.DataFrame:
-    """Return one row per role, medium and layers; folds share their insertions."""
-    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-    for fold in job.folds:
-        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-            for one in insertions:
-                group = (role, one.medium, count_layers(one, job.record.layer_count_rule))
-                groups.setdefault(group, {})[one.id] = one
-    rows = []
-    for group, members in groups.items():
-        row: Row = dict(zip(("role", "medium", "layers"), group, strict=True))
-        row["insertions"] = len(members)
-        for name in ("depth", "deflection"):
-            values = [getattr(one, name) for one in members.values()]
-            row |= {f"{name}_min_mm": min(values), f"{name}_max_mm": max(values)}
-        rows.append(row)
-    return pd.DataFrame(rows, columns=list(FRAMES["design"])).sort_values(
-        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
-    )
