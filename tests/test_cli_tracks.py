@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import with_one_bevel
 from test_cli import run
 from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
 
@@ -14,7 +13,6 @@ from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.calibration import simulate_experiment
 from needlefit.studies.kinds.tracks import FRAMES
 from needlefit.studies.study_files import load_target
 
@@ -180,20 +178,6 @@ def test_a_planned_needle_is_predicted_from_runs(project):
     assert tip.loc["needle", "low_mm"] < truth < tip.loc["needle", "high_mm"]
     widths = tip["high_mm"] - tip["low_mm"]
     assert widths["needle"] < widths["measured"]
-
-
-def test_simulated_runs_have_the_stated_noise_in_any_frame(project):
-    """At the truth the mean square of whitened residuals is 1, whatever shift and slope were drawn."""
-    job = with_one_bevel(prepare("moved", load_target("moved")[1], Settings()))
-    squares, slopes = [], []
-    for number in range(12):
-        theta, problem = simulate_experiment(job, np.random.default_rng(number))
-        values = problem.values(theta)
-        for white in problem.density.whitened_residuals([values], 1):
-            squares.append(np.mean(white**2) / values["noise_scale"] ** 2)
-        slopes += [np.polyfit(run.depths, run.tip, 1)[0] for run in problem.insertions]
-    assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (24 * (len(DEPTH) - 2))))
-    assert np.std(slopes) > 0.05
 
 
 def test_a_compression_test_gives_runs_a_prior(project):

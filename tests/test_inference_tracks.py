@@ -37,7 +37,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.studies.kinds import tracks
 from needlefit.studies.kinds.tracks import TrackTask
-from needlefit.studies.simulated_data import simulate_measurement
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])
@@ -362,31 +361,3 @@ def test_a_gain_of_the_guide_is_taken_over_from_runs_alike():
         off[name] = np.mean([abs(np.median(ends) - end) for ends, end in pairs])
     # the slope of each run remains unknown: 0.005 over 60 mm
     assert off["with"] < 0.15 < 0.3 * off["without"]
-
-
-@pytest.mark.parametrize("part", ["gain_sd", "slope_sd_deg", "entry_sd_mm"])
-def test_measurements_are_simulated_with_the_errors_that_the_likelihood_states(part):
-    """Each by itself, about the truth; of a session whose own slope is known."""
-    errors = TrackErrorsRecord(**{part: {"gain_sd": 0.05, "slope_sd_deg": 2.0, "entry_sd_mm": 0.3}[part]})
-    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
-    one, rng = replace(track("a", GUIDE), heading=np.zeros(len(DEPTH))), np.random.default_rng(1)
-    quiet = replace(dataset([one]), noise=replace(SESSION_NOISE, point_sd=1e-6, heading_sd=1e-6))
-    known = {axis.surface: 0.0 for axis in observation.list_session_axes(one.specimen, 0.005, 2)}
-    seen = [simulate_measurement(quiet, one, TRUTH, MEDIUM, rng, dict(known), likelihood) for _ in range(400)]
-    (true,) = simulate_tips([one])
-    off = np.array([each.tip for each in seen]) - true[0]
-    frame = np.column_stack([np.ones(len(DEPTH)), DEPTH])
-    slopes = np.linalg.lstsq(frame, off.T, rcond=None)[0][1]
-    off = off - (off @ np.linalg.pinv(frame).T) @ frame.T
-    slope_sd, left = 0.005, np.eye(len(DEPTH)) - frame @ np.linalg.pinv(frame)
-    covariance = left @ observation.entry_covariance(one, DEPTH, errors) @ left.T
-    if part == "slope_sd_deg":
-        slope_sd = np.hypot(slope_sd, np.radians(2.0))
-        assert np.std(slopes) == pytest.approx(slope_sd, rel=0.1)
-    elif part == "gain_sd":
-        response = 0.05 * np.sqrt(2.0) * left @ respond_to_guide(one, DEPTH)  # of group and run
-        covariance = np.outer(response, response)
-    assert np.trace(off.T @ off / len(off)) == pytest.approx(np.trace(covariance), rel=0.15, abs=1e-9)
-    headings = np.array([each.heading for each in seen])
-    added = np.std(headings - np.array(seen[0].heading), axis=0)[1:]
-    assert (added[0] > 5 * added[-1]) == (part == "entry_sd_mm")

@@ -19,7 +19,7 @@ from needlefit.cli.execution import (
     show_runs,
 )
 from needlefit.cli.options import REPORTS, argument, option, scene_record, split_pair
-from needlefit.schemas.limits import MAX_REPLICATES
+from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 if TYPE_CHECKING:
     from needlefit.studies.run import Run
@@ -120,21 +120,8 @@ def calibrate(
     context: typer.Context,
     target: options.Target,
     replicates: Annotated[
-        int | None,
-        option(
-            "Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
-            min=1,
-            max=MAX_REPLICATES,
-        ),
-    ] = None,
-    sample: Annotated[
-        bool,
-        option("Sample every posterior by MCMC; uses at most three insertions.", None, "--sample"),
-    ] = False,
-    control: Annotated[
-        Literal["sigma", "prior", "pose", "shuffled", "all"] | None,
-        option("Use a wrong likelihood, which the test must detect, or each of them."),
-    ] = None,
+        int, option("Number of simulated datasets.", min=1, max=MAX_REPLICATES)
+    ] = DEFAULT_REPLICATES,
     truth: Annotated[
         Literal["prior", "synthetic"],
         option(
@@ -142,10 +129,6 @@ def calibrate(
             "fitted one)."
         ),
     ] = "prior",
-    ct: Annotated[
-        bool,
-        option("With --truth synthetic: measure through CT volumes (4 s per insertion).", None, "--ct"),
-    ] = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
@@ -168,43 +151,23 @@ def calibrate(
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
 
-    Results go to OUT/calibrate-TARGET/ (or -CONTROL, -synthetic, -synthetic-ct). Exit code 6: ranks are not
-    uniform, or a control is not detected. Exit code 5: a posterior has not converged, or there are too few
-    replicates for a verdict.
+    Results go to OUT/calibrate-TARGET/ (or -synthetic). Exit code 6: ranks are not uniform. Exit code 5: a
+    posterior has not converged, or there are too few replicates for a verdict.
     """
-    synthetic = truth == "synthetic"
-    if ct and not synthetic:
-        raise typer.BadParameter("needs --truth synthetic.", param_hint="--ct")
-    if synthetic and (sample or control is not None):
-        raise typer.BadParameter("excludes --sample and --control.", param_hint="--truth synthetic")
-    given = {"replicates": replicates} if replicates else {}
     with begin(context) as execution:
-        from needlefit.studies.kind import find_kind
-        from needlefit.studies.kinds.calibration import CONTROLS
         from needlefit.studies.study_files import load_target
 
-        ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
-        about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
-        wanted = CONTROLS if control == "all" else (control,)
-        runs = {f"{about}-{one}" if one else about: one for one in wanted}
-        execution.prepare(runs, runs)
+        ending = "-synthetic" if truth == "synthetic" else ""
+        name = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
+        execution.prepare([name], [name])
         with execution.in_pool() as pooled:
-            found = [
-                pooled.run_kind(
-                    "calibration", name,
-                    target=target, control=one, sampled=sample, truth=truth, ct=ct, **given,
-                )
-                for name, one in runs.items()
-            ]  # fmt: skip
-        execution.write_reference(found)
-    show_runs(execution, found)
-    wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
-    for run in wrong:
-        sentence = find_kind("calibration").report.summarize(run)[0]
-        screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
-    if wrong:
+            found = pooled.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
+        execution.write_reference([found])
+    show_runs(execution, [found])
+    if found.run["conclusive"] and not found.run["passes"]:
+        screen.print_note(f"needlefit: {execution.folder(name)}: {found.verdicts[0].sentence}")
         raise typer.Exit(exit_codes.CALIBRATION_FAILED)
-    if any(run.faults or not run.run["conclusive"] for run in found):
+    if found.faults or not found.run["conclusive"]:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 

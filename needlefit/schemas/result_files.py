@@ -94,7 +94,6 @@ class RunTable(_StoredTable):
     parts: list["RunTable"] = []
     replicates: int = 0
     not_calibrated: list[str] = []
-    control: str | None = None
 
 
 class TimingTable(_StoredTable):

@@ -33,7 +33,7 @@ UNIT_KEYS = ("parameter", "metric", "quantity")  #: keys of which the unit of a 
 STATES = ("interrupted", "posteriors", "passes", "not_calibrated", "not_converged", "faults")
 INPUTS = (
     *("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions"),
-    *("source_revision", "datasets", "parts", "scene", "fits", "control", "sampled", "replicates"),
+    *("source_revision", "datasets", "parts", "scene", "fits", "replicates"),
 )
 RUN_JSON = "run.json"
 MAX_CELL_LETTERS = 16  #: characters of a value that a table shows
