@@ -35,9 +35,10 @@ class TrackFitRecord(Record):
     tune: TrackSelectionRecord
     """Runs that are fitted."""
     validate_: TrackSelectionRecord = Field(alias="validate")
-    """Runs that are predicted."""
+    """Runs that are predicted; they are not fitted to."""
     folds: int | None = Field(default=None, ge=2)
-    """Groups into which the runs of `validate` are divided; each is predicted by a fit to all others."""
+    """Groups into which the runs of `validate` are divided, as many as runs at most; each is predicted by a
+    fit to all others."""
 
 
 class TrackStudyRecord(FileRecord):
@@ -61,9 +62,6 @@ class TrackStudyRecord(FileRecord):
     registration_depth_mm: float = Field(gt=0)
     """Depth up to which a predicted run's own readings place it in the tracker's frame; deeper ones are
     scored."""
-    same_specimen: bool = False
-    """Whether predicted runs go on purpose into specimens that are fitted. Without it, that is a
-    warning."""
     fits: tuple[TrackFitRecord, ...] = Field(min_length=1)
     """The fits, at least one."""
 
@@ -85,5 +83,5 @@ class TrackStudyRecord(FileRecord):
             recipe=self.recipe,
             priors=fit.priors,
             tune=fit.tune.selection(),
-            same_specimen=self.same_specimen,
+            same_specimen=True,
         )

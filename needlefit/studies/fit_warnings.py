@@ -16,7 +16,7 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     short_name,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, is_logarithmic, is_shape_parameter
+from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.reporting.number_format import format_quantity, format_quantity_range
 from needlefit.reporting.table_files import Row, to_records
@@ -98,30 +98,6 @@ def _find_interval_bounds(results: Run) -> Iterator[Row]:
         yield from _find_cut_off(str(name), fits, bounds)
 
 
-def analysis_bound_warnings(
-    fits: pd.DataFrame, parameters: Mapping[str, Parameters], *, intervals: bool = False
-) -> Iterator[ResultWarning]:
-    """Yield the parameters that fits of an analysis left at a bound, and in how many fits.
-
-    With `intervals`, those whose value is at no bound while their 95 % interval ends there.
-
-    `fits`: a row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
-    first column names the parameters used. `parameters`: these, by name.
-    """
-    for (model, name), rows in fits.groupby([fits.columns[0], "parameter"], sort=False):
-        bounds = parameters[str(model)].bounds.get(str(name))
-        if bounds is None:
-            continue
-        if intervals:
-            ends = rows[["value", "p2_5", "p97_5"]].astype(float).to_numpy().tolist()
-            found, text = _find_cut_off(str(name), ends, bounds), "interval_at_bound"
-        else:
-            at = [_describe_bound(str(name), value, *bounds) for value in rows["value"]]
-            found, text = _count_ends(str(name), at, len(rows), "fits"), ""
-        for values in found:
-            yield write_warning("parameter_at_bound", {**values, "of": str(model)}, text)
-
-
 def _find_cut_off(name: str, fits: Sequence[Sequence[float]], bounds: tuple[float, float]) -> Iterator[Row]:
     """Yield that intervals end at a bound; `fits` are value, low and high end of each."""
     reached = [
@@ -138,7 +114,7 @@ def _count_ends(name: str, ends: Sequence[str], total: int, many: str) -> Iterat
     """Yield the values about fits that ended at these bounds, "" for those that did not, if any did."""
     reached = [end for end in ends if end]
     if reached:
-        about = {"parameter": short_name(name), "bounds": list(dict.fromkeys(reached)), "of": ""}
+        about = {"parameter": short_name(name), "bounds": list(dict.fromkeys(reached))}
         yield {**about, "count": len(reached), "total": total, "many": many}
 
 

@@ -146,8 +146,8 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
         found = found[1:]
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
-        found += _check_intervals(predictive, results.run)
-    return (*found, _check_data(results))
+        found += check_intervals(predictive, results.run)
+    return (*found, check_data(results))
 
 
 def _check_curves(judged: Judgement) -> Finding:
@@ -160,7 +160,7 @@ def _check_noise(judged: Judgement) -> Finding:
     return Finding(Check.NOISE, None if ratio is None else ratio <= MAX_NOISE_RATIO, ratio, MAX_NOISE_RATIO)
 
 
-def _check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
+def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield how many tips lie in their intervals, and how wide these are."""
     fits = predictive["fold"].nunique()
     for check, column in ((Check.COVERAGE_95, "tip_in_95"), (Check.COVERAGE_50, "tip_in_50")):
@@ -185,7 +185,7 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
     return int(((measured - median) * np.sign(median) > 0).sum())
 
 
-def _check_data(results: Run) -> Finding:
+def check_data(results: Run) -> Finding:
     kinds: Sequence[str] = list(dict.fromkeys(one.kind for one in read_warnings(results.run)))
     named = [kind for kind in kinds if kind not in _OTHER_WARNINGS]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
