@@ -322,7 +322,7 @@ def predict(
     -------
     Run
         Of kind `prediction`; `frames["forecast"]` has the needle and its bands by arc length, mm (NaN where
-        the draws are not certified), `frames["specimens"]` how wide the tip's interval is, and would be.
+        the draws are not certified).
 
     Raises
     ------
@@ -335,7 +335,7 @@ def predict(
     """
     if isinstance(target, Run):
         name, fitted, inputs = _reopen(target)
-        inputs = replace(inputs, target=(name, fitted))
+        inputs = replace(inputs, target=(name, fitted), judged=target)
     else:
         name, inputs = load_target(_spell(target))[0], Inputs()
     planned, scene_name = _read_record("scene", scene, SceneRecord)

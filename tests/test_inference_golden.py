@@ -17,7 +17,7 @@ from test_inference_specimens import BOUNDS, MODEL, gaussian
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.identifiability.design_gain import expect_precision, nested_gain
+from needlefit.inference.identifiability.design_gain import nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
@@ -43,7 +43,6 @@ def test_verdicts_profiles_and_designs():
         "tied": identify(tied, fit_at(tied, values)),
         "free": identify(problem(free, bumpy), fit_at(problem(free, bumpy), TRUTH)),
         "profiles": profile_parameters(layers, fit_at(layers, TRUTH)),
-        "design": expect_precision(lambda _: alone, TRUTH, rng()),
         "prior": draw_from_prior(tied.parameters, 9, rng()),
     }
     assert_golden("identifiability", found, rtol=1e-4)

@@ -267,16 +267,17 @@ def predict(
     The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
     new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
-    agree with the fit. Prints the tip with its intervals, and writes shape and figure to
-    OUT/predict-TARGET-SCENE/.
+    agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
+    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/.
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
         from needlefit.project.locate import find_run
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.job import load_medium
+        from needlefit.studies.job import Inputs, load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
+        from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
 
         scene_name, planned = scene_record(scene, depth, set_ or [])
@@ -288,11 +289,13 @@ def predict(
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
         tuned = execution.folder(target_name)
+        judged = execution.folder(target_name.removesuffix("-tune"))
+        inputs = Inputs(judged=restore_run(judged) if is_file(judged / RESULTS_FILE) else None)
         if run is not None:
             run = find_run(str(run))
         elif is_file(tuned / POSTERIOR_FILE):
             run = tuned
-        found = execution.run_kind(
+        found = replace(execution, inputs=inputs).run_kind(
             "prediction",
             name,
             target=target,

@@ -323,7 +323,7 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
 _PARAMETER_COLUMNS = (
     *("study", "medium", "fold", "parameter", "method", "value", "median"),
     *("determined", "condition", "status"),
-    *("sd", "interval_low", "interval_high", "draw_source", "importance_low", "importance_high"),
+    *("sd", "interval_low", "interval_high", "draw_source"),
     *("low", "high", "bound_low", "bound_high", "note", "origin"),
 )
 

@@ -18,8 +18,8 @@ from needlefit.inference.identifiability.directions import (
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.reporting.number_format import format_quantity, format_quantity_range
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.number_format import format_quantity
+from needlefit.reporting.table_files import Row
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
@@ -127,24 +127,6 @@ def _describe_bound(name: str, value: float, low: float, high: float, near: floa
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
 
 
-# ---- intervals by both samplers
-
-
-def _find_differing_samplers(results: Run) -> Iterator[Row]:
-    """Yield the parameters whose intervals by MCMC and by importance sampling differ."""
-    free = to_records(select_free(results.frames["parameters"]))
-    rows = {(row["fold"], row["parameter"]): row for row in free}
-    for fold, names in results.run.get("differing_intervals", {}).items():
-        ends = results.posteriors[fold].percentiles((2.5, 97.5))
-        for name in names:
-            row = rows[fold, name]
-            yield {
-                "parameter": short_name(name),
-                "sampled": format_quantity_range(name, *ends[name]),
-                "importance": format_quantity_range(name, row["importance_low"], row["importance_high"]),
-            }
-
-
 # ---- errors beside the noise floor
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
@@ -179,7 +161,6 @@ RULES: Sequence[WarningRule] = (
     ),
     WarningRule("parameter_at_bound", _find_bounds),
     WarningRule("parameter_at_bound", _find_interval_bounds, "interval_at_bound"),
-    WarningRule("samplers_differ", _find_differing_samplers),
     WarningRule("noise_too_large", partial(_find_wrong_noise, too_large=True)),
     WarningRule("noise_too_small", partial(_find_wrong_noise, too_large=False)),
 )

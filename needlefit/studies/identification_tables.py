@@ -5,6 +5,7 @@ import math
 import pandas as pd
 
 from needlefit.inference.identifiability import directions
+from needlefit.inference.identifiability.identify import AGREEMENT
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
     choose_interval_unit,
@@ -46,14 +47,6 @@ _INTERVAL_NOTE = (
 )
 
 
-_SD_NOTE = (
-    "“SD”: by Fisher information and bounds, relative (in % or as a factor) but for α. “SD ratio”: posterior "
-    "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
-    "profile likelihood, open at a bound. A fixed α is freed for this table only: the last column has the "
-    "interval of the posterior that it would have, of its bounds."
-)
-
-
 def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
     """Return one row per parameter; for a design also where information and profile disagree."""
     several = identification["fold"].nunique() > 1
@@ -68,8 +61,8 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
     )
     columns = ("fold", "parameter", "determined", *known)
     caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
-    groups, notes = ("fold", "status"), (_SD_NOTE if expected else _INTERVAL_NOTE,)
-    table = Table("identification", rows, columns, groups=groups, caption=caption, notes=notes)
+    notes = () if expected else (_INTERVAL_NOTE,)  # what a design has stands in the text of its report
+    table = Table("identification", rows, columns, groups=("fold", "status"), caption=caption, notes=notes)
     return table.lay_out(drop_empty=True)
 
 
@@ -80,7 +73,8 @@ def _format_cells(row: Row, expected: bool) -> Row:
         label, unit = choose_printed_unit(name, [row["value"], *closed.values()])
     else:
         label, unit = choose_interval_unit(row, row["value"])
-    words = describe_evidence(row) if fixed else "; ".join(filter(None, (row["agreement"], row["note"])))
+    doubts = () if row["agreement"] == AGREEMENT else (row["agreement"],)
+    words = describe_evidence(row) if fixed else "; ".join(filter(None, (*doubts, row["note"])))
     return {
         **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
         "sd": None if row["sd"] is None else directions.format_sd(row["sd"], is_logarithmic(name)),

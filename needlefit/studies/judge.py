@@ -29,7 +29,7 @@ SIGNIFICANCE = 0.05
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
 #: kinds of warnings that are about the computation or about single parameters, not about the data
-_OTHER_WARNINGS = ("validity", "samplers_differ")
+_OTHER_WARNINGS = ("validity",)
 
 Outcome = Literal[
     "predicts", "in part", "does not predict", "generalises", "not shown", "does not generalise"

@@ -40,6 +40,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Status, Verdict, find_fault_kind
+from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
 from needlefit.studies.job import Fold, Job, Settings, check_reach, prepare
 from needlefit.studies.judge import check_data, check_intervals
@@ -344,7 +345,8 @@ def find_answer(results: Run) -> Answer:
 
 def tabulate(results: Run) -> list[Table]:
     """Return the errors of every method on the same runs."""
-    rows = to_records(results.frames["methods"])
+    named = {"fitted": MEDIAN_METHOD}  # the model predicts by all its draws
+    rows = to_records(results.frames["methods"].replace({"method": named}))
     columns = ("medium", "runs", "method", "track_error", "track_difference", "better_runs")
     return [Table("scores", rows, columns, groups=("medium",), heads=2, strong="groups")]
 

@@ -59,7 +59,6 @@ from needlefit.studies.identification import (
     add_intervals,
     identify_parameters,
     intervals_of_draws,
-    list_differing_intervals,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
@@ -182,8 +181,6 @@ class _StudyRun:
     rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
     verdicts: dict[str, Identifiability] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
-    #: by fold the parameters whose intervals by both samplers differ
-    differing: dict[str, tuple[str, ...]] = field(default_factory=dict)
     uncertified: list[RunFault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
@@ -474,11 +471,9 @@ class _StudyRun:
         They are judged by draws of the posterior; without certified ones, by the information.
         """
         job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
-        draws = importance = further = None
+        draws = further = None
         if drawn is not None:
-            draws, importance = drawn.specimens.replace_mean(drawn.made.draws), drawn.made.importance
-            if posterior is not None:
-                self.differing[fold.name] = list_differing_intervals(job.parameters, importance, posterior)
+            draws = drawn.specimens.replace_mean(drawn.made.draws)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 self.rows["population"] += drawn.specimens.tabulate_population()
@@ -504,7 +499,7 @@ class _StudyRun:
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
         self.verdicts[fold.name] = verdict
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
+        sampled = intervals_of_draws(job.parameters, draws, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
         self.rows["identification"] += judged
@@ -518,7 +513,6 @@ class _StudyRun:
                 fold: [name for name, known in verdict.determined.items() if not known]
                 for fold, verdict in self.verdicts.items()
             },
-            "differing_intervals": {fold: list(names) for fold, names in self.differing.items() if names},
             "sampled": bool(self.posteriors),
             "draws": {
                 str(row["fold"]): {
