@@ -5,7 +5,7 @@ fixed shape parameter has that of the posterior that it would have if it were fr
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,11 @@ from needlefit.inference.identifiability.identify import (
     ParameterProfile,
     assess_parameter,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
-from needlefit.inference.parameter_changes import find_freed_bounds
+from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameters import Parameters, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.laws import LAWS
 from needlefit.reporting.number_format import (
     interval_width,
 )
@@ -60,9 +58,7 @@ def identify_parameters(
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
-    found = examination.parameters
-    unmet = _list_unmet(problem, {name for one in found for name in (one.name, *one.same)})
-    for n, one in enumerate((*found, *unmet)):
+    for one in examination.parameters:
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
         density = one.profile.density(one.bounds) if one.fixed_at is not None else None
         by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
@@ -87,30 +83,8 @@ def identify_parameters(
         if density is not None:
             rows[-1] |= {"interval_low": density.low, "interval_high": density.high}
         rows += [{**rows[-1], "parameter": name, "note": f"freed with {one.name}"} for name in one.same]
-        if n >= len(found):
-            rows[-1] |= {"note": "no insertion reaches its layer"}
-        else:
-            points += _profile_rows(problem.parameters, one)
+        points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
-
-
-def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfile]:
-    """Return the flat profiles of fixed shape parameters in layers that no insertion meets."""
-    law, parameters = problem.medium.law, problem.parameters
-    met = {layer for insertion in problem.insertions for layer in insertion.sequence}
-    layers = [layer for layer in range(1, problem.medium.layers + 1) if layer not in met]
-    profiles = []
-    for name in (name for row in LAWS[law].name_shape(layers) for name in row):
-        if name not in parameters.fixed or name in known:
-            continue
-        low, high = find_freed_bounds(parameters, name, law)
-        ends, value, nothing = np.array([low, high]), parameters.fixed[name], np.zeros(2)
-        flat = LikelihoodProfile(
-            name, ends, nothing, nothing, np.empty((2, 0)), value, math.inf, low, high, ("bound", "bound"),
-            minima=1, evaluations=0, retries=0,
-        )  # fmt: skip
-        profiles.append(ParameterProfile(flat, (low, high), value, tip_range_mm=0.0, log_posterior_rise=0.0))
-    return profiles
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:

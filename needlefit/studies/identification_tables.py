@@ -10,15 +10,12 @@ from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
     choose_interval_unit,
     choose_printed_unit,
-    format_number,
     format_quantity_range,
     typeset,
     typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
-
-NEGLIGIBLE_RISE = 0.1  #: rise of the log posterior by which two ends of a search are equally good
 
 
 def describe_evidence(row: Row) -> str:
@@ -32,12 +29,7 @@ def describe_evidence(row: Row) -> str:
     interval = " to ".join(typeset(f"{end:.{decimals}f}") for end in (low, high))
     prior = format_quantity_range(str(row["parameter"]), row["bound_low"], row["bound_high"])
     adds = row["sd_ratio"] < directions.UNINFORMED_SD_RATIO
-    text = f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
-    rise = row.get("log_posterior_rise")
-    if rise is None or (not adds and rise < NEGLIGIBLE_RISE):
-        return text
-    size = f"less than {NEGLIGIBLE_RISE:g}" if rise < NEGLIGIBLE_RISE else format_number(rise)
-    return f"{text}; the log posterior rises by {size}"
+    return f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
 
 
 _INTERVAL_NOTE = (

@@ -431,6 +431,8 @@ def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
 
 # ---- the report
 
+TEXT = KindText("calibration")
+
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
@@ -441,7 +443,7 @@ def describe(found: Run) -> dict[str, Any]:
         "synthetic": found.run["study"]["truth"] == "synthetic",
         "tips": {f"{100 * one['level']:.0f}": one for one in coverage if one["quantity"] == HELD_OUT_TIP},
         "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
-        "quantities": quantities,
+        **{"quantities": quantities, "target": found.run["study"]["target"]},
         "draws": RANK_DRAWS,
         "family_error": rank_statistics.FAMILY_ERROR,
         "single_error": f"{rank_statistics.single_check_error(quantities):.1e}",
@@ -492,7 +494,8 @@ def find_answer(found: Run) -> Answer:
         "replicates": found.run["replicates"],
         "not_calibrated": ", ".join(found.run["not_calibrated"]),
     }
-    return answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
+    answer = answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
+    return replace(answer, advice=TEXT.sentence("advice", describe(found)))
 
 
-REPORT = StudyReport(KindText("calibration"), describe, tabulate, draw, find_answer)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)
