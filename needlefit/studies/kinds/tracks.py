@@ -109,7 +109,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         raise ConfigError(
             "by how much the slopes of runs differ in the tracker's frame is not stated",
             where=locate_key(dataset.path, "noise.slope_sd_deg"),
-            expected="the standard deviation of a session's slopes, degrees",
+            expected="[noise] with slope_sd_deg above 0",
         )
     for n, fit_record in enumerate(record.fits, start=1):
         keys = ("medium", "tune", "validate", "priors", "folds")
