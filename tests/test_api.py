@@ -72,6 +72,20 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
     )
 
 
+@pytest.mark.usefixtures("few_draws")
+def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
+    from needlefit.studies.kinds.cross_validation import run as cross_validation
+
+    monkeypatch.chdir(world.folder)
+    known = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
+    monkeypatch.setattr(
+        cross_validation, "find_outside_validity", lambda problem, thetas: np.ones(len(thetas), dtype=bool)
+    )
+    found = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
+    assert "yes" in set(known["determined"]) and not {"yes", "only together"} & set(found["determined"])
+    assert found["value"].tolist() == known["value"].tolist()
+
+
 @pytest.mark.sweep
 def test_a_posterior_goes_to_xarray_and_arviz(sampled):
     tree, data = sampled.posterior.to_xarray(), sampled.posterior.to_inference_data()

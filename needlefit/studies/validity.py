@@ -12,6 +12,7 @@ FITTED_METHODS = ("fitted", "fitted_metric")
 MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 #: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
 MAX_OUTSIDE_SHARE = 0.01
+MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no parameter
 
 _WORDS = {"draws": "draws of the posterior", "predicted": "predictions of held-out insertions"}
 

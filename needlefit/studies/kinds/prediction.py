@@ -319,7 +319,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
-    sampled = None if folder is None else restore_run(folder)
+    sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
     fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
     if fitted is None:
@@ -337,7 +337,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     judged = settings.inputs.judged or sampled
-    if judged is not None and judged.run["dataset"] != to_json_values(about.run["dataset"]):
+    data = (None if judged is None else to_json_values(judged.run["dataset"]), about.run["dataset"])
+    if data[0] != to_json_values(data[1]):
         judged = None  # a verdict on other data
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}

@@ -68,7 +68,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
+from needlefit.studies.validity import MOSTLY_OUTSIDE, VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -184,6 +184,7 @@ class _StudyRun:
     uncertified: list[RunFault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
+    outside: dict[str, float] = field(default_factory=dict)  #: by fold the share of draws outside validity
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
     #: posteriors of single specimens, which folds share
     specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
@@ -443,6 +444,7 @@ class _StudyRun:
             self.rows["draws"] += [{**where, **job.parameters.values(theta)} for theta in thetas]
         outside = find_outside_validity(job.problem(fold), draws.thetas)
         self.counts.draws.add(len(draws.thetas), int(outside.sum()))
+        self.outside[fold.name] = float(outside.mean()) if len(outside) else 0.0
 
     def _tabulate_searches(self, fold: Fold, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> None:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
@@ -487,9 +489,14 @@ class _StudyRun:
                 }
                 for one in verdict.directions
             ]
-        else:  # without stated noise nothing says how far the data can be trusted
+        mostly_outside = self.outside.get(fold.name, 0.0) > MOSTLY_OUTSIDE
+        # without stated noise nothing says how far the data can be trusted
+        if fit.minimized != "posterior" or mostly_outside:
             nothing = dict.fromkeys(verdict.determined, False)
             verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
+        if mostly_outside:
+            words = "not determined: most draws are outside what the model assumes"
+            verdict = replace(verdict, notes=dict.fromkeys(verdict.notes, words))
         judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
