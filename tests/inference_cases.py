@@ -11,13 +11,14 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.parameters import is_shape_parameter
+from needlefit.inference.parameters import is_shape_parameter, without_bevel_spread
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
+from needlefit.studies.job import Job
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)
@@ -211,3 +212,10 @@ class Squares:
 
 def box(function: Callable[[np.ndarray], float], dimensions: int = 2, half: float = 2.0) -> Analytic:
     return Analytic(function, np.full(dimensions, -half), np.full(dimensions, half))
+
+
+def with_one_bevel(job: Job) -> Job:
+    """Return the job with a bevel offset that is the same in all insertions."""
+    likelihood = job.recipe.likelihood.model_copy(update={"bevel_spread": 0.0})
+    recipe = job.recipe.model_copy(update={"likelihood": likelihood})
+    return replace(job, recipe=recipe, parameters=without_bevel_spread(job.parameters))

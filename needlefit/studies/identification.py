@@ -12,7 +12,6 @@ import numpy as np
 
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
-    AGREEMENT,
     Assessment,
     FitProfiles,
     Identifiability,
@@ -96,7 +95,7 @@ def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessm
         if n in denied:
             shape = one.profile_verdict.removeprefix("not identifiable: ")
             notes[n] = f"not determined: by its profile {shape}"
-        elif known.get(n) and one.agreement != AGREEMENT:
+        elif known.get(n) and one.agreement != directions.AGREEMENT:
             notes[n] += f"; {one.agreement}"
     return replace(verdict, determined=known, notes=notes)
 

@@ -5,7 +5,6 @@ import math
 import pandas as pd
 
 from needlefit.inference.identifiability import directions
-from needlefit.inference.identifiability.identify import AGREEMENT
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
     choose_interval_unit,
@@ -65,7 +64,7 @@ def _format_cells(row: Row, expected: bool) -> Row:
         label, unit = choose_printed_unit(name, [row["value"], *closed.values()])
     else:
         label, unit = choose_interval_unit(row, row["value"])
-    doubts = () if row["agreement"] == AGREEMENT else (row["agreement"],)
+    doubts = () if row["agreement"] == directions.AGREEMENT else (row["agreement"],)
     words = describe_evidence(row) if fixed else "; ".join(filter(None, (*doubts, row["note"])))
     return {
         **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
