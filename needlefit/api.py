@@ -320,7 +320,7 @@ def predict(
     -------
     Run
         Of kind `prediction`; `frames["forecast"]` has the needle and its bands by arc length, mm (NaN where
-        the draws are not certified), `frames["specimens"]` how wide the tip's interval is, and would be.
+        the draws are not certified).
 
     Raises
     ------
@@ -336,7 +336,7 @@ def predict(
         raise ConfigError(f"`specimen` is {specimen!r:.60}", expected='"new", "same", or a name')
     if isinstance(target, Run):
         name, fitted, inputs = _reopen(target)
-        inputs = replace(inputs, target=(name, fitted))
+        inputs = replace(inputs, target=(name, fitted), judged=target)
     else:
         name, inputs = load_target(spell_name(target))[0], Inputs()
     planned, scene_name = read_given("scene", scene, SceneRecord)

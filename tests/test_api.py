@@ -66,10 +66,24 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
     here = needlefit.predict(sampled, "chicken")
     there = needlefit.predict(needlefit.load_run(tmp_path / "run"), find_file("scene", "chicken"), jobs=1)
     assert here.kind == "prediction" and here.run["draw_source"] == "posterior"
-    assert list(here.frames["specimens"]["specimen_treatment"]) == ["others", "one insertion", "same"]
+    assert here.run["specimen"] == "others" and here.run["fit_verdict"]
     np.testing.assert_array_equal(
         here.frames["forecast"].filter(like="_mm"), there.frames["forecast"].filter(like="_mm")
     )
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
+    from needlefit.studies.kinds.cross_validation import run as cross_validation
+
+    monkeypatch.chdir(world.folder)
+    known = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
+    monkeypatch.setattr(
+        cross_validation, "find_outside_validity", lambda problem, thetas: np.ones(len(thetas), dtype=bool)
+    )
+    found = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")
+    assert "yes" in set(known["determined"]) and not {"yes", "only together"} & set(found["determined"])
+    assert found["value"].tolist() == known["value"].tolist()
 
 
 @pytest.mark.sweep

@@ -22,6 +22,7 @@ from needlefit.cli.progress import report_lines, show_progress
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
+from needlefit.studies.kinds import calibration
 
 COMMANDS = ("simulate", "check", "tune", "import", "predict", "validate", "calibrate", "new", "twin")
 FULL = Path("/dev/full")
@@ -88,7 +89,7 @@ def test_a_report_loads_nothing_that_only_computing_needs():
         (("tune", "study2", "--sample"), 2, "--sample"),
         (("simulate",), 2, "Usage: needlefit"),
         (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),
-        (("calibrate", "study2", "--control", "nothing"), 2, "Usage: needlefit"),
+        (("calibrate", "study2", "--truth", "nothing"), 2, "Usage: needlefit"),
         (("--h\u202eut",), 2, r"\\u202e"),
         (("report", "--o\u202eut"), 2, r"\\u202e"),
         (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
@@ -165,17 +166,20 @@ def test_paper_prints_the_published_tables(capsys):
     assert tables["validation"][5]["te_mm"] == 2.82
 
 
-@pytest.mark.sweep
-def test_a_detected_control_exits_0_and_an_undetected_one_does_not(tmp_path, monkeypatch, capsys):
-    """The prior as posterior: 15 truths are far likelier than its draws, too few tell nothing."""
+@pytest.mark.usefixtures("blank_figures")
+def test_the_exit_code_of_a_calibration_says_whether_it_passed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
-    output = json.loads(capsys.readouterr().out)
-    assert output["verdicts"][0]["numbers"] == {"replicates": 15, "not_calibrated": "log_likelihood"}
-    assert {row["draw_source"] for row in output["replicates"]} == {"prior"}
-    assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
-    assert "1 replicate" in capsys.readouterr().out
-    assert json.loads(Path("reports/calibrate-study2-prior/run.json").read_text())["passes"] is False
+    words = ("calibrate", "study2", "--replicates", "1", "--jobs", "1", "-q", "--json")
+    assert run(*words) == 5  # too few
+    assert json.loads(capsys.readouterr().out)["verdicts"][0]["numbers"]["replicates"] == 1
+    judge = calibration.judge_ranks
+    monkeypatch.setattr(
+        calibration,
+        "judge_ranks",
+        lambda frames: judge(frames) | {"passes": False, "conclusive": True, "not_calibrated": ["mu1_pa"]},
+    )
+    assert run(*words) == 6
+    assert json.loads(capsys.readouterr().out)["verdicts"][0]["status"] == "fail"
 
 
 # --- streams that are closed, full, broken, or of few characters --------------------

@@ -15,7 +15,6 @@ import pytest
 from test_cli import run
 from test_viewer_recording import recorded
 
-from needlefit.inference.identifiability.directions import KNOWN_BY_PRIOR
 from needlefit.studies import job
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.recording import read_recording
@@ -39,19 +38,13 @@ def designed(tmp_path_factory):
 @pytest.mark.sweep
 def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
-    assert "1 insertion, 24 mm deep" in out and "study2" in out
+    assert "study2" in out
     table = pd.read_csv(folder / "identify.csv").set_index("parameter")
     assert "yes" not in set(table["determined"])
     profiles = pd.read_csv(folder / "profiles.csv")
     assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
     assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
     assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
-    assert (table["sd_low"] <= table["sd"])[:3].all() and (table["sd_high"] >= table["sd"])[:3].all()
-    found = pd.read_csv(folder / "directions.csv").drop_duplicates("combination")
-    assert (found["sd"].diff().dropna() > 0).all() and (found["sd_ratio"] <= 1).all()
-    assert found.iloc[0]["sd"] < 0.15 and found.iloc[0]["sd_ratio"] < 0.15
-    tied = found[found["combination"].str.contains(r"^mu1 \*.* mu3\^-1\b")].iloc[0]
-    assert tied["sd"] < 0.15 and tied["sd_ratio"] > 0.9 and KNOWN_BY_PRIOR in tied["note"]
     assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
 

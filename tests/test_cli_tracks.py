@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import with_one_bevel
 from test_cli import run
 from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
 
@@ -14,8 +13,6 @@ from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.studies.job import Settings, prepare
-from needlefit.studies.kinds.calibration import simulate_experiment
-from needlefit.studies.kinds.tracks import FRAMES
 from needlefit.studies.study_files import load_target
 
 STUDY = """
@@ -108,25 +105,30 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
     out = capsys.readouterr().out
-    assert "SYNTHETIC data" in out and "the fit is" in out
+    assert "SYNTHETIC data" in out
     folder = project / "reports/mine"
     runs, readings = (pd.read_csv(folder / f"{name}.csv") for name in ("runs", "readings"))
-    assert {*FRAMES["runs"]} - {*runs} == {
-        name for name in FRAMES["runs"] if name.startswith(("end", "track"))
-    }
     assert {"level", "low_mm", "high_mm"} <= {*readings}
+    assert {"fit", "method", "rms_mm"} <= {*runs}
     assert set(runs["run"]) == {"moved0", "moved2"} and set(runs["readings"]) == {np.sum(DEPTH > 15)}
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()
     assert readings.dropna(subset="median_mm")["low_mm"].notna().all()
     record = json.loads((folder / "run.json").read_text())
-    assert str(project) not in json.dumps(record) and record["fits"]["gel"]["tune"][0] == "rest0"
+    assert str(project) not in json.dumps(record) and record["fits"]["gel"]["folds"][0]["tune"][0] == "rest0"
 
 
-def test_a_run_that_both_tunes_and_validates_is_refused(project, capsys):
-    (project / "studies/mine.toml").write_text(STUDY.replace("validate = { guided = true }", "validate = {}"))
+@pytest.mark.parametrize(
+    ("file", "old", "new", "key"),
+    [
+        ("studies/mine.toml", "validate = { guided = true }", "validate = {}", "gel"),
+        ("data/mine/dataset.toml", "slope_sd_deg = 1.0", "", "slope_sd_deg"),
+    ],
+)
+def test_a_study_that_cannot_predict_is_refused(project, capsys, file, old, new, key):
+    text = (project / file).read_text()
+    (project / file).write_text(text.replace(old, new))
     assert run("validate", "mine", "-q") == 3
-    err = capsys.readouterr().err
-    assert all(f"rest{n}" in err for n in range(4))
+    assert key in capsys.readouterr().err
 
 
 def test_a_study_of_several_fits_is_named_with_the_fit(project, capsys):
@@ -165,35 +167,15 @@ def test_a_design_of_runs_is_identified(project):
     assert run("tune", "mine", "--design", "--jobs", "1", "-q") == 0
     before = pd.read_csv(project / "reports/mine-gel-design/identify.csv").set_index("parameter")
     assert "yes" not in set(before["determined"])  # a guide at rest tells one combination of mu and b alone
-    directions = pd.read_csv(project / "reports/mine-gel-design/directions.csv")
-    bent = directions[(directions["parameter"] == "bevel_mm") & (directions["weight"].abs() > 0.1)]
-    assert bent["sd_ratio"].min() < 0.5 < 0.9 < bent["sd_ratio"].max()
 
 
 @pytest.mark.usefixtures("few_draws")
 def test_a_planned_needle_is_predicted_from_runs(project):
     assert run("predict", "mine", "--scene", "plan", "--jobs", "1", "-q") in (0, 5)  # of a short recipe
     forecast = pd.read_csv(project / "reports/predict-mine-gel-plan/forecast.csv").query("level == 0.95")
-    tip = forecast.groupby("quantity").last()
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).tip_lateral
-    assert tip.loc["needle", "low_mm"] < truth < tip.loc["needle", "high_mm"]
-    widths = tip["high_mm"] - tip["low_mm"]
-    assert widths["needle"] < widths["measured"]
-
-
-def test_simulated_runs_have_the_stated_noise_in_any_frame(project):
-    """At the truth the mean square of whitened residuals is 1, whatever shift and slope were drawn."""
-    job = with_one_bevel(prepare("moved", load_target("moved")[1], Settings()))
-    squares, slopes = [], []
-    for number in range(12):
-        theta, problem = simulate_experiment(job, np.random.default_rng(number))
-        values = problem.values(theta)
-        for white in problem.density.whitened_residuals([values], 1):
-            squares.append(np.mean(white**2) / values["noise_scale"] ** 2)
-        slopes += [np.polyfit(run.depths, run.tip, 1)[0] for run in problem.insertions]
-    assert np.mean(squares) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (24 * (len(DEPTH) - 2))))
-    assert np.std(slopes) > 0.05
+    assert forecast["low_mm"].iloc[-1] < truth < forecast["high_mm"].iloc[-1]
 
 
 def test_a_compression_test_gives_runs_a_prior(project):
@@ -217,19 +199,15 @@ def test_a_compression_test_gives_runs_a_prior(project):
 
 
 @pytest.mark.sweep
-def test_steered_runs_are_left_out_in_folds(project, capsys):
+def test_steered_runs_are_left_out_in_folds(project):
     folds = STUDY.replace("tune = { guided = false }", "tune = {}\nfolds = 2")
     (project / "studies/mine.toml").write_text(folds)
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
     runs = pd.read_csv(project / "reports/mine/runs.csv")
-    held = runs[runs["method"] == "guide_kernel"].drop_duplicates("run")
+    held = runs[runs["method"] == "steered_line"].drop_duplicates("run")
     assert held.set_index("run")["fit"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
     fits = json.loads((project / "reports/mine/run.json").read_text())["fits"]
-    assert set(fits["gel-1"]["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
-    (project / "studies/mine.toml").write_text(folds.replace("folds = 2", "folds = 3"))
-    assert run("validate", "mine", "-q") == 3 and "folds" in capsys.readouterr().err
-    (project / "studies/mine.toml").write_text(STUDY.replace("tune = { guided = false }", "tune = {}"))
-    assert run("validate", "mine", "-q") == 3
+    assert set(fits["gel-1"]["folds"][0]["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
 
 
 def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project, capsys):

@@ -255,11 +255,11 @@ def test_certified_draws_give_the_interval_and_others_none():
     theta = np.array(parameters.theta(TRUTH))
     thetas = theta + np.linspace(-0.1, 0.1, 201)[:, None]
     drawn = Draws(thetas, "importance")
-    found = intervals_of_draws(parameters, drawn, drawn, None)["mu1_pa"]
+    found = intervals_of_draws(parameters, drawn, None)["mu1_pa"]
     assert (found.low, found.high) == pytest.approx((3e5 * math.exp(-0.095), 3e5 * math.exp(0.095)))
     assert found.source == "importance"
     faulty = Draws(thetas, "importance", ("k",))
-    assert intervals_of_draws(parameters, faulty, faulty, None) == {}
+    assert intervals_of_draws(parameters, faulty, None) == {}
 
 
 def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():

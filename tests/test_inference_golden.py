@@ -5,7 +5,6 @@ from itertools import product
 
 import numpy as np
 import test_inference_document as document
-import track_cases as tracks
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, squares_recipe, two_layers
 from sampling_cases import Known, banana, two_hills
@@ -17,12 +16,9 @@ from test_inference_specimens import BOUNDS, MODEL, gaussian
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
-from needlefit.inference import track_predictions
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.baselines import BASELINES
-from needlefit.inference.identifiability.design_gain import expect_precision, nested_gain
+from needlefit.inference.identifiability.design_gain import nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
-from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
@@ -47,7 +43,6 @@ def test_verdicts_profiles_and_designs():
         "tied": identify(tied, fit_at(tied, values)),
         "free": identify(problem(free, bumpy), fit_at(problem(free, bumpy), TRUTH)),
         "profiles": profile_parameters(layers, fit_at(layers, TRUTH)),
-        "design": expect_precision(lambda _: alone, TRUTH, rng()),
         "prior": draw_from_prior(tied.parameters, 9, rng()),
     }
     assert_golden("identifiability", found, rtol=1e-4)
@@ -115,27 +110,6 @@ def test_weighted_draws():
     hills, bent = weighted(Known(two_hills), modes), weighted(Known(banana, half=40.0))
     kept = [resample(bent, size, rng()) for size in (40, 4000)]
     assert_golden("weighted_draws", {"hills": hills, "banana": bent, "kept": kept}, rtol=1e-4)
-
-
-def test_tracks():
-    runs = [tracks.measured(tracks.track(f"run{n}", n * tracks.GUIDE), n, 0.02 * n, n) for n in range(5)]
-    seen = [make_observation(tracks.dataset([]), one) for one in runs]
-    kinds = ("straight", "constant_curvature", "steered_line", "guide_kernel")
-    drawn = {
-        name: track_predictions.draw_baseline(BASELINES[name], seen[:4], runs[4:], 60, rng())
-        for name in BASELINES.names()
-        if name in kinds
-    }
-    slopes = {name: track_predictions.estimate_slopes(one, seen[:4], runs[4]) for name, one in drawn.items()}
-    tips = np.repeat(drawn["straight"].held_out[0][:1], 60, axis=0)
-    found = {
-        "draws": {name: [np.mean(one.held_out[0], axis=0), one.scale.mean()] for name, one in drawn.items()},
-        "slopes": slopes,
-        "ahead": track_predictions.predict_readings(
-            seen[4], tips, np.ones(60), slopes["straight"], 5, rng()
-        ).mean(axis=0),
-    }
-    assert_golden("tracks", found, rtol=1e-4)
 
 
 DENSITIES: dict[str, tuple[dict, dict, dict]] = {  # by changes of the data set, its noise and the likelihood

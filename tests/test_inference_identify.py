@@ -170,18 +170,14 @@ def test_ties_are_loosened_and_what_only_a_tie_determines_is_not_determined():
 # ---- words of profiles, designs, and what one more insertion tells
 
 
-def test_every_fixed_alpha_has_a_row():
+def test_every_fixed_alpha_that_is_met_has_a_row():
     record = medium(4, mu3_pa={"tie": "mu1_pa", "spread": 1}, alpha3={"fixed": 1.0}, alpha4={"fixed": 6.0})
     truth = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}
     p = problem(record, [measure(truth, record, insertion(40.0, (12.0, 25.0), (1, 2, 3)))])
     found = identify_parameters(p, profile_parameters(p, fit_at(p, {**truth, "mu4_pa": 1e6})), {})
     fixed = {row["parameter"]: row for row in found.rows if row["status"] == "fixed"}
-    assert set(fixed) == {"alpha1", "alpha2", "alpha3", "alpha4"}
+    assert set(fixed) == {"alpha1", "alpha2", "alpha3"}
     assert fixed["alpha3"] == fixed["alpha1"] | {"parameter": "alpha3", "note": fixed["alpha3"]["note"]}
-    unmet = fixed["alpha4"]  # within -3 to 6, its value
-    assert (unmet["interval_low"], unmet["interval_high"]) == pytest.approx((-2.775, 5.775))
-    assert (unmet["sd_ratio"], unmet["log_posterior_rise"]) == (pytest.approx(1.0, rel=1e-4), 0.0)
-    assert "alpha4" not in {row["parameter"] for row in found.points}
 
 
 def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
@@ -220,14 +216,9 @@ def test_four_equal_insertions_halve_the_deviations():
 
     def predict_deviations(count):
         p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
-        return design_gain.expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
+        return np.linalg.eigvalsh(design_gain.fisher_information(p, p.parameters.theta(TRUTH)))[-1] ** -0.5
 
-    one, four = predict_deviations(1), predict_deviations(4)
-    assert len(one.sds) == 1 + design_gain.OTHER_POINTS
-    assert four.directions[0].sd == pytest.approx(one.directions[0].sd / 2, rel=0.02)
-    assert one.prior_sds == pytest.approx([math.log(1e6) / math.sqrt(12), math.log(500) / math.sqrt(12)])
-    assert np.all(one.sds <= one.prior_sds * (1 + 1e-9))
-    assert design_gain.expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
+    assert predict_deviations(4) == pytest.approx(predict_deviations(1) / 2, rel=0.02)
 
 
 def test_draws_that_are_wider_than_the_information_decide_what_is_determined():

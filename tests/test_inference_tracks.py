@@ -35,9 +35,9 @@ from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.job import Fold, Job
 from needlefit.studies.kinds import tracks
-from needlefit.studies.kinds.tracks import TrackTask
-from needlefit.studies.simulated_data import simulate_measurement
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])
@@ -212,85 +212,50 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
 
 
 def test_later_readings_do_not_enter_the_prediction(runs):
-    known = observation.make_observation(dataset(runs), runs[0])
+    rest = [measured(track(f"run{n}", REST), n, 0.01 * n, n) for n in range(4)]
+    known = [observation.make_observation(dataset(runs), one) for one in (*rest, runs[0])]
     later = runs[0].tip.copy()
     later[5:] += 9.0
-    other = replace(known, measured=np.column_stack([DEPTH, later]))
-    slope = track_predictions.SlopeMoments(np.zeros(8), np.ones(8))
+    other = replace(known[-1], measured=np.column_stack([DEPTH, later]))
     one, two = (
-        track_predictions.predict_readings(
-            at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1)
-        )
-        for at in (known, other)
+        track_predictions.predict_by_curve(BASELINES["straight"], known[:-1], at, 5)
+        for at in (known[-1], other)
     )
     assert np.array_equal(one, two)
 
 
-def test_slopes_of_further_runs_are_predicted_from_the_fitted_ones():
-    frames = (0.01, 0.02, 0.03, 0.04, 0.05)
-    bent = [measured(track(f"run{n}", REST), n, one) for n, one in enumerate(frames)]
-    seen = [observation.make_observation(dataset([]), one) for one in bent]
-    (y,) = simulate_tips(bent[:1])
-    drawn = track_predictions.TrackDraws((y,) * 5, (), np.ones(1))
-    found = track_predictions.estimate_slopes(drawn, seen)
-    assert found.mean[0] == pytest.approx(0.03)
-    assert found.variance[0] == pytest.approx(0.00025 * 1.2 * 4 / 2)  # scatter, one more run, Student
-    refusal(
-        ConfigError,
-        "3 runs",
-        lambda: track_predictions.estimate_slopes(
-            track_predictions.TrackDraws((y,) * 3, (), np.ones(1)), seen[:3]
-        ),
-    )
-
-
 def test_a_line_takes_its_slope_from_runs_alike():
+    """With one reading to place a run, its further ones have the slope of the others, or of those alike."""
     frames = ((REST, 0.01), (REST, 0.02), (REST, 0.03), (GUIDE, 0.07), (GUIDE, 0.08), (GUIDE, 0.09))
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
     seen = [observation.make_observation(dataset([]), one) for one in tracks]
-    rng = np.random.default_rng(1)
-    drawn = track_predictions.draw_baseline(BASELINES["steered_line"], seen, tracks[-1:], 3, rng)
-    for further, mean in ((tracks[0], 0.02), (tracks[-1], 0.08)):
-        found = track_predictions.estimate_slopes(drawn, seen, further)
-        assert found.mean == pytest.approx(np.full(3, mean))
-        assert found.variance == pytest.approx(np.full(3, 1e-4 * (1 + 1 / 3) * 4 / 2))
-    few = track_predictions.estimate_slopes(
-        track_predictions.TrackDraws(drawn.tuned[2:], (), drawn.scale, True), seen[2:], tracks[-1]
+    for name, slopes in (("straight", (0.05, 0.05)), ("steered_line", (0.02, 0.08))):
+        for further, slope in zip((seen[0], seen[-1]), slopes, strict=True):
+            found = track_predictions.predict_by_curve(BASELINES[name], seen, further, 1)
+            assert np.diff(found) == pytest.approx(slope * np.diff(DEPTH[1:]), abs=1e-6)
+    refusal(
+        ConfigError,
+        "3 runs",
+        lambda: track_predictions.predict_by_curve(BASELINES["straight"], seen[:3], seen[0], 1),
     )
-    assert few.mean == pytest.approx(np.full(3, 0.0675))
 
 
 def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     """Deflections of small needles are proportional to b, so that they spread as ln b does."""
     one = problem(runs[:1])
-    one = replace(one, dataset=replace(one.dataset, noise=SESSION_NOISE))
-    task = TrackTask("one", one, tuple(runs[1:]), RecipeRecord(schema_=1))
-    sets = [{**TRUTH, "bevel_spread": 0.1}] * 300
+    data = replace(one.dataset, noise=SESSION_NOISE)
+    fold = Fold("one", one.insertions, tuple(runs[1:]))
+    fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "gel"})
+    recipe = RecipeRecord(schema_=1)
+    job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,))
+    monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     draws = Draws(np.zeros((300, 0)), "posterior")
-    monkeypatch.setattr(Problem, "values", lambda *_: sets[0])
-    drawn, _ = tracks._draw_model_tips(task, draws, (), 1, np.random.default_rng(1))
+    _, _, _, (tuned, *held) = tracks.simulate_runs(job, draws, 1, np.random.default_rng(1))
     (bent,) = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [runs[2]], [DEPTH])
-    assert np.ptp(drawn.tuned[0], axis=0).max() < 1e-9
-    ends = [held[:, -1] for held in drawn.held_out]
+    assert np.ptp(tuned, axis=0).max() < 1e-9
+    ends = [curves[:, 0, -1] for curves in held]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
-
-
-def test_a_run_into_another_specimen_has_other_parameters(runs):
-    one = problem(runs[:1])
-    one = replace(one, dataset=replace(one.dataset, noise=SESSION_NOISE))
-    elsewhere = replace(runs[1], id="other", specimen="other")
-    recipe = RecipeRecord.model_validate({"schema": 1, "specimens": {"bevel_factor": 1.01}})
-    task = TrackTask("one", one, (runs[1], elsewhere), recipe)
-    draws = Draws(np.tile(THETA, (400, 1)), "posterior")
-    drawn, _ = tracks._draw_model_tips(task, draws, (), 1, np.random.default_rng(1))
-    here, there = (tips[:, -1] for tips in drawn.held_out)
-    assert np.ptp(here) < 1e-9 and np.std(there) > 0.05
-    moved = tracks._move_to_specimen(task, draws, "other", np.random.default_rng(1))
-    # T from its prior, about a mean that is as uncertain: E[tau^2] = (ln 2)^2, twice
-    spread = np.std([np.log(values["mu1_pa"]) for values in moved])
-    assert spread == pytest.approx(np.sqrt(2) * np.log(2), rel=0.15)
-    assert [values["guide_distance_mm"] for values in moved] == pytest.approx([20.0] * 400)
 
 
 class Groups:
@@ -325,17 +290,14 @@ class Groups:
             self.likelihood if errors is None else self.likelihood.model_copy(update={"tip_tracks": errors})
         )
         seen = [observation.make_observation(self.data, one, likelihood=likelihood) for one in every]
-        curves, columns = [], []
+        curves = []
         for kind, one in zip(kinds, seen, strict=True):
             change = 0.1 * self.responses[kind]
             nodes = np.stack([self.tips[kind], self.tips[kind] - change, self.tips[kind] + change])
-            nodes = np.repeat(nodes[None, : len(one.nodes.insertions)], draws, axis=0)
-            curves.append(nodes[:, 0])
-            columns.append(track_predictions.list_columns(one, nodes))
-        drawn = track_predictions.TrackDraws(
-            tuple(curves[:-1]), (curves[-1],), np.ones(draws), False, tuple(columns[:-1]), (columns[-1],)
+            curves.append(np.repeat(nodes[None, : len(one.nodes.insertions)], draws, axis=0))
+        (found,) = track_predictions.predict_runs(
+            np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
         )
-        (found,) = track_predictions.predict_runs(drawn, seen[:-1], seen[-1:], [observed], self.rng)
         return found[:, -1], every[-1].tip[-1]
 
 
@@ -362,31 +324,3 @@ def test_a_gain_of_the_guide_is_taken_over_from_runs_alike():
         off[name] = np.mean([abs(np.median(ends) - end) for ends, end in pairs])
     # the slope of each run remains unknown: 0.005 over 60 mm
     assert off["with"] < 0.15 < 0.3 * off["without"]
-
-
-@pytest.mark.parametrize("part", ["gain_sd", "slope_sd_deg", "entry_sd_mm"])
-def test_measurements_are_simulated_with_the_errors_that_the_likelihood_states(part):
-    """Each by itself, about the truth; of a session whose own slope is known."""
-    errors = TrackErrorsRecord(**{part: {"gain_sd": 0.05, "slope_sd_deg": 2.0, "entry_sd_mm": 0.3}[part]})
-    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
-    one, rng = replace(track("a", GUIDE), heading=np.zeros(len(DEPTH))), np.random.default_rng(1)
-    quiet = replace(dataset([one]), noise=replace(SESSION_NOISE, point_sd=1e-6, heading_sd=1e-6))
-    known = {axis.surface: 0.0 for axis in observation.list_session_axes(one.specimen, 0.005, 2)}
-    seen = [simulate_measurement(quiet, one, TRUTH, MEDIUM, rng, dict(known), likelihood) for _ in range(400)]
-    (true,) = simulate_tips([one])
-    off = np.array([each.tip for each in seen]) - true[0]
-    frame = np.column_stack([np.ones(len(DEPTH)), DEPTH])
-    slopes = np.linalg.lstsq(frame, off.T, rcond=None)[0][1]
-    off = off - (off @ np.linalg.pinv(frame).T) @ frame.T
-    slope_sd, left = 0.005, np.eye(len(DEPTH)) - frame @ np.linalg.pinv(frame)
-    covariance = left @ observation.entry_covariance(one, DEPTH, errors) @ left.T
-    if part == "slope_sd_deg":
-        slope_sd = np.hypot(slope_sd, np.radians(2.0))
-        assert np.std(slopes) == pytest.approx(slope_sd, rel=0.1)
-    elif part == "gain_sd":
-        response = 0.05 * np.sqrt(2.0) * left @ respond_to_guide(one, DEPTH)  # of group and run
-        covariance = np.outer(response, response)
-    assert np.trace(off.T @ off / len(off)) == pytest.approx(np.trace(covariance), rel=0.15, abs=1e-9)
-    headings = np.array([each.heading for each in seen])
-    added = np.std(headings - np.array(seen[0].heading), axis=0)[1:]
-    assert (added[0] > 5 * added[-1]) == (part == "entry_sd_mm")

@@ -6,32 +6,38 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
+from track_cases import GUIDE, track
 
 from needlefit.datasets.insertion import Dataset, Noise
+from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import Draws, draw_from_prior, wilson_interval
 from needlefit.inference.problem import Problem
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds import calibration
 from needlefit.studies.kinds.calibration import (
-    CONTROLS,
     CalibrationRecord,
-    Experiment,
+    find_stiff_direction,
+    infer_posterior,
     is_inside_bounds,
-    prepare_synthetic,
+    plan_synthetic,
     replicate,
     simulate_experiment,
 )
 from needlefit.studies.rank_statistics import (
     HELD_OUT_TIP,
     RANK_DRAWS,
-    count_covered,
     ecdf_band,
+    estimate_share,
+    find_covered,
     find_failing,
     probability_inside,
     rank_truth,
+    share_by_truth,
     tabulate_coverage,
     tabulate_ecdfs,
 )
@@ -44,8 +50,7 @@ from needlefit.synthetic.design import (
     list_planned_insertions,
 )
 
-ENOUGH = {"sigma": 80, "prior": 20, "pose": 10, "shuffled": 8}
-"""Replicates by which each control is noticed."""
+STIFF = {"mu1_pa": 0.3, "bevel_mm": 0.95}
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
@@ -66,9 +71,8 @@ def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Jo
     )
 
 
-def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
-    experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, **kind)
-    rows = [row for number in range(count) for row in replicate(number, experiment)["replicates"]]
+def run(job: Job, count: int) -> dict[str, np.ndarray]:
+    rows = [row for number in range(count) for row in replicate(number, job, STIFF)["replicates"]]
     names = [name for name in rows[0] if name.startswith("rank_")]
     return {name.removeprefix("rank_"): np.array([row[name] for row in rows]) for name in names}
 
@@ -84,10 +88,25 @@ def test_needles_of_the_model_itself_are_calibrated():
     assert failures(found) == []
 
 
+def infer_with_understated_errors(problem, recipe, count, rng):
+    noise = replace(problem.dataset.noise, registration_mean=0.7 * problem.dataset.noise.registration_mean)
+    sure = tuple(replace(one, pose_angle_sd=0.7 * one.pose_angle_sd) for one in problem.insertions)
+    likelihood = problem.likelihood.model_copy(update={"noise_scale": 0.7})
+    wrong = replace(problem, dataset=replace(problem.dataset, noise=noise), insertions=sure)
+    return infer_posterior(replace(wrong, likelihood=likelihood), recipe, count, rng)
+
+
+def take_the_prior(problem, recipe, count, rng):
+    thetas = draw_from_prior(problem.parameters, 2 * count, rng)
+    thetas = thetas[np.isfinite(problem.log_posteriors(thetas))][:count]
+    return Draws(thetas, "importance"), thetas[0]
+
+
 @pytest.mark.sweep
-@pytest.mark.parametrize("control", CONTROLS)
-def test_every_control_is_noticed(control):
-    assert failures(run(small_job(), ENOUGH[control], control=control))
+@pytest.mark.parametrize(("wrong", "count"), [(infer_with_understated_errors, 80), (take_the_prior, 20)])
+def test_a_wrong_posterior_is_noticed(wrong, count, monkeypatch):
+    monkeypatch.setattr(calibration, "infer_posterior", wrong)
+    assert failures(run(small_job(), count))
 
 
 def test_exact_posteriors_pass_and_narrow_ones_fail():
@@ -139,14 +158,18 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
 
 
 @pytest.mark.sweep
-def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
+def test_a_replicate_is_its_number_s():
     job = small_job()
     thetas = [simulate_experiment(job, np.random.default_rng(4))[0] for _ in range(2)]
     assert np.array_equal(*thetas)
-    experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95})
-    plain, wrong = (replicate(3, replace(experiment, control=c))["replicates"][0] for c in (None, "pose"))
-    assert plain["mu1_pa"] == wrong["mu1_pa"] and plain["bevel_mm"] == wrong["bevel_mm"]
-    assert [plain] == replicate(3, experiment)["replicates"]
+    assert replicate(3, job, STIFF) == replicate(3, job, STIFF)
+
+
+def test_tip_tracks_are_refused():
+    job = small_job()
+    held = replace(job.dataset, insertions=(track("run", GUIDE),))
+    with pytest.raises(ConfigError, match="tip tracks"):
+        find_stiff_direction(replace(job, dataset=held, folds=(Fold("all", held.insertions, ()),)))
 
 
 STUDY = """
@@ -184,7 +207,19 @@ def test_tips_of_one_replicate_count_as_one_trial():
         one, other = (table[table["quantity"] == name] for name in ("a", "b"))
         for key in [*keys, "count_low", "count_high"]:
             assert one[key].to_numpy(dtype=float) == pytest.approx(other[key].to_numpy(dtype=float))
-    assert count_covered(np.array([[40, 0], [0, 40]]), 0.5) == 1.0
+    assert share_by_truth(find_covered(np.array([[40, 0], [0, 40]]), 0.5)).tolist() == [0.5, 0.5]
+
+
+def test_the_interval_of_a_share_has_truths_as_trials():
+    """Tips that agree within a truth are one trial, those that do not are several."""
+    covered = np.arange(40) < 30
+    alone = estimate_share(share_by_truth(covered))
+    assert alone == pytest.approx(wilson_interval(0.75, 40))
+    assert estimate_share(share_by_truth(np.column_stack([covered] * 7))) == pytest.approx(alone)
+    mixed = np.random.default_rng(2).random((40, 7)) < 0.75
+    low, high = estimate_share(share_by_truth(mixed))
+    assert low < mixed.mean() < high and high - low < 0.6 * (alone[1] - alone[0])
+    assert estimate_share(np.ones(40)) == pytest.approx(wilson_interval(1.0, 40))
 
 
 def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
@@ -211,18 +246,17 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
 
 def test_truths_outside_the_bounds_of_the_medium_are_drawn_again():
     job = prepare("study5", load_study(find_file("study", "study5")), Settings())
-    experiment = prepare_synthetic(job, ct=False)
+    plan, bounds = plan_synthetic(job), job.parameters.bounds
     record = job.medium.model_dump(by_alias=True, exclude_unset=True)
     record["parameters"]["bevel_mm"] = {"bounds": [1e-3, 0.25]}
     narrow = Parameters.from_record(type(job.medium).model_validate(record))
-    few = replace(experiment, job=replace(job, parameters=narrow))
-    for each, limit in ((experiment, 0.5), (few, 0.25)):
+    for each, limit in ((bounds, 0.5), (narrow.bounds, 0.25)):
         drawn = []
         for seed in range(40):
             pieces = [draw_specimen(seed, "chicken", f"chicken-piece{n}", POPULATION) for n in (1, 2, 3)]
             stiff = min(1e6 * one.mu[0] for one in pieces) >= 1e2  # the medium's lower bound, Pa
             drawn.append(stiff and max(one.bevel for one in pieces) <= limit)
-            assert is_inside_bounds(seed, each) == drawn[-1]
+            assert is_inside_bounds(seed, each, plan) == drawn[-1]
         assert True in drawn and False in drawn
 
 

@@ -46,6 +46,7 @@ flexural_rigidity_nmm2 = 2.5e4
 
 [noise]
 point_sd_mm = 0.02
+slope_sd_deg = 1.0
 
 [tip_tracks]
 file = "steps.csv"

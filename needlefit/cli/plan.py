@@ -80,6 +80,8 @@ def plan(
     if invocation.json:
         screen.show_json(summary)
     else:
+        if shown.verdict:
+            screen.print_text(shown.verdict)
         screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
     screen.print_warnings(invocation, shown.warnings)
     if not found.hits:
@@ -161,6 +163,7 @@ def _summarize(
         "turns_mm": list(found.turns),
         "steps": steps,
         **found.describe_misses(),
+        "fit_verdict": shown.verdict or None,
         "specimen": shown.specimen or None,
         "draws": 0 if exact else len(found.needles),
         "search_draws": 0 if exact else search_draws,

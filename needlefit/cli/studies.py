@@ -19,7 +19,7 @@ from needlefit.cli.execution import (
     show_runs,
 )
 from needlefit.cli.options import REPORTS, argument, option, scene_record, split_pair
-from needlefit.schemas.limits import MAX_REPLICATES
+from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 if TYPE_CHECKING:
     from needlefit.studies.run import Run
@@ -120,21 +120,8 @@ def calibrate(
     context: typer.Context,
     target: options.Target,
     replicates: Annotated[
-        int | None,
-        option(
-            "Number of simulated datasets (default: 500; with --sample 100; with --truth synthetic 50).",
-            min=1,
-            max=MAX_REPLICATES,
-        ),
-    ] = None,
-    sample: Annotated[
-        bool,
-        option("Sample every posterior by MCMC; uses at most three insertions.", None, "--sample"),
-    ] = False,
-    control: Annotated[
-        Literal["sigma", "prior", "pose", "shuffled", "all"] | None,
-        option("Use a wrong likelihood, which the test must detect, or each of them."),
-    ] = None,
+        int, option("Number of simulated datasets.", min=1, max=MAX_REPLICATES)
+    ] = DEFAULT_REPLICATES,
     truth: Annotated[
         Literal["prior", "synthetic"],
         option(
@@ -142,10 +129,6 @@ def calibrate(
             "fitted one)."
         ),
     ] = "prior",
-    ct: Annotated[
-        bool,
-        option("With --truth synthetic: measure through CT volumes (4 s per insertion).", None, "--ct"),
-    ] = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
@@ -168,37 +151,22 @@ def calibrate(
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
 
-    Results go to OUT/calibrate-TARGET/ (or -CONTROL, -synthetic, -synthetic-ct). Exit code 6: ranks are not
-    uniform, or a control is not detected. Exit code 5: a posterior has not converged, or there are too few
-    replicates for a verdict.
+    Results go to OUT/calibrate-TARGET/ (or -synthetic). Exit code 6: ranks are not uniform. Exit code 5: a
+    posterior has not converged, or there are too few replicates for a verdict.
     """
-    synthetic = truth == "synthetic"
-    if ct and not synthetic:
-        raise typer.BadParameter("needs --truth synthetic.", param_hint="--ct")
-    if synthetic and (sample or control is not None):
-        raise typer.BadParameter("excludes --sample and --control.", param_hint="--truth synthetic")
-    given = {"replicates": replicates} if replicates else {}
     with begin(context) as execution:
-        from needlefit.studies.kind import find_kind
-        from needlefit.studies.kinds.calibration import CONTROLS
         from needlefit.studies.study_files import load_target
 
-        ending = ("-sample" if sample else "") + ("-synthetic" if synthetic else "") + ("-ct" if ct else "")
-        about = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
-        wanted = CONTROLS if control == "all" else (control,)
-        runs = {f"{about}-{one}" if one else about: one for one in wanted}
-        execution.prepare(runs, runs)
-        asked = {"target": target, "sampled": sample, "truth": truth, "ct": ct, **given}
-        found = [execution.run_kind("calibration", name, control=one, **asked) for name, one in runs.items()]
-        execution.write_reference(found)
-    show_runs(execution, found)
-    wrong = [run for run in found if run.run["conclusive"] and not run.run["passes"]]
-    for run in wrong:
-        sentence = find_kind("calibration").report.summarize(run)[0]
-        screen.print_note(f"needlefit: {execution.folder(run.name)}: {sentence}")
-    if wrong:
+        ending = "-synthetic" if truth == "synthetic" else ""
+        name = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
+        execution.prepare([name], [name])
+        found = execution.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
+        execution.write_reference([found])
+    show_runs(execution, [found])
+    if found.run["conclusive"] and not found.run["passes"]:
+        screen.print_note(f"needlefit: {execution.folder(name)}: {found.verdicts[0].sentence}")
         raise typer.Exit(exit_codes.CALIBRATION_FAILED)
-    if any(run.faults or not run.run["conclusive"] for run in found):
+    if found.faults or not found.run["conclusive"]:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
@@ -296,16 +264,17 @@ def predict(
     The scene defines needle, depth, layer depths, bevel side and controls. Moduli and bevel offset are draws
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
     new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
-    agree with the fit. Prints the tip with its intervals, and writes shape and figure to
-    OUT/predict-TARGET-SCENE/.
+    agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
+    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/.
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
         from needlefit.project.locate import find_run
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.job import load_medium
+        from needlefit.studies.job import Inputs, load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
+        from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
 
         scene_name, planned = scene_record(scene, depth, set_ or [])
@@ -317,11 +286,13 @@ def predict(
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
         tuned = execution.folder(target_name)
+        judged = execution.folder(target_name.removesuffix("-tune"))
+        inputs = Inputs(judged=restore_run(judged) if is_file(judged / RESULTS_FILE) else None)
         if run is not None:
             run = find_run(str(run))
         elif is_file(tuned / POSTERIOR_FILE):
             run = tuned
-        found = execution.run_kind(
+        found = replace(execution, inputs=inputs).run_kind(
             "prediction",
             name,
             target=target,

@@ -36,9 +36,10 @@ class TrackFitRecord(Record):
     tune: TrackSelectionRecord
     """Runs that are fitted."""
     validate_: TrackSelectionRecord = Field(alias="validate")
-    """Runs that are predicted."""
+    """Runs that are predicted; they are not fitted to."""
     folds: int | None = Field(default=None, ge=2)
-    """Groups into which the runs of `validate` are divided; each is predicted by a fit to all others."""
+    """Groups into which the runs of `validate` are divided, as many as runs at most; each is predicted by a
+    fit to all others."""
 
 
 class TrackStudyRecord(QuestionRecord):
@@ -76,5 +77,5 @@ class TrackStudyRecord(QuestionRecord):
             recipe=self.recipe,
             priors=fit.priors,
             tune=fit.tune.selection(),
-            same_specimen=self.same_specimen,
+            same_specimen=True,
         )

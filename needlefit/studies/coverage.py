@@ -1,16 +1,12 @@
 """How well predictive intervals cover insertions, and how wide they are: also after one more insertion."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.inference.predict import Proportion, estimate_proportion
-from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.table_files import Row
-from needlefit.reporting.text import KindText
 
 
 def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
@@ -71,23 +67,3 @@ def estimate_width_after_one(tips: Floats, known: Floats) -> float:
     solved = np.isfinite(tips) & np.isfinite(known)
     (variance, shared), _ = np.cov(known[solved], tips[solved])
     return measure_width(tips - shared / variance * known)
-
-
-def warn_if_too_wide(
-    width_mm: float, deflection_mm: float, where: str = "", fix: str = ""
-) -> Iterator[ResultWarning]:
-    """Yield a warning if an interval is wider than the tip is deflected, and than `MAX_AIMING_WIDTH_MM`.
-
-    `where` is the medium of the tips whose median width and deflection are given; empty: of a single tip.
-    `fix` is what narrows the interval; by default more data.
-    """
-    if is_too_wide(width_mm, deflection_mm):
-        values = {"group": where, "width_mm": width_mm, "deflection_mm": deflection_mm, "gain": fix}
-        text = KindText("warnings")
-        what, remedy = (text.sentence(block, values) for block in ("wide_intervals", "wide_intervals_fix"))
-        yield ResultWarning("wide_intervals", what, fix=remedy)
-
-
-def is_too_wide(width_mm: float, deflection_mm: float) -> bool:
-    """Return whether an interval is wider than the tip is deflected, and than `MAX_AIMING_WIDTH_MM`."""
-    return width_mm > max(MAX_AIMING_WIDTH_MM, deflection_mm)

@@ -16,9 +16,8 @@ starts
 Parameters
     Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha; `low`, `high` is
     the range among starts within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval
-    that is printed, `draw_source` what it is from, `median` that of the same draws; `importance_low`,
-    `importance_high` is the interval of the draws by importance. `determined` is "yes", "only together" (with
-    the others held it is), or "no".
+    that is printed, `draw_source` what it is from, `median` that of the same draws. `determined` is "yes",
+    "only together" (with the others held it is), or "no".
 error_fit
     Per fold the objective of the error-minimising fit: at the reported point, at the least one, and the
     tolerance within which it is not significantly larger, with its two estimates.
@@ -89,7 +88,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "parameters": (
             *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
-            *("median", "importance_low", "importance_high"),
+            "median",
             *("determined", "condition", "note"),
         ),
         "error_fit": (
@@ -99,7 +98,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "directions": ("fold", "parameters", "sd", "sd_ratio", "note"),
         "identification": (
             *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
-            *("sd", "sd_low", "sd_high", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
+            *("sd", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
             *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
             *("rise", "log_posterior_rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
         ),

@@ -16,9 +16,9 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     short_name,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, Parameters, is_logarithmic, is_shape_parameter
+from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
-from needlefit.reporting.number_format import format_quantity, format_quantity_range
+from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_frames import select_fitted, select_free
@@ -69,25 +69,6 @@ def _find_bounds(results: Run) -> list[Row]:
     return _list_bounds(fits, "folds" if fits["fold"].nunique() > 1 else "")
 
 
-def analysis_bound_warnings(
-    fits: pd.DataFrame, parameters: Mapping[str, Parameters], *, intervals: bool = False
-) -> Iterator[ResultWarning]:
-    """Yield the parameters that fits of an analysis left at a bound, and in how many fits.
-
-    With `intervals`, those whose value is at no bound while their 95 % interval ends there.
-
-    `fits`: a row per fit and `parameter`, with its `value`, and with `intervals` its `p2_5` and `p97_5`; the
-    first column names the parameters used. `parameters`: these, by name.
-    """
-    fits = fits.rename(columns={"p2_5": "interval_low", "p97_5": "interval_high"})
-    for model, rows in fits.groupby(fits.columns[0], sort=False):
-        bounds = rows["parameter"].map(parameters[str(model)].bounds)
-        ends = dict(zip(("bound_low", "bound_high"), zip(*bounds.dropna(), strict=True), strict=True))
-        for values in _list_bounds(rows[bounds.notna()].assign(**ends), "fits"):
-            if (values["text"] == "interval_at_bound") == intervals:
-                yield write_warning("parameter_at_bound", {**values, "of": str(model)})
-
-
 def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:
     """Return the values of the texts: which parameters lie at bounds, then which intervals end at them.
 
@@ -122,24 +103,6 @@ def _describe_bound(
     if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
         return f"lower bound, {format_quantity(name, low)}"
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
-
-
-# ---- intervals by both samplers
-
-
-def _find_differing_samplers(results: Run) -> Iterator[Row]:
-    """Yield the parameters whose intervals by MCMC and by importance sampling differ."""
-    free = to_records(select_free(results.frames["parameters"]))
-    rows = {(row["fold"], row["parameter"]): row for row in free}
-    for fold, names in results.run.get("differing_intervals", {}).items():
-        ends = results.posteriors[fold].percentiles((2.5, 97.5))
-        for name in names:
-            row = rows[fold, name]
-            yield {
-                "parameter": short_name(name),
-                "sampled": format_quantity_range(name, *ends[name]),
-                "importance": format_quantity_range(name, row["importance_low"], row["importance_high"]),
-            }
 
 
 # ---- errors beside the noise floor
@@ -193,7 +156,6 @@ def _find_shared_residual(results: Run) -> Iterator[Row]:
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "validity": lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
     "parameter_at_bound": _find_bounds,
-    "samplers_differ": _find_differing_samplers,
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,

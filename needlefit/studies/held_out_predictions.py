@@ -292,17 +292,6 @@ def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
     }
 
 
-def describe_spread(row: Row) -> str:
-    """Return in words by how much a specimen differs, from a row of `describe_specimen`."""
-    mu, b = (math.exp(row[f"between_sd_ln_{name}"]) for name in ("mu", "b"))
-    count = int(row["other_specimens"])
-    source = f"learned from {count} specimens" if count else "by the prior that the recipe states"
-    return (
-        f"its moduli differ by a factor of {mu:.2g} and its bevel parameter by {b:.2g} (one standard "
-        f"deviation), {source}"
-    )
-
-
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
@@ -315,7 +304,6 @@ class FoldDraws:
 
     draws: Draws  #: `PREDICTION_DRAWS` of them
     shown: Draws  #: `FIGURE_DRAWS` of them
-    importance: Draws  #: as many as `draws`, by importance sampling
     posterior: Posterior | None = None  #: where it was sampled
 
 
@@ -336,19 +324,19 @@ def draw_fold_parameters(
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
     if not len(fit.theta):
         few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
-        return FoldDraws(few, many, few)
+        return FoldDraws(few, many)
     # not keyed by the job's name: the same fit has the same draws, whichever command runs it
     key, problem = (fold.name, "draws"), job.problem(fold)
     rng = random_stream(job.recipe.seed, *key)
     found = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result
     few, many = (resample_draws(found, count, rng) for count in counts)
-    by_importance, posterior = few, None
+    posterior = None
     if (settings.sample or not found.certified) and not settings.stop():
         posterior = sample_posterior(job, problem, fit, found, key, settings, checkpoint, step)
     if posterior is not None and not (posterior.faults and found.certified):
         few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
-    return FoldDraws(few, many, by_importance, posterior)
+    return FoldDraws(few, many, posterior)
 
 
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200

@@ -5,28 +5,24 @@ fixed shape parameter has that of the posterior that it would have if it were fr
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needlefit.arrays import Floats
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
-    AGREEMENT,
     Assessment,
     FitProfiles,
     Identifiability,
     ParameterProfile,
     assess_parameter,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
-from needlefit.inference.parameter_changes import find_freed_bounds
+from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.inference.parameters import Parameters, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.mechanics.laws import LAWS
 from needlefit.reporting.number_format import (
     interval_width,
 )
@@ -61,9 +57,7 @@ def identify_parameters(
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
-    found = examination.parameters
-    unmet = _list_unmet(problem, {name for one in found for name in (one.name, *one.same)})
-    for n, one in enumerate((*found, *unmet)):
+    for one in examination.parameters:
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
         density = one.profile.density(one.bounds) if one.fixed_at is not None else None
         by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
@@ -88,30 +82,8 @@ def identify_parameters(
         if density is not None:
             rows[-1] |= {"interval_low": density.low, "interval_high": density.high}
         rows += [{**rows[-1], "parameter": name, "note": f"freed with {one.name}"} for name in one.same]
-        if n >= len(found):
-            rows[-1] |= {"note": "no insertion reaches its layer"}
-        else:
-            points += _profile_rows(problem.parameters, one)
+        points += _profile_rows(problem.parameters, one)
     return IdentificationRows(judgements, tuple(rows), tuple(points))
-
-
-def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfile]:
-    """Return the flat profiles of fixed shape parameters in layers that no insertion meets."""
-    law, parameters = problem.medium.law, problem.parameters
-    met = {layer for insertion in problem.insertions for layer in insertion.sequence}
-    layers = [layer for layer in range(1, problem.medium.layers + 1) if layer not in met]
-    profiles = []
-    for name in (name for row in LAWS[law].name_shape(layers) for name in row):
-        if name not in parameters.fixed or name in known:
-            continue
-        low, high = find_freed_bounds(parameters, name, law)
-        ends, value, nothing = np.array([low, high]), parameters.fixed[name], np.zeros(2)
-        flat = LikelihoodProfile(
-            name, ends, nothing, nothing, np.empty((2, 0)), value, math.inf, low, high, ("bound", "bound"),
-            minima=1, evaluations=0, retries=0,
-        )  # fmt: skip
-        profiles.append(ParameterProfile(flat, (low, high), value, tip_range_mm=0.0, log_posterior_rise=0.0))
-    return profiles
 
 
 def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
@@ -123,7 +95,7 @@ def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessm
         if n in denied:
             shape = one.profile_verdict.removeprefix("not identifiable: ")
             notes[n] = f"not determined: by its profile {shape}"
-        elif known.get(n) and one.agreement != AGREEMENT:
+        elif known.get(n) and one.agreement != directions.AGREEMENT:
             notes[n] += f"; {one.agreement}"
     return replace(verdict, determined=known, notes=notes)
 
@@ -136,8 +108,6 @@ def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, s
         "value": to_value(one.name, profile.best) if one.fixed_at is None else one.fixed_at,
         "prior_sd": prior_sd,
         "sd": sd,
-        "sd_low": nothing,
-        "sd_high": nothing,
         "fisher_sd": profile.sd,
         "sd_ratio": sd / prior_sd,
         "low": judged.interval[0],
@@ -188,8 +158,6 @@ class ParameterInterval:
     high: float
     source: str
     median: float = math.nan
-    importance_low: float = math.nan
-    importance_high: float = math.nan
 
     def is_narrow(self, name: str) -> bool:
         """Return whether it is no wider than a Gaussian one of the largest SD of a determined parameter."""
@@ -197,8 +165,8 @@ class ParameterInterval:
 
     def scale(self, factor: float) -> "ParameterInterval":
         """Return the interval of a parameter that is exactly so many times as large."""
-        lengths = ("low", "high", "median", "importance_low", "importance_high")
-        return replace(self, **{name: factor * getattr(self, name) for name in lengths})
+        low, high, median = (factor * one for one in (self.low, self.high, self.median))
+        return replace(self, low=low, high=high, median=median)
 
     def allow_for(self, name: str, sd: float, row: Row) -> "ParameterInterval":
         """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
@@ -219,78 +187,27 @@ class ParameterInterval:
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
-    def sampled_columns(self) -> Row:
-        """Return what draws alone know, with the columns of the interval."""
-        own = {name: getattr(self, name) for name in ("median", "importance_low", "importance_high")}
-        return {**self.columns(), **own}
 
-
-NO_SOURCE = ParameterInterval(math.nan, math.nan, "").sampled_columns()
+NO_SOURCE: Row = ParameterInterval(math.nan, math.nan, "").columns() | {"median": math.nan}
 _PERCENTILES = (2.5, 50, 97.5)
 
 
 def intervals_of_draws(
-    parameters: Parameters, draws: Draws | None, importance: Draws | None, posterior: Posterior | None
+    parameters: Parameters, draws: Draws | None, posterior: Posterior | None
 ) -> dict[str, ParameterInterval]:
     """Return the intervals of all estimated parameters: of the posterior if it has converged, else of draws.
 
-    Beside each stands that of the draws by `importance`. Draws that are not certified have none.
+    Draws that are not certified have none.
     """
-    before = _take_percentiles(parameters, importance)
-    found, source = _take_percentiles(parameters, draws), "" if draws is None else draws.source
+    found: dict[str, tuple[float, ...]] = {}
+    source = "" if draws is None else draws.source
+    if draws is not None and draws.certified is not None:
+        sets = [parameters.values(theta) for theta in draws.thetas]
+        for name in (name for name in sets[0] if parameters.status[name] != "fixed"):
+            found[name] = tuple(np.percentile([values[name] for values in sets], _PERCENTILES).tolist())
     if posterior is not None and not posterior.faults:
         found, source = posterior.percentiles(_PERCENTILES), "posterior"
-    nothing = (math.nan,) * len(_PERCENTILES)
-    intervals = {}
-    for name, (low, median, high) in found.items():
-        importance_low, _, importance_high = before.get(name, nothing)
-        intervals[name] = ParameterInterval(low, high, source, median, importance_low, importance_high)
-    return intervals
-
-
-def _take_percentiles(parameters: Parameters, draws: Draws | None) -> dict[str, tuple[float, ...]]:
-    """Return the percentiles of all estimated parameters over draws; none if these are not certified."""
-    if draws is None or draws.certified is None:
-        return {}
-    estimated = _tabulate_estimated(parameters, draws)
-    return {name: tuple(np.percentile(values, _PERCENTILES).tolist()) for name, values in estimated.items()}
-
-
-def _tabulate_estimated(parameters: Parameters, draws: Draws) -> dict[str, Floats]:
-    """Return the values (B,) of all estimated parameters over draws, Pa or mm."""
-    sets = [parameters.values(theta) for theta in draws.thetas]
-    estimated = [name for name in sets[0] if parameters.status[name] != "fixed"]
-    return {name: np.array([one[name] for one in sets]) for name in estimated}
-
-
-MONTE_CARLO_SD = 3.0  #: standard errors within which the end of an interval is looked for
-
-
-def list_differing_intervals(
-    parameters: Parameters, importance: Draws, posterior: Posterior
-) -> tuple[str, ...]:
-    """Return the parameters whose intervals by both samplers differ by more than their Monte Carlo error.
-
-    Of n independent draws the quantile of p lies between their quantiles of p -+ z sqrt(p (1 - p) / n). None
-    where either has not converged, or is not certified.
-    """
-    if importance.certified is None or posterior.faults:
-        return ()
-    by_importance, differing = _tabulate_estimated(parameters, importance), []
-    for k, name in enumerate(posterior.names):
-        for percentile in (_PERCENTILES[0], _PERCENTILES[-1]):
-            first = _find_end(posterior.draws[:, :, k], percentile / 100, posterior.ess[k])
-            second = _find_end(by_importance[name], percentile / 100, importance.effective_sample_size)
-            if max(first[0], second[0]) > min(first[1], second[1]):
-                differing.append(name)
-    return tuple(dict.fromkeys(differing))
-
-
-def _find_end(draws: Floats, p: float, independent: float) -> tuple[float, float]:
-    """Return between which values the quantile of `p` lies, of so many independent draws."""
-    error = MONTE_CARLO_SD * math.sqrt(p * (1 - p) / independent)
-    low, high = np.quantile(draws, [max(0.0, p - error), min(1.0, p + error)])
-    return float(low), float(high)
+    return {name: ParameterInterval(low, high, source, median) for name, (low, median, high) in found.items()}
 
 
 def add_intervals(
@@ -319,7 +236,7 @@ def add_intervals(
             found = one and one.scale(factor)
         if found is not None:
             found = found.allow_for(name, model_error.get(ties.get(name, (1.0, name))[1], 0.0), row)
-        row |= NO_SOURCE if found is None else found.sampled_columns()
+        row |= NO_SOURCE if found is None else found.columns() | {"median": found.median}
         if row["determined"] == "yes" and not (found and found.is_narrow(name)):
             held = together.get(ties.get(name, (1.0, name))[1], False)
             row |= {"determined": directions.name_determined(False, held), "condition": ""}

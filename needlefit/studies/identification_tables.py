@@ -9,15 +9,12 @@ from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.number_format import (
     choose_interval_unit,
     choose_printed_unit,
-    format_number,
     format_quantity_range,
     typeset,
     typeset_interval,
 )
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records
-
-NEGLIGIBLE_RISE = 0.1  #: rise of the log posterior by which two ends of a search are equally good
 
 
 def describe_evidence(row: Row) -> str:
@@ -31,26 +28,13 @@ def describe_evidence(row: Row) -> str:
     interval = " to ".join(typeset(f"{end:.{decimals}f}") for end in (low, high))
     prior = format_quantity_range(str(row["parameter"]), row["bound_low"], row["bound_high"])
     adds = row["sd_ratio"] < directions.UNINFORMED_SD_RATIO
-    text = f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
-    rise = row.get("log_posterior_rise")
-    if rise is None or (not adds and rise < NEGLIGIBLE_RISE):
-        return text
-    size = f"less than {NEGLIGIBLE_RISE:g}" if rise < NEGLIGIBLE_RISE else format_number(rise)
-    return f"{text}; the log posterior rises by {size}"
+    return f"{interval} of {prior}: the data {'narrow it' if adds else 'add nothing'}"
 
 
 _INTERVAL_NOTE = (
     "The 95 % interval is that of the posterior draws if they are certified, else that of the profile "
     "likelihood, open at a bound. A fixed α is freed for this table only: its interval is that of the "
     "posterior that it would have, of its bounds. All other values are in identify.csv."
-)
-
-
-_SD_NOTE = (
-    "“SD”: by Fisher information and bounds, relative (in % or as a factor) but for α. “SD ratio”: posterior "
-    "SD / prior SD (bounds or a stated prior); 1 where the data add nothing. The interval is that of the "
-    "profile likelihood, open at a bound. A fixed α is freed for this table only: the last column has the "
-    "interval of the posterior that it would have, of its bounds."
 )
 
 
@@ -68,8 +52,8 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
     )
     columns = ("fold", "parameter", "determined", *known)
     caption = f"Identifiability of each parameter from the {'design' if expected else 'data'}."
-    groups, notes = ("fold", "status"), (_SD_NOTE if expected else _INTERVAL_NOTE,)
-    table = Table("identification", rows, columns, groups=groups, caption=caption, notes=notes)
+    notes = () if expected else (_INTERVAL_NOTE,)  # what a design has stands in the text of its report
+    table = Table("identification", rows, columns, groups=("fold", "status"), caption=caption, notes=notes)
     return table.lay_out(drop_empty=True)
 
 
@@ -80,7 +64,8 @@ def _format_cells(row: Row, expected: bool) -> Row:
         label, unit = choose_printed_unit(name, [row["value"], *closed.values()])
     else:
         label, unit = choose_interval_unit(row, row["value"])
-    words = describe_evidence(row) if fixed else "; ".join(filter(None, (row["agreement"], row["note"])))
+    doubts = () if row["agreement"] == directions.AGREEMENT else (row["agreement"],)
+    words = describe_evidence(row) if fixed else "; ".join(filter(None, (*doubts, row["note"])))
     return {
         **{side: closed[side] / unit if side in closed else "open" for side in ("low", "high")},
         "sd": None if row["sd"] is None else directions.format_sd(row["sd"], is_logarithmic(name)),

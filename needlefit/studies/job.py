@@ -154,6 +154,7 @@ class Inputs:
     medium: MediumRecord | None = None
     recipe: RecipeRecord | None = None
     posterior: Posterior | None = None  #: that was sampled of the target
+    judged: Any = None  #: the `Run` of the target whose verdict a prediction repeats
 
 
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then

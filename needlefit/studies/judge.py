@@ -29,7 +29,7 @@ SIGNIFICANCE = 0.05
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
 #: kinds of warnings that are about the computation or about single parameters, not about the data
-_OTHER_WARNINGS = ("validity", "samplers_differ")
+_OTHER_WARNINGS = ("validity",)
 
 Outcome = Literal[
     "predicts", "in part", "does not predict", "generalises", "not shown", "does not generalise"
@@ -150,11 +150,11 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
         found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
-        found += _check_intervals(predictive, results.run)
-    return (*found, _check_data(results))
+        found += check_intervals(predictive, results.run)
+    return (*found, check_data(results))
 
 
-def _check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
+def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield how many tips lie in their intervals, and how wide these are."""
     fits = predictive["fold"].nunique()
     for check, column in ((Check.COVERAGE_95, "tip_in_95"), (Check.COVERAGE_50, "tip_in_50")):
@@ -179,7 +179,7 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
     return int(((measured - median) * np.sign(median) > 0).sum())
 
 
-def _check_data(results: Run) -> Finding:
+def check_data(results: Run) -> Finding:
     kinds: Sequence[str] = list(dict.fromkeys(one.kind for one in read_warnings(results.run)))
     named = [kind for kind in kinds if kind not in _OTHER_WARNINGS]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))

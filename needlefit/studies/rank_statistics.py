@@ -8,7 +8,6 @@ place, and the limits of equal pointwise probability that keep it at what is wan
 
 import math
 from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -16,6 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from needlefit.arrays import Bools, Floats
+from needlefit.inference.predict import wilson_interval
 from needlefit.reporting.number_format import format_bare_symbol
 
 Counts = NDArray[np.int64]
@@ -66,18 +66,6 @@ def _poisson(counts: Counts, mean: float) -> Floats:
     return np.asarray(np.exp(scipy.special.xlogy(counts, mean) - scipy.special.gammaln(counts + 1) - mean))
 
 
-Control = Literal["sigma", "prior", "pose", "shuffled"]
-
-UNDERSTATED_SD_FACTOR = 0.7  #: factor on the true deviation of the noise that the control "sigma" assumes
-
-CONTROL_NAMES: Mapping[str, str] = {
-    "sigma": f"errors of points and pose understated by a factor of {UNDERSTATED_SD_FACTOR}",
-    "prior": "the prior returned as the posterior",
-    "pose": "errors of the pose ignored",
-    "shuffled": "shape of another insertion, or wrong bevel side",
-}
-"""What is made wrong on purpose, which the ranks must show."""
-
 HELD_OUT_TIP = "held_out_tip"  #: all held-out tips of a synthetic truth
 DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
 """Beside the parameters: the combination that the design determines best, the one that the data determine
@@ -116,19 +104,29 @@ def place_pit(pit: float) -> int:
     return min(int(pit * (RANK_DRAWS + 1)), RANK_DRAWS)
 
 
-def count_covered(ranks: Counts, level: float) -> float:
-    """Return how many ranks (N,) lie in the central interval of a level."""
+def find_covered(ranks: Counts, level: float) -> Bools:
+    """Return which ranks lie in the central interval of a level."""
     outside = round((RANK_DRAWS + 1) * (1 - level) / 2)  # places at each end
-    return count_trials((ranks >= outside) & (ranks < RANK_DRAWS + 1 - outside))
+    inside: Bools = (ranks >= outside) & (ranks < RANK_DRAWS + 1 - outside)
+    return inside
 
 
-def count_trials(hits: Bools) -> float:
-    """Return the number of hits (N,); of (N, K), K of which are no independent trials, the sum of N shares.
+def share_by_truth(hits: Bools) -> Floats:
+    """Return the share of hits of each truth (N,), from (N,) or, of several tips of a truth, (N, K).
 
-    Limits for N trials are then too wide rather than too narrow.
+    A truth is one trial: limits of the sum of shares for N trials are too wide rather than too narrow.
     """
-    found = int(np.sum(hits))
-    return found if hits.ndim == 1 else found / hits.shape[1]
+    return hits.reshape(len(hits), -1).mean(axis=1)
+
+
+def estimate_share(shares: Floats) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of shares (N,) of N truths.
+
+    That is Wilson's interval, of as many trials as would have the variance of the mean (E. L. Korn, B. I.
+    Graubard, Surv. Methodol. 24 (1998) 193).
+    """
+    rate, variance = float(shares.mean()), float(shares.var()) / len(shares)
+    return wilson_interval(rate, rate * (1 - rate) / variance if variance > 0 else len(shares))
 
 
 FAMILY_ERROR = 0.01
@@ -147,10 +145,12 @@ def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
     for name, placed in ranks.items():
         limits = _cut_tails(_tabulate_cdf(len(placed), np.array(LEVELS)), error)
         for level, least, most in zip(LEVELS, *limits, strict=True):
-            covered = count_covered(placed, level)
+            shares = share_by_truth(find_covered(placed, level))
+            covered, (low, high) = float(shares.sum()), estimate_share(shares)
             row = {"quantity": name, "level": level, "replicates": len(placed), "covered": covered}
             row |= {"expected": level * len(placed), "count_low": least, "count_high": most}
-            rows.append(row | {"passes": least <= covered <= most})
+            row |= {"passes": least <= covered <= most}
+            rows.append(row | {"share": covered / len(placed), "low": low, "high": high})
     return pd.DataFrame(rows)
 
 
@@ -160,7 +160,7 @@ def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:
     places = np.arange(1, RANK_DRAWS + 1)
     for name, placed in ranks.items():
         least, most = ecdf_band(len(placed), RANK_DRAWS + 1, error)
-        below = np.array([count_trials(placed < place) for place in places])
+        below = np.array([share_by_truth(placed < place).sum() for place in places])
         columns = {
             "quantity": name,
             "rank": places,

@@ -25,7 +25,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run
+from needlefit.studies.run import Run, mark_faults
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
@@ -122,6 +122,15 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
         for one in answer.checks
     ]
     return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "passed")), {})
+
+
+def recall(result: Run) -> str:
+    """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
+    answer = find_kind(result.kind).report.answer(result)
+    opening, _, _ = answer.verdicts[0].sentence.partition(". ")
+    failed = [CHECKS.sentence(one.check, vars(one)) for one in answer.checks if one.passed is False]
+    words = f" Failed checks: {'; '.join(failed)}." if failed else ""
+    return f"{result.name}: {mark_faults(result.faults)}{opening.rstrip('.')}.{words}"
 
 
 def subtitle(result: Run) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
@@ -21,14 +21,7 @@ from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
-    PLAIN_LIKELIHOOD,
-    SESSION_SD_RAD,
     SectionData,
-    add_headings,
-    entry_covariance,
-    list_session_axes,
-    make_gain,
-    make_group_slope,
     points_covariance,
     pose_modes,
     pose_sds,
@@ -38,11 +31,10 @@ from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, find_bevel
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import LikelihoodRecord, TrackErrorsRecord
 from needlefit.studies.job import Fold, Job
 from needlefit.synthetic.design import (
     Population,
@@ -54,8 +46,6 @@ from needlefit.synthetic.design import (
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
-#: standard deviations of the shift, mm, and the slope of a tracker's frame
-TRACKER_FRAME_SD = (FREE_POSE_SHIFT_SD_MM, 0.1)
 
 
 def simulate_measurement(
@@ -65,28 +55,24 @@ def simulate_measurement(
     medium: MediumRecord,
     rng: np.random.Generator,
     shared: dict[nodes.Surface, float] | None = None,
-    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
 ) -> Insertion | None:
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
-    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, its tips at the depths
-    of a tip track, or its stored cross-sections: with noise that is `noise_scale` of `values` times as large
-    as stated, in a pose drawn from its prior. Where poses are free, the shape or the tracker's frame lies
-    anywhere. None also where the needle bends as no curve of its length does.
+    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, or its stored
+    cross-sections: with noise that is `noise_scale` of `values` times as large as stated, in a pose drawn
+    from its prior. Where poses are free, the shape lies anywhere. None also where the needle bends as no
+    curve of its length does. Tip tracks are not simulated.
 
     `shared` holds the errors, in standard deviations, of the surfaces of each specimen; it is filled as
-    needed, and to be given again for every insertion measured with them. Of `likelihood` the errors of tip
-    tracks count.
+    needed, and to be given again for every insertion measured with them.
     """
     errors = {} if shared is None else shared
     scale = values.get(NOISE_SCALE, 1.0)
     known = select_sections(insertion, dataset.needle) if dataset.pose == "known" else None
-    # where the points of an insertion lie on the needle, or at which depths its tip was, (K,) mm
+    # where the points of an insertion lie on the needle, (K,) mm
     if known is not None:
         s = known.s
-    elif isinstance(insertion, TipTrack):
-        s = insertion.depths
     else:
         along = arc_length(insertion.planar)
         s = along * (insertion.depth / along[-1])
@@ -97,9 +83,6 @@ def simulate_measurement(
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
-    gain = make_gain(insertion, likelihood.tip_tracks.gain_sd) if isinstance(insertion, TipTrack) else None
-    if gain is not None:
-        true = nodes.scale_guide(true, 1 + gain[1] * _draw_error(gain[0], errors, rng))
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
@@ -113,11 +96,6 @@ def simulate_measurement(
         spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
         cov = cov + spread @ spread.T
     y = points[:, 1] + np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
-    if isinstance(insertion, TipTrack):
-        frame = _draw_frame(insertion, dataset.noise, likelihood.tip_tracks, errors, rng)
-        tips = insertion.with_planar(np.column_stack([s, y + frame[0] + frame[1] * s]))
-        heading_sd = scale * dataset.noise.heading_sd
-        return _measure_headings(tips, shape, frame[1:], heading_sd, likelihood.tip_tracks, rng)
     along_x = np.diff(s) ** 2 - np.diff(y) ** 2
     if np.any(along_x <= 0):
         return None
@@ -155,56 +133,6 @@ def _measure_sections(
     measured = insertion.with_planar(design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen)
     world = insertion.frame.to_world(np.column_stack([seen, np.zeros(len(y))]))
     return replace(measured, sections=replace(stored, points=world))
-
-
-def _draw_error(axis: nodes.ErrorAxis, shared: dict[nodes.Surface, float], rng: np.random.Generator) -> float:
-    """Return an error along an axis, in standard deviations; its shared part is drawn once."""
-    if axis.surface not in shared:
-        shared[axis.surface] = float(rng.standard_normal())
-    return axis.own * float(rng.standard_normal()) + axis.shared * shared[axis.surface]
-
-
-def _draw_frame(
-    track: TipTrack,
-    noise: Noise,
-    stated: TrackErrorsRecord,
-    shared: dict[nodes.Surface, float],
-    rng: np.random.Generator,
-) -> Floats:
-    """Return shift (mm), slope and offset of headings (rad) of a run in a tracker's frame: (3,)."""
-    frame = np.append(rng.standard_normal(2) * TRACKER_FRAME_SD, 0.0)
-    axes = list_session_axes(track.specimen, noise.slope_sd, 2)
-    for part, axis in enumerate(axes):
-        frame[1 + part] = _draw_error(axis, shared, rng) * SESSION_SD_RAD / axis.shared
-    if axes and stated.slope_sd_deg:
-        frame[1] += math.radians(stated.slope_sd_deg) * _draw_error(make_group_slope(track), shared, rng)
-    return frame
-
-
-def _measure_headings(
-    track: TipTrack,
-    shape: NeedleShape,
-    turned: Floats,
-    sd: float,
-    stated: TrackErrorsRecord,
-    rng: np.random.Generator,
-) -> Insertion:
-    """Return a track with errors at its entry, and with the headings of a simulated one.
-
-    These are turned by slope and offset, with noise `sd`.
-    """
-    heading, n = track.heading if sd else None, len(track.depths)
-    places, operator = add_headings(track, np.zeros(n) if heading is None else heading)
-    off = np.zeros(len(places))
-    if stated.entry_sd_mm or stated.entry_yield:
-        sizes, axes = np.linalg.eigh(entry_covariance(track, places[:, 0], stated))  # singular where faded
-        off = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(len(sizes)))
-        track = track.with_planar(track.planar + np.column_stack([np.zeros(n), off[:n]]))
-    if heading is None:
-        return track
-    path = operator[n:] @ (read_points(track, shape, places[:, 0])[:, 1] + off)
-    seen = path + turned.sum() + sd * rng.standard_normal(len(path))
-    return replace(track, heading=np.append(heading[:1], np.arctan(seen)))
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm

@@ -1,6 +1,6 @@
 """How many simulations of a run were outside what the model assumes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,13 +12,9 @@ FITTED_METHODS = ("fitted", "fitted_metric")
 MAX_LISTED_ROWS = 20  #: scored simulations outside that are listed; the others are counted
 #: share of draws, or of needles predicted by them, that may be outside without a warning: their tails are
 MAX_OUTSIDE_SHARE = 0.01
+MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no parameter
 
-_WORDS = {
-    "scored": "scored simulations",
-    "starts": "ends of starts",
-    "draws": "draws of the posterior",
-    "predicted": "predictions of held-out insertions",
-}
+_WORDS = {"draws": "draws of the posterior", "predicted": "predictions of held-out insertions"}
 
 
 @dataclass
@@ -65,19 +61,12 @@ def list_outside(run: Mapping[str, Any]) -> list[str]:
     """Return in words where fitted, drawn or predicted needles are outside the model's assumptions."""
     table = run.get(VALIDITY_KEY, {})
     fitted = table.get("fitted_outside", 0)
-    many = {
-        name: count
-        for name, count in table.items()
-        if name in ("draws", "predicted") and count["outside"] > MAX_OUTSIDE_SHARE * count["simulations"]
-    }
-    return [*([f"{fitted} scored simulations of the fit"] if fitted else []), *_shares(many, tuple(many))]
-
-
-def describe_outside(run: Mapping[str, Any]) -> str:
-    """Return in a clause how many simulations of a run are outside; empty if none is."""
-    return ", ".join(_shares(run.get(VALIDITY_KEY, {}), tuple(_WORDS)))
-
-
-def _shares(table: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    counts = [(name, table[name]) for name in names if name in table and table[name]["outside"]]
-    return [f"{count['outside']} of {count['simulations']} {_WORDS[name]}" for name, count in counts]
+    counts = {name: (table[name]["outside"], table[name]["simulations"]) for name in _WORDS if name in table}
+    return [
+        *([f"{fitted} scored simulations of the fit"] if fitted else []),
+        *(
+            f"{outside} of {every} {_WORDS[name]}"
+            for name, (outside, every) in counts.items()
+            if outside > MAX_OUTSIDE_SHARE * every
+        ),
+    ]

@@ -144,6 +144,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     from needlefit.project.result_warnings import read_warnings
     from needlefit.studies.explorer import choose_specimen
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
+    from needlefit.studies.report import recall
     from needlefit.studies.store import restore_run, unpack
 
     kind = unpack(view_target.path).get("kind")
@@ -194,7 +195,10 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in read_warnings(results.run) if (one.kind, one.what) not in known]
-    viewed_scene = replace(viewed_scene, faults=results.faults, warnings=(*warnings, *viewed_scene.warnings))
+    warnings += viewed_scene.warnings
+    viewed_scene = replace(
+        viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings)
+    )
     if draws.empty or not draws["certified"].all():
         return viewed_scene
     new = specimen == NEW_SPECIMEN

@@ -36,6 +36,7 @@ class ViewedScene:
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
+    verdict: str = ""  #: of the run that it is from, with the checks that failed
     faults: "tuple[RunFault, ...]" = ()  #: why the run that it shows is not to be trusted
 
     @property

@@ -39,10 +39,9 @@ class Baseline:
     fit: "Callable[[Pose, float, Sequence[Insertion]], Sequence[float]] | None" = None
     #: a tip track -> deflection of its n readings by unit coefficients (n, P); None: it predicts no tracks
     track_basis: "Callable[[Insertion], Floats] | None" = None
-    track_label: str = ""  #: its name where tip tracks are predicted; empty: `label`
-    #: the slope of a track in the tracker's frame: each run has its own, and a further one's follows from
-    #: that of all of them, or of those alone whose guide moved, or rested, as in it; or all have the same
-    track_slope: Literal["run", "alike", "session"] = "run"
+    #: whether the slope of a further track in the tracker's frame follows from that of all runs, or of those
+    #: alone whose guide moved, or rested, as in it
+    track_slope: Literal["run", "alike"] = "run"
     tracks_only: bool = False  #: whether it predicts no shapes
     order: int = 100  #: its place in tables, from the top
 
@@ -86,7 +85,6 @@ CONSTANT_CURVATURE = Baseline(
     curve=make_curvature_curve,
     scales=(COEFFICIENT_LENGTH_MM**-1.0,),
     track_basis=lambda track: track.side * track.planar[:, :1] ** 2 / 2,
-    track_label="parabola",
     order=2,
 )
 #: Curvature toward the bevel that is linear in arc length.

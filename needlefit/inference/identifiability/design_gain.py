@@ -11,12 +11,9 @@ sum to 1, are reweighted by them,
 The new weights are the posterior after y_o, so deviations of single quantities come with it. As
 theta_o is among the b, what B draws can show is about log B at most.
 
-The precision that a whole design is expected to give is by the Fisher information. It changes along the ridge
-on which parameters lie, so it is taken at more places than the one asked for, drawn from what the design
-would leave of the parameters there.
+The precision that a whole design is expected to give is by the Fisher information.
 """
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,12 +21,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
-from needlefit.inference.identifiability.directions import Direction, principal_directions
 from needlefit.inference.identifiability.precision import (
-    cramer_rao,
     linearize,
     prior_and_noise_information,
-    prior_information,
 )
 from needlefit.inference.likelihood.marginal import load_effects, log_marginals, weigh_linear
 from needlefit.inference.likelihood.nodes import NodeGroup
@@ -102,53 +96,6 @@ def nested_gain(
         nats_se=float(gains.std(ddof=1) / np.sqrt(len(outer_draws))),
         sds=np.sqrt(variances.mean(axis=0)),
         effective_sample_size=float(np.median(1 / np.sum(after**2, axis=1))),
-    )
-
-
-#: values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution
-DesignFunction = Callable[[Mapping[str, float]], Problem | None]
-OTHER_POINTS = 8  #: places besides the one asked for
-MAX_POINT_SD = 1.0  #: standard deviation of the places along directions that the design leaves open, in theta
-
-
-@dataclass(frozen=True)
-class ExpectedPrecision:
-    """The standard deviations that a design is expected to give; coordinates are those of theta."""
-
-    names: tuple[str, ...]  #: p of them
-    #: (D, P) Cramer-Rao, bounds and stated prior included, at each place; the one asked for comes first
-    sds: Floats
-    prior_sds: Floats  #: (P,) what bounds and stated prior say alone
-    directions: tuple[Direction, ...]  #: at the place asked for, best known first
-    direction_sds: Floats  #: (D, P) of the principal directions at each place, best known first
-
-
-def expect_precision(
-    design: DesignFunction, values: Mapping[str, float], rng: np.random.Generator
-) -> ExpectedPrecision | None:
-    """Return the precision expected of a design at and near `values`; None if it cannot be simulated."""
-    problem = design(values)
-    if problem is None:
-        return None
-    centre = np.clip(problem.parameters.theta(values), problem.lower, problem.upper)
-    before = prior_information(problem)
-    first = fisher_information(problem, centre)
-    # places within the bounds, spread by what is expected to be known there; a direction that the design
-    # leaves open would send them to the bounds
-    precision, axes = np.linalg.eigh(first)
-    sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)
-    drawn = centre + rng.standard_normal((OTHER_POINTS, len(centre))) * sds @ axes.T
-    points = [problem.values(theta) for theta in np.clip(drawn, problem.lower, problem.upper)]
-    others = [(design(at), at) for at in points]
-    every = [first, *(fisher_information(p, p.parameters.theta(at)) for p, at in others if p is not None)]
-    every = [one for one in every if np.all(np.isfinite(one))]
-    spread = np.linalg.inv(before) if len(before) else before
-    return ExpectedPrecision(
-        names=problem.names,
-        sds=np.array([cramer_rao(one) for one in every]),
-        prior_sds=np.sqrt(np.diag(spread)),
-        directions=principal_directions(first, problem.names, before),
-        direction_sds=np.array([1 / np.sqrt(np.linalg.eigvalsh(one)[::-1]) for one in every]),
     )
 
 

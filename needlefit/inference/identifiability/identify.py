@@ -29,6 +29,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.directions import (
+    AGREEMENT,
     MAX_LOG_SD,
     MAX_SD_RATIO,
     MAX_SHAPE_SD,
@@ -356,8 +357,6 @@ def _profile_one(
 
 #: half widths of intervals, and standard deviations, that differ by less than this factor agree
 AGREEMENT_FACTOR = 1.5
-
-AGREEMENT = "standard deviation, information and profile agree"
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,7 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
+_ESCAPED = re.compile(r"\\([!-/:-@\[-`{-~])")
 _SPACE = re.compile(r"\s+")
 _REFERENCE = re.compile(r"\[\[(table|figure|block):(\w+)\]\]")
 _INLINE_RULES = ("escape", "backticks", "emphasis", "link", "newline")
@@ -218,6 +219,8 @@ def _runs(token: Token) -> Words:
         else:
             text = " " if child.type == "softbreak" else child.content
             kind = "code" if child.type == "code_inline" else style
+            if kind == "code":  # in which Markdown has no escapes
+                text = _ESCAPED.sub(r"\1", text)
             if runs and (runs[-1]["style"], runs[-1]["target"]) == (kind, target):
                 runs[-1]["text"] += text
             else:

@@ -8,19 +8,19 @@ The other model is that of the synthetic dataset (`needlefit.synthetic.design`),
 anew. It fits the insertions of the study, and ranks true values and measured held-out tips.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, TipTrack
+from needlefit.datasets.insertion import TipTrack
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.grouping import group_values
@@ -42,12 +42,12 @@ from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
-from needlefit.schemas.limits import MAX_REPLICATES
+from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
 from needlefit.studies.answer import Answer, FaultKind, RunFault, Status
 from needlefit.studies.held_out_predictions import Specimens, predict_held_out
-from needlefit.studies.job import Fold, Inputs, Job, Settings, prepare
+from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import (
     DESIGN,
@@ -56,8 +56,6 @@ from needlefit.studies.rank_statistics import (
     LIKELIHOOD,
     RANK_DRAWS,
     TIP,
-    UNDERSTATED_SD_FACTOR,
-    Control,
     Counts,
     name_quantity,
     place_pit,
@@ -74,7 +72,7 @@ from needlefit.studies.simulated_data import (
     simulate_measurement,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
-from needlefit.synthetic.build import build_dataset, build_unscanned
+from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import (
     POPULATION,
     PlannedInsertion,
@@ -82,11 +80,8 @@ from needlefit.synthetic.design import (
     list_planned_insertions,
 )
 
-CONTROLS: tuple[Control, ...] = get_args(Control)
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
-
-#: by importance sampling, by MCMC, and of synthetic truths: about 20 minutes each on two cores
-DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES, DEFAULT_SYNTHETIC_REPLICATES = 500, 100, 50
+PRINTED_LEVELS = (0.50, 0.95)  #: central intervals whose coverage is printed
 
 
 class CalibrationRecord(TargetRecord):
@@ -94,110 +89,61 @@ class CalibrationRecord(TargetRecord):
 
     kind: Literal["calibration"]
     replicates: int = Field(default=DEFAULT_REPLICATES, ge=1, le=MAX_REPLICATES)
-    """Simulated datasets; default 500, with `sampled` 100, with `truth = "synthetic"` 50."""
-    control: Control | None = None
-    """Negative control: a part of the likelihood that is made wrong on purpose."""
-    sampled: bool = False
-    """Whether every posterior is sampled by MCMC (three insertions at most) in place of importance
-    sampling."""
+    """Simulated datasets."""
     truth: Literal["prior", "synthetic"] = "prior"
     """True parameters from the prior, or synthetic datasets of a model that is not the fitted one."""
-    ct: bool = False
-    """Whether synthetic datasets are measured through simulated CT volumes."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _set_default_replicates(cls, keys: object) -> object:
-        if not isinstance(keys, dict) or "replicates" in keys:
-            return keys
-        count = DEFAULT_SAMPLED_REPLICATES if keys.get("sampled") is True else DEFAULT_REPLICATES
-        synthetic = keys.get("truth") == "synthetic"
-        return {**keys, "replicates": DEFAULT_SYNTHETIC_REPLICATES if synthetic else count}
-
-    @model_validator(mode="after")
-    def _check_truth(self) -> Self:
-        if self.ct and self.truth != "synthetic":
-            raise ValueError('ct = true needs truth = "synthetic": draws of the prior are not scanned')
-        if self.truth == "synthetic" and (self.control or self.sampled):
-            raise ValueError('control and sampled need truth = "prior": they test the computation')
-        return self
 
 
 KIND = StudyKind("calibration", CalibrationRecord, __name__)
 """What `needlefit calibrate` runs, or a study file."""
 
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    # a row per quantity and level; `low`, `high`: 95 % interval of the share
+    "coverage": (
+        *("quantity", "level", "replicates", "covered", "expected", "count_low", "count_high", "passes"),
+        *("share", "low", "high"),
+    ),
+}
+
+
 # ---- a posterior, and what is ranked in it
 
 
-@dataclass(frozen=True)
-class InferredPosterior:
-    """One computed posterior: its draws and how they were computed."""
-
-    thetas: Floats  #: (L, P) draws of equal weight
-    log_posterior: Floats  #: (L,)
-    mode: Floats  #: (P,)
-    draw_source: Literal["importance", "sampler", "prior"]
-    trusted: bool  #: whether the weights were certified, or the sampler converged
-    pareto_k: float | None = None  #: of the importance weights, also where the sampler went on
-
-    def describe(self) -> Row:
-        """Return the cells of a replicate that state how its posterior was computed."""
-        return {"draw_source": self.draw_source, "certified": self.trusted, "pareto_k": self.pareto_k}
-
-
-Sampler = Literal["always", "otherwise", "never"]
-
-
 def infer_posterior(
-    problem: Problem,
-    recipe: RecipeRecord,
-    draws: int,
-    rng: np.random.Generator,
-    sampler: Sampler = "otherwise",
-) -> InferredPosterior:
-    """Return the posterior of a problem, from its prior; no start of the search uses the truth.
+    problem: Problem, recipe: RecipeRecord, count: int, rng: np.random.Generator
+) -> tuple[Draws, Floats]:
+    """Return draws of the posterior of a problem, and its mode (P,); no start of the search uses the truth.
 
-    The sampler goes on from the draws by importance always, never, or only where their weights are not
-    certified.
+    Draws are by importance sampling, and by MCMC from these where their weights are not certified.
     """
     searched = recipe.model_copy(update={"minimize": "posterior"})
     ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
     rng.integers(1, 2**31, size=recipe.starts)  # not used: with it a seed gives the stored replicates
     found = importance.sample_about_modes(problem, [minimize_squares(problem, end) for end in ends], rng)
-    posterior = None
-    if sampler == "always" or (sampler == "otherwise" and not found.certified):
-        posterior = sample(problem, found, recipe.sample, rng)
+    posterior = None if found.certified else sample(problem, found, recipe.sample, rng)
     if posterior is None:
-        chosen = importance.resample(found, draws, rng)
-        thetas, density = found.thetas[chosen], found.log_density[chosen]
-        return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found.k)
-    thetas = thin_posterior(posterior, problem.parameters, draws).thetas
-    density = problem.log_posteriors(thetas)
-    return InferredPosterior(thetas, density, ends[0], "sampler", not posterior.faults, found.k)
+        return importance.resample_draws(found, count, rng), ends[0]
+    return thin_posterior(posterior, problem.parameters, count, found.k), ends[0]
 
 
-def compute_ranked(
-    problem: Problem, directions: Floats, tip: Insertion, thetas: Floats, log_posterior: Floats
-) -> dict[str, Floats]:
+def compute_ranked(problem: Problem, directions: Floats, thetas: Floats) -> dict[str, Floats]:
     """Return the ranked functions (N,) of thetas (N, P) under one problem, by name.
 
-    `directions` (2, P) are unit vectors of `DESIGN` and `FIT`, which a single parameter has not; `tip` is the
-    insertion, as planned, whose tip is one of them.
+    `directions` (2, P) are unit vectors of `DESIGN` and `FIT`, which a single parameter has not.
     """
     sets = [problem.values(theta) for theta in thetas]
     found = dict(zip(problem.names, thetas.T, strict=True))
     if thetas.shape[1] > 1:
         found |= {DESIGN: thetas @ directions[0], FIT: thetas @ directions[1]}
     medium, needle = problem.medium, problem.dataset.needle
+    tip = max(problem.insertions, key=lambda one: one.depth)
     (tips,) = simulate_deflections(sets, medium, needle, [tip], [np.array([tip.depth])])
     prior = [problem.parameters.prior.log_density(values) for values in sets]
-    return {**found, TIP: tips[:, 0], LIKELIHOOD: log_posterior - prior}
+    return {**found, TIP: tips[:, 0], LIKELIHOOD: problem.log_posteriors(thetas) - prior}
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
     """Return the combination (P,), of length 1, that the insertions determine best at theta."""
-    if len(theta) == 0:  # a control fixes the scale of the noise, which may be all that is free
-        return theta
     _, slope, _ = linearize(problem, theta)
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
     return vector * np.sign(vector[np.argmax(np.abs(vector))])
@@ -207,25 +153,12 @@ def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
 
 MAX_PRIOR_DRAWS = 1000  #: draws of the prior among which one must have a solution
 
-MAX_SAMPLED_INSERTIONS = 3
-"""Insertions of the design whose posteriors the sampler draws: the shallowest, the middle and the deepest."""
 
+def find_stiff_direction(job: Job) -> dict[str, float]:
+    """Return weights, by name, of the combination that the design of the insertions determines best.
 
-@dataclass(frozen=True)
-class Experiment:
-    """The data that all replicates share."""
-
-    job: Job  #: of one fold: its insertions are the design
-    stiff: Mapping[str, float]  #: weights of the combination that the design determines best, by name
-    sampled: bool = False  #: whether every posterior is drawn by the sampler
-    control: Control | None = None  #: in what the likelihood is wrong
-
-
-def prepare_experiment(job: Job, sampled: bool = False, control: Control | None = None) -> Experiment:
-    """Return what is repeated.
-
-    Raises ConfigError if the dataset states no noise; FitError if the planned insertions have no solution
-    where they are looked at.
+    Raises ConfigError if the dataset states no noise, or holds tip tracks; FitError if the planned insertions
+    have no solution where they are looked at.
     """
     if not job.dataset.noise.stated:
         raise ConfigError(
@@ -233,10 +166,12 @@ def prepare_experiment(job: Job, sampled: bool = False, control: Control | None 
             where=locate_key(job.dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    fold = job.folds[0]
-    if sampled and len(fold.tune) > MAX_SAMPLED_INSERTIONS:
-        by_depth = sorted(fold.tune, key=lambda one: one.depth)
-        fold = Fold(fold.name, (by_depth[0], by_depth[len(by_depth) // 2], by_depth[-1]), ())
+    if any(isinstance(one, TipTrack) for one in job.insertions):
+        raise ConfigError(
+            f"the dataset `{job.dataset.name}` holds tip tracks, which are not simulated",
+            expected="measured shapes",
+        )
+    (fold,) = job.folds
     values, place = choose_reference_values(job)
     design = simulate_design(job, fold, values)
     if design is None:
@@ -244,41 +179,28 @@ def prepare_experiment(job: Job, sampled: bool = False, control: Control | None 
             f"the planned insertions have no solution at {place}", fix="name a set of the paper's parameters"
         )
     stiff = best_determined_direction(design, design.parameters.theta(values))
-    weights = dict(zip(design.names, stiff.tolist(), strict=True))
-    return Experiment(replace(job, folds=(fold,)), weights, sampled, control)
+    return dict(zip(design.names, stiff.tolist(), strict=True))
 
 
-def replicate(number: int, experiment: Experiment) -> FrameRows:
-    """Return a row of `replicates`: the truth, its ranks in its posterior, and how that was computed."""
-    recipe, name, control = experiment.job.recipe, experiment.job.name, experiment.control
-    stream = (recipe.seed, name, "calibrate", number)
-    drawn, simulated = simulate_experiment(experiment.job, random_stream(*stream, "data"))
-    truth = simulated.values(drawn)
-    problem = corrupt_problem(simulated, control, truth.get(NOISE_SCALE, simulated.density.scale))
-    rng = random_stream(*stream, "inference")
-    if control == "prior":  # draws of the prior where the model has a solution, in place of the posterior
-        thetas = np.empty((0, len(problem.names)))
-        while len(thetas) < RANK_DRAWS:
-            more = draw_from_prior(problem.parameters, RANK_DRAWS, rng)
-            thetas = np.concatenate([thetas, more[np.isfinite(problem.log_posteriors(more))]])
-        thetas = thetas[:RANK_DRAWS]
-        density = problem.log_posteriors(thetas)
-        found = InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
-    else:  # a wrong likelihood is to be noticed, not to be sampled well
-        sampler: Sampler = "always" if experiment.sampled else "otherwise" if control is None else "never"
-        found = infer_posterior(problem, recipe, RANK_DRAWS, rng, sampler)
-    tip = max(simulated.insertions, key=lambda one: one.depth)
-    design = np.array([experiment.stiff[name] for name in problem.names])
-    directions = np.array([design, best_determined_direction(problem, found.mode)])
-    theta = problem.parameters.theta(truth)[None]
-    true = compute_ranked(problem, directions, tip, theta, problem.log_posteriors(theta))
-    inferred = compute_ranked(problem, directions, tip, found.thetas, found.log_posterior)
+def replicate(number: int, job: Job, stiff: Mapping[str, float]) -> FrameRows:
+    """Return a row of `replicates`: the truth, its ranks in its posterior, and how that was computed.
+
+    `stiff` is from `find_stiff_direction`.
+    """
+    stream = partial(random_stream, job.recipe.seed, job.name, "calibrate", number)
+    drawn, problem = simulate_experiment(job, stream("data"))
+    truth, rng = problem.values(drawn), stream("inference")
+    found, mode = infer_posterior(problem, job.recipe, RANK_DRAWS, rng)
+    design = np.array([stiff[name] for name in problem.names])
+    directions = np.array([design, best_determined_direction(problem, mode)])
+    true = compute_ranked(problem, directions, problem.parameters.theta(truth)[None])
+    inferred = compute_ranked(problem, directions, found.thetas)
     placed = rank_statistics.rank_truth(
         np.concatenate([*true.values()]), np.column_stack([*inferred.values()]), rng
     )
     row = {
         "replicate": number,
-        **{name: truth[name] for name in simulated.names},
+        **{name: truth[name] for name in problem.names},
         **found.describe(),
         **{f"{RANK_PREFIX}{name}": int(rank) for name, rank in zip(true, placed, strict=True)},
     }
@@ -300,10 +222,8 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> tuple[Floats, Pro
             continue
         true = {NOISE_SCALE: everything.density.scale, **values}
         shared = draw_bevels(job.dataset, design.insertions, rng) if everything.bevels_differ else {}
-        stated = job.recipe.likelihood
         made = [
-            simulate_measurement(job.dataset, one, true, job.medium, rng, shared, stated)
-            for one in design.insertions
+            simulate_measurement(job.dataset, one, true, job.medium, rng, shared) for one in design.insertions
         ]
         known = tuple(one for one in made if one is not None)
         if len(known) < len(made):
@@ -317,58 +237,6 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> tuple[Floats, Pro
     )
 
 
-def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> Problem:
-    """Return the problem with a deliberate error; `scale` is the true noise scale.
-
-    "sigma" understates the noise and does not estimate it, "pose" takes every pose as it was measured,
-    "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone, and of the
-    deepest tip track, the side of its bevel).
-    """
-    if control == "sigma":
-        understated = UNDERSTATED_SD_FACTOR * scale
-        parameters = problem.parameters
-        if NOISE_SCALE in parameters.names:
-            others = [name for name in parameters.free if name != NOISE_SCALE]
-            parameters = parameters.with_only(others, {NOISE_SCALE: understated})
-        likelihood = problem.likelihood.model_copy(update={"noise_scale": understated})
-        scaled = _scale_pose(problem, UNDERSTATED_SD_FACTOR)
-        return replace(scaled, likelihood=likelihood, parameters=parameters)
-    if control == "pose":
-        sure = _scale_pose(problem, 0.0)
-        return replace(sure, dataset=replace(sure.dataset, pose="known"))
-    if control == "shuffled":
-        return replace(problem, insertions=_swap_shapes(problem.insertions))
-    return problem
-
-
-def _scale_pose(problem: Problem, factor: float) -> Problem:
-    """Return the problem with stated errors of the pose that are `factor` times as large."""
-    noise = problem.dataset.noise
-    noise = replace(noise, registration_mean=factor * noise.registration_mean)
-    scaled = (
-        one
-        if isinstance(one, TipTrack)
-        else replace(one, pose_shift_sd=factor * one.pose_shift_sd, pose_angle_sd=factor * one.pose_angle_sd)
-        for one in problem.insertions
-    )
-    return replace(problem, dataset=replace(problem.dataset, noise=noise), insertions=tuple(scaled))
-
-
-def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
-    first, last = (find(insertions, key=lambda one: one.depth) for find in (min, max))
-    if len(insertions) == 1 or any(isinstance(one, TipTrack) for one in insertions):
-        return tuple(replace(one, side=-one.side) if one is last else one for one in insertions)
-    swapped = []
-    for one in insertions:
-        other = last if one is first else first if one is last else one
-        sections = other.sections
-        if other is not one and sections is not None:
-            sections = replace(sections, points=one.frame.to_world(other.frame.to_local(sections.points)))
-        measured = {name: getattr(other, name) for name in ("planar", "centerline", "out_of_plane", "sd")}
-        swapped.append(replace(one, **measured, sections=sections))
-    return tuple(swapped)
-
-
 # ---- replicates whose truths are those of another model
 
 PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
@@ -377,17 +245,8 @@ PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
 MAX_TWIN_SEEDS = 100  #: seeds of a replicate among which one must have a solution
 
 
-@dataclass(frozen=True)
-class SyntheticExperiment:
-    """The data that all replicates share."""
-
-    job: Job  #: of one fold, with what it holds out
-    plan: tuple[PlannedInsertion, ...]  #: simulated for each replicate: the study's
-    ct: bool  #: whether they are rendered as CT volumes and reconstructed
-
-
-def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
-    """Return what is repeated; ConfigError for several folds, or insertions that are not synthetic."""
+def plan_synthetic(job: Job) -> tuple[PlannedInsertion, ...]:
+    """Return what each replicate simulates; ConfigError for several folds, or insertions not synthetic."""
     if len(job.folds) > 1:
         raise ConfigError(
             f"`{job.name}` has {len(job.folds)} folds: a synthetic truth is fitted once",
@@ -401,16 +260,19 @@ def prepare_synthetic(job: Job, ct: bool) -> SyntheticExperiment:
             f"insertion {unknown[0]} of dataset `{job.dataset.name}` is none of the synthetic dataset",
             expected="a study or fit on the dataset `twin`: others have no synthetic truth",
         )
-    return SyntheticExperiment(job, chosen, ct)
+    return chosen
 
 
-def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRows:
-    """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these."""
-    job, seed = _draw_study(number, experiment)
+def replicate_synthetic(number: int, design: Job, plan: Sequence[PlannedInsertion]) -> FrameRows:
+    """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these.
+
+    `design` is the study whose insertions, `plan`, are simulated anew.
+    """
+    job, seed = _draw_study(number, design, plan)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
     problem = job.problem(fold)
-    found = infer_posterior(problem, job.recipe, PREDICTION_DRAWS, rng)
+    found, _ = infer_posterior(problem, job.recipe, PREDICTION_DRAWS, rng)
     sets, parameters = [job.parameters.values(theta) for theta in found.thetas], list[Row]()
     for name in job.parameters.free:
         truth = find_true_value(problem, name, seed, POPULATION)
@@ -421,12 +283,7 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRo
             row |= {"interval_low": low, "interval_high": high}
             # the middle of the truth's place
             parameters.append({**row, "pit": (int(np.sum(values < truth)) + 0.5) / (len(values) + 1)})
-    source: Literal["posterior", "importance"] = (
-        "posterior" if found.draw_source == "sampler" else "importance"
-    )
-    draws = Draws(found.thetas, source, () if found.trusted else ("the posterior is not certified",))
-    known = Specimens(job, fold, draws)
-    predictions = [one.row for one in predict_held_out(known)]
+    predictions = [one.row for one in predict_held_out(Specimens(job, fold, found))]
     pits = {one["insertion"]: one["tip_pit"] for one in predictions}
     tips = {}
     for one in fold.validate:
@@ -443,18 +300,16 @@ def replicate_synthetic(number: int, experiment: SyntheticExperiment) -> FrameRo
     return {name: [{"replicate": number, **one} for one in rows] for name, rows in every.items()}
 
 
-def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int]:
+def _draw_study(number: int, job: Job, plan: Sequence[PlannedInsertion]) -> tuple[Job, int]:
     """Return the study on the data of a replicate, and their seed."""
-    job, build = experiment.job, build_dataset if experiment.ct else build_unscanned
     for attempt in range(MAX_TWIN_SEEDS):
         rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", attempt)
         seed = int(rng.integers(2**31))
-        if not is_inside_bounds(seed, experiment):
+        if not is_inside_bounds(seed, job.parameters.bounds, plan):
             continue
         try:
             with TemporaryDirectory() as folder:
-                built = build(Path(folder), seed, experiment.plan, population=POPULATION)
-                dataset = read(built)
+                dataset = read(build_unscanned(Path(folder), seed, plan, population=POPULATION))
         except ModelError:  # a needle that does not settle
             continue
         # the name keys the random numbers of predictions, which no two replicates share
@@ -466,10 +321,11 @@ def _draw_study(number: int, experiment: SyntheticExperiment) -> tuple[Job, int]
     )
 
 
-def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
-    """Return whether moduli and bevel offsets of all specimens lie inside the bounds of the medium."""
-    bounds = experiment.job.parameters.bounds
-    for medium, name in {(one.medium, one.specimen) for one in experiment.plan}:
+def is_inside_bounds(
+    seed: int, bounds: Mapping[str, tuple[float, float]], plan: Iterable[PlannedInsertion]
+) -> bool:
+    """Return whether moduli (Pa) and bevel offsets (mm) of all specimens lie inside the bounds, by name."""
+    for medium, name in {(one.medium, one.specimen) for one in plan}:
         specimen = draw_specimen(seed, medium, name, POPULATION)
         values = {f"mu{n}_pa": 1e6 * mu for n, mu in enumerate(specimen.mu.tolist(), start=1)}
         values["bevel_mm"] = specimen.bevel
@@ -484,30 +340,26 @@ def is_inside_bounds(seed: int, experiment: SyntheticExperiment) -> bool:
 def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     """Rank the truth in its posterior for `record.replicates` random insertions.
 
-    Raises ConfigError if nothing is free, or as `prepare_experiment` and `prepare_synthetic`.
+    Raises ConfigError if nothing is free, or as `find_stiff_direction` and `plan_synthetic`.
     """
     target = target_name(record, settings).removesuffix("-tune")
     synthetic = record.truth == "synthetic"
-    if synthetic:
-        job = prepare_with_held_out(record, target, settings)
-    else:
-        job = prepare_target(record, target, replace(settings, sample=record.sampled))
+    job = (prepare_with_held_out if synthetic else prepare_target)(record, target, settings)
     if not job.parameters.free:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
     if synthetic:
-        task = partial(replicate_synthetic, experiment=prepare_synthetic(job, record.ct))
+        task = partial(replicate_synthetic, design=job, plan=plan_synthetic(job))
         work: Row = {"draws": PREDICTION_DRAWS}
     else:
-        experiment = prepare_experiment(job, record.sampled, record.control)
-        job, task = experiment.job, partial(replicate, experiment=experiment)
-        work = {"draws": RANK_DRAWS, "stiff_design": dict(experiment.stiff)}
+        stiff = find_stiff_direction(job)
+        task, work = partial(replicate, job=job, stiff=stiff), {"draws": RANK_DRAWS, "stiff_design": stiff}
     about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
     work = {**about.run, **work}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
     parts = run_tasks(tasks, job.name, settings, checkpoint)
     frames = _make_frames(join_rows(parts), synthetic)
-    outcome = judge_ranks(frames, record.control) if parts else {}
+    outcome = judge_ranks(frames) if parts else {}
     return replace(
         about,
         frames=frames,
@@ -550,15 +402,14 @@ def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
     return means.reset_index().astype({"replicate": int})
 
 
-def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict[str, Any]:
-    """Return the outcome. It passes if it is calibrated, or not if the likelihood is wrong on purpose."""
+def judge_ranks(frames: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
+    """Return the outcome: it passes if all quantities are calibrated."""
     replicates, coverage = frames["replicates"], frames["coverage"]
     failing = rank_statistics.find_failing(coverage, frames["ranks"])
     half = coverage[coverage["level"] == min(coverage["level"])]
     outcome = {
         "replicates": len(replicates),
-        "control": control,
-        "passes": bool(failing) == (control is not None),
+        "passes": not failing,
         "conclusive": bool((half["count_low"] > 0).all()),
         "not_calibrated": failing,
         "untrusted": int((~replicates["certified"].astype(bool)).sum()),
@@ -571,7 +422,7 @@ def judge_ranks(frames: Mapping[str, pd.DataFrame], control: str | None) -> dict
 
 def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
     """Yield what makes the outcome doubtful beside what the verdict states."""
-    if outcome["untrusted"] and outcome["control"] is None:
+    if outcome["untrusted"]:
         yield RunFault(FaultKind.NOT_CONVERGED, f"{outcome['untrusted']} posteriors have not converged")
     if outcome.get("not_predicted"):
         what = f"{outcome['not_predicted']} held-out insertions could not be predicted"
@@ -580,16 +431,19 @@ def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
 
 # ---- the report
 
+TEXT = KindText("calibration")
+
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
+    coverage = to_records(found.frames["coverage"])
     quantities = found.frames["coverage"]["quantity"].nunique()
     return {
         **{key: found.run[key] for key in ("replicates", "conclusive")},
         "synthetic": found.run["study"]["truth"] == "synthetic",
-        "control": rank_statistics.CONTROL_NAMES.get(found.run["control"], ""),
+        "tips": {f"{100 * one['level']:.0f}": one for one in coverage if one["quantity"] == HELD_OUT_TIP},
         "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
-        "quantities": quantities,
+        **{"quantities": quantities, "target": found.run["study"]["target"]},
         "draws": RANK_DRAWS,
         "family_error": rank_statistics.FAMILY_ERROR,
         "single_error": f"{rank_statistics.single_check_error(quantities):.1e}",
@@ -597,7 +451,7 @@ def describe(found: Run) -> dict[str, Any]:
 
 
 def tabulate(found: Run) -> list[Table]:
-    """Return a row per quantity: true values covered by each central interval, and the range by chance."""
+    """Return a row per quantity: the share of true values in central intervals, and ranks beyond chance."""
     outside = found.frames["ranks"].query("not passes").groupby("quantity").size()
     calibrated = "yes" if found.run["conclusive"] else "undecided"
     rows = [
@@ -609,7 +463,7 @@ def tabulate(found: Run) -> list[Table]:
         }
         for row in to_records(found.frames["coverage"])
     ]
-    levels = (part("covered_by_chance", level=one) for one in rank_statistics.LEVELS)
+    levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
     columns = ("quantity", *levels, "ranks", "calibrated")
     return [Table("calibration", pivot(rows, ["quantity"], ["level"]), columns)]
 
@@ -634,13 +488,14 @@ def draw(found: Run) -> dict[str, Drawing]:
 
 
 def find_answer(found: Run) -> Answer:
-    """Return whether the uncertainties are correct; a control passes if it is detected."""
+    """Return whether the uncertainties are correct."""
     status: Status = "pass" if found.run["passes"] else "fail"
     numbers = {
         "replicates": found.run["replicates"],
         "not_calibrated": ", ".join(found.run["not_calibrated"]),
     }
-    return answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
+    answer = answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
+    return replace(answer, advice=TEXT.sentence("advice", describe(found)))
 
 
-REPORT = StudyReport(KindText("calibration"), describe, tabulate, draw, find_answer)
+REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

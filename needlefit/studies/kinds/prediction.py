@@ -1,11 +1,10 @@
 """Predict a planned insertion from a fit: draws of its posterior, simulated in a scene.
 
-There are two bands. The *needle's* comes from the draws of the parameters, of a bevel for each insertion, and
-of the depths of layers and tip. The *measurement's* adds the errors of points and entry pose that the dataset
-states. Neither includes model error. Draws that are not certified have no bands.
+The bands come from the draws of the parameters, of a bevel for each insertion, and of the depths of layers
+and tip; in a specimen that was not tuned on the parameters differ (`Specimens`). They include neither model
+error nor errors of measurement. Draws that are not certified have no bands.
 
-In a specimen that was not tuned on the parameters differ (`Specimens`): beside the width of the tip's
-interval stand that in a specimen tuned on (the mean over these), and that after one insertion into it.
+What is known of the fit, by a run of it, stands first: its verdict and failed checks.
 """
 
 import json
@@ -24,27 +23,20 @@ from needlefit.datasets.insertion import Dataset, Insertion, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
-from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     Draws,
-    PredictiveMixture,
-    quantile,
-    rms_noise_scale,
     thin_posterior,
 )
-from needlefit.inference.sampling.posterior import load
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
-from needlefit.project.folders import require_unchanged
-from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.unit_warnings import scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
-from needlefit.reporting.labels import METHOD_COLOURS, SPECIMEN_NAMES
+from needlefit.reporting.labels import METHOD_COLOURS
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
@@ -52,23 +44,21 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.answer import Answer, RunFault, Verdict, find_fault_kind
-from needlefit.studies.coverage import estimate_width_after_one, measure_width, warn_if_too_wide
+from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.held_out_predictions import (
     PREDICTION_DRAWS,
     Specimens,
     choose_specimen,
-    describe_specimen,
-    describe_spread,
     draw_fold_parameters,
 )
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.planned_draws import PlannedNeedles, simulate_scene, vary_bevels
+from needlefit.studies.planned_draws import simulate_scene, vary_bevels
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.report import StudyReport
+from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
-from needlefit.studies.store import posterior_file_names, read_run
+from needlefit.studies.store import posterior_file_names, restore_run
 from needlefit.studies.study_files import begin_run, prepare_target, target_name
 
 
@@ -92,16 +82,16 @@ KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit p
 
 
 FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
+PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose bands are printed
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
-BANDS = ("needle", "measured")  #: where the needle is, and where it would be measured
-#: the first row is what is predicted, the others what would be left of its width
-SPECIMEN_COLUMNS = (
-    *("specimen_treatment", "between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
-    "tip_95_width_mm",
-)
 
-
-FRAMES: Mapping[str, tuple[str, ...]] = {"specimens": SPECIMEN_COLUMNS}
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    # a row per point: arc length from the entry, depth along the entry axis, median and ends of bands of y
+    "forecast": (
+        *("s_mm", "x_mm", "needle_median_mm"),
+        *(f"needle_{level}_{end}_mm" for level in ("50", "95") for end in ("low", "high")),
+    ),
+}
 
 (POSTERIOR_FILE,) = posterior_file_names(1)
 
@@ -179,56 +169,47 @@ class Forecast:
 
     s: Floats  #: (K,), arc length from the entry, mm
     x: Floats  #: (K,), depth of these points along the entry axis, median over draws, mm
-    #: needle, measured: of y at each of them, mm: where the needle is, and where it would be measured
-    needle: PredictiveMixture
-    measured: PredictiveMixture
+    y: Floats  #: (B, K), of each draw that has a solution, mm
     failed: int  #: draws of which the solve failed; they are left out
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
-    specimens: tuple[Row, ...]  #: rows of `SPECIMEN_COLUMNS`
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
     """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
-    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
-    for name in BANDS:
-        mixture: PredictiveMixture = getattr(forecast, name)
-        columns[f"{name}_median_mm"] = _find_quantile(mixture, 0.5)
-        for level in INTERVAL_PROBABILITIES:
-            columns[f"{name}_{100 * level:.0f}_low_mm"] = _find_quantile(mixture, (1 - level) / 2)
-            columns[f"{name}_{100 * level:.0f}_high_mm"] = _find_quantile(mixture, (1 + level) / 2)
+    columns = {
+        "s_mm": forecast.s,
+        "x_mm": forecast.x,
+        "needle_median_mm": np.quantile(forecast.y, 0.5, axis=0),
+    }
+    for level in INTERVAL_PROBABILITIES:
+        low, high = np.quantile(forecast.y, [(1 - level) / 2, (1 + level) / 2], axis=0)
+        columns |= {f"needle_{100 * level:.0f}_low_mm": low, f"needle_{100 * level:.0f}_high_mm": high}
     return pd.DataFrame(columns)
 
 
-def _find_quantile(mixture: PredictiveMixture, p: float) -> Floats:
-    """Return the quantiles (K,) of probability `p`, mm."""
-    if mixture.sd.any():
-        return quantile(mixture, p)
-    # the CDF of draws without errors is a step function: between two draws its inverse is not unique, and
-    # in the sparse tail of a skewed posterior an arbitrary value there can lie outside the measured band
-    found: Floats = np.quantile(mixture.means, p, axis=0)
-    return found
-
-
-def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: str = "same") -> Forecast:
+def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast:
     """Predict the needle of a planned insertion.
 
     The scene is under the rules of the fit (`make_scene`); draws replace its moduli and bevel offset: layer n
     of the scene is layer n of the medium. With each draw a bevel of this insertion and the depths of layers
     and tip are drawn too, as they err in a typical insertion of the dataset. The specimen is that of the
-    insertion `into`, called `otherwise`, or, with None, one that is not in the dataset. Where it has no draws
-    of its own, those of all insertions together stand in.
+    insertion `into`, or, with None, one that is not in the dataset. Where it has no draws of its own, those
+    of all insertions together stand in.
 
     Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
     ModelError if no draw can be solved.
     """
     job, draws = known.job, known.draws_in(into)
-    new = known if into is None and len(draws.thetas) else None
-    draws = draws if len(draws.thetas) else known.draws
-    thetas, bevel_sd = draws.thetas, known.bevel_sd_in(into)
+    thetas = draws.thetas if len(draws.thetas) else known.draws.thetas
     _check(scene, job.medium, job.dataset)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
-    found = _simulate_draws(scene, thetas, job, s, bevel_sd, rng)
+    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], known.bevel_sd_in(into), rng)
+    typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
+    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
+    deep = entry_sd * rng.standard_normal(len(sets))
+    wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
+    found = simulate_scene(sets, job.medium, scene, s, deep, wrong)
     points = found.points[found.solved]  # (B, K, 2)
     if not len(points):
         raise ModelError(
@@ -236,60 +217,8 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None, otherwise: 
             expected="an insertion that the model can follow",
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
-    scale = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-    sd = _measurement_sd(s, job.dataset, scale)
-    tips = found.points[:, -1, 1]
-    rows = [describe_specimen(new, otherwise) | {"tip_95_width_mm": measure_width(tips)}]
-    if new is not None:
-        tuned = [one for one, *_ in new.tuned.values()] if new.separate else [new.fold.tune[0]]
-        places: list[tuple[Floats, Insertion | None]] = [(thetas, None)]
-        # of each specimen tuned on an equal part of its draws
-        places += [(new.draws_in(one).thetas[n :: len(tuned)], one) for n, one in enumerate(tuned)]
-        again, *same = (
-            _simulate_draws(scene, some, job, s, new.bevel_sd_in(one), rng).points[:, -1, 1]
-            for some, one in places
-        )
-        seen = tips + sd[-1] * rng.standard_normal(len(tips))
-        left = {"one insertion": estimate_width_after_one(again, seen)}
-        left["same"] = float(np.mean([measure_width(one) for one in same]))
-        rows += [describe_specimen(None, name) | {"tip_95_width_mm": width} for name, width in left.items()]
-    return Forecast(
-        s=s,
-        x=np.median(points[:, :, 0], axis=0),
-        needle=PredictiveMixture(points[:, :, 1], np.zeros(len(s))),
-        measured=PredictiveMixture(points[:, :, 1], sd),
-        failed=len(thetas) - len(points),
-        outside=int(np.sum(~found.valid[found.solved])),
-        specimens=tuple(rows),
-    )
-
-
-def _simulate_draws(
-    scene: Scene, thetas: Floats, job: Job, s: Floats, bevel_sd: float, rng: np.random.Generator
-) -> PlannedNeedles:
-    """Return the needles of parameters (B, P) at arc lengths `s` (K,), each of its own bevel and depths."""
-    sets = vary_bevels([job.parameters.values(theta) for theta in thetas], bevel_sd, rng)
-    typical = [(one.depth_sd, np.hypot(*split_boundary_sd(one))) for one in job.dataset.insertions]
-    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
-    deep = entry_sd * rng.standard_normal(len(sets))
-    wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
-    return simulate_scene(sets, job.medium, scene, s, deep, wrong)
-
-
-def _measurement_sd(s: Floats, dataset: Dataset, scale: float) -> Floats:
-    """Return the SD (K,) of a measured y about the needle's, mm, of a typical insertion.
-
-    `scale` is that of the noise, not of the pose.
-    """
-    noise = dataset.noise
-    pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
-    shift, angle, _ = np.sqrt(np.mean(pose**2, axis=0))  # a shift along hardly moves y
-    stated = [
-        noise.correlated_sd**2 if one.sd is None else float(np.mean(one.sd**2)) for one in dataset.insertions
-    ]
-    points = noise.point_sd**2 + np.mean(stated)
-    total: Floats = np.sqrt(scale**2 * points + shift**2 + (angle * s) ** 2)
-    return total
+    x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
+    return Forecast(s, x, points[:, :, 1], len(thetas) - len(points), outside)
 
 
 def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
@@ -312,9 +241,9 @@ def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
 
 
 def draw_parameters(
-    job: Job, run: Path | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
+    job: Job, run: Run | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT, where: str = ""
 ) -> Draws | None:
-    """Return draws of the posterior stored in the folder `run`, or, if there is none, about a new fit.
+    """Return draws of the posterior of a run, stored in the folder `where`, or without one about a new fit.
 
     None after a stop.
 
@@ -323,7 +252,7 @@ def draw_parameters(
     if settings.inputs.posterior is not None:
         return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
     if run is not None:
-        return _draw_from_run(job, run)
+        return _draw_from_run(job, run, where)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
     callbacks = Callbacks(
@@ -341,18 +270,16 @@ def draw_parameters(
     return None if settings.stop() else found
 
 
-def _draw_from_run(job: Job, run: Path) -> Draws:
-    if not is_file(run / POSTERIOR_FILE):
+def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
+    require_same_configuration(job, run.run, where)
+    if not run.posteriors:
         raise ConfigError(
             f"holds no {POSTERIOR_FILE}",
-            where=str(run),
+            where=where,
             expected="the folder of a run of one fold that was sampled",
             fix="tune it without --no-sample, or leave --run out",
         )
-    require_unchanged(run)
-    require_same_configuration(job, read_run(run), str(run))
-    with convert_stored_errors(run / POSTERIOR_FILE):
-        return thin_posterior(load(run / POSTERIOR_FILE), job.parameters, PREDICTION_DRAWS)
+    return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
 
 
 def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
@@ -392,46 +319,42 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
+    sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
-    fitted = draw_parameters(job, folder, settings, checkpoint)
+    fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
     if fitted is None:
         return replace(about, interrupted=True)
     known = replace(known, draws=fitted)
-    draws, treatment = known.draws_in(into), "training only" if where == "training only" else "same"
-    found = forecast(scene, known, into, treatment)
+    draws = known.draws_in(into)
+    found = forecast(scene, known, into)
     needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)
-    specimens = pd.DataFrame(found.specimens, columns=list(FRAMES["specimens"]))
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
     if found.outside:
-        share = f"{found.outside} of {len(found.needle.means)} predicted needles"
+        share = f"{found.outside} of {len(found.y)} predicted needles"
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-        specimens["tip_95_width_mm"] = np.nan
-    else:
-        widths, fix = specimens["tip_95_width_mm"], ""
-        if len(widths) > 1:  # the second: after one insertion into the new specimen
-            fix = (
-                f"one measured insertion into this specimen would narrow it to {widths[1]:.2g} mm "
-                "if the model is right there; state a fitted one with --specimen"
-            )
-        deflection = abs(float(needle["needle_median_mm"].iloc[-1]))
-        warned += warn_if_too_wide(float(widths[0]), deflection, fix=fix)
+    judged = settings.inputs.judged or sampled
+    data = (None if judged is None else to_json_values(judged.run["dataset"]), about.run["dataset"])
+    if data[0] != to_json_values(data[1]):
+        judged = None  # a verdict on other data
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
     return replace(
         about,
         record=stored.model_copy(update=named),
-        frames={"forecast": needle, "specimens": specimens},
+        frames={"forecast": needle},
         run={
             **about.run,
             "study": about.run["study"] | named,
             "draw_source": draws.source,
             "pareto_k": draws.pareto_k,
             "ess": draws.effective_sample_size,
-            "draws": len(found.needle.means),
+            "draws": len(found.y),
+            "specimen": "others" if into is None else where,
+            "fit_verdict": None if judged is None else recall(judged),
             "failed_solves": found.failed,
             "outside_validity": found.outside,
             "not_converged": list(draws.faults),
@@ -448,15 +371,18 @@ TEXT = KindText("prediction")
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    study, specimens = found.run["study"], to_records(found.frames["specimens"])
+    study = found.run["study"]
     return {
-        **{key: found.run[key] for key in ("draws", "draw_source", "failed_solves")},
+        **{
+            key: found.run[key]
+            for key in ("draws", "draw_source", "failed_solves", "specimen", "fit_verdict")
+        },
         **find_tip(found),
         "title": study["scene"]["title"] or study["scene_name"],
+        "scene": study["scene_name"],
+        "target": study["target"],
         "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
-        "specimen": specimens[0]["specimen_treatment"],
-        "named": "" if study["specimen"] in (None, "new", "same") else study["specimen"],
-        "spread": describe_spread(specimens[0]) if len(specimens) > 1 else "",
+        "wide": MAX_AIMING_WIDTH_MM,
     }
 
 
@@ -474,37 +400,28 @@ def find_answer(found: Run) -> Answer:
         "fail" if found.faults else "none",
         numbers={key: values[key] for key in (keys[:1] if found.faults else keys)},
     )
-    about = f"Predicted with the fit of {found.run['name'].removesuffix('-tune')}: {values['title']}."
-    return Answer([verdict], REPORT.lay_out(found)[:1], about)
+    about, advice = (TEXT.sentence(block, values) for block in ("about", "advice"))
+    return Answer([verdict], REPORT.lay_out(found), about, advice=advice)
 
 
 def tabulate(found: Run) -> list[Table]:
-    """Return the tip's table, and for a new specimen that of the widths by specimen."""
-    row = find_tip(found)
+    """Return the bands at some depths, the tip the last."""
+    frame = found.frames["forecast"]
+    places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
     rows = [
-        {"tip_y": words} | {key.removeprefix(f"{name}_"): value for key, value in row.items()}
-        for name, words in zip(BANDS, ("needle", "measurement of the needle"), strict=True)
+        {key.removeprefix("needle_"): value for key, value in row.items()}
+        for row in to_records(frame.iloc[places])
     ]
-    columns = ("tip_y", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES))
-    names = SPECIMEN_NAMES | {"same": "tuned specimen"}
-    widths = [
-        one | {"specimen_treatment": names[str(one["specimen_treatment"])]}
-        for one in to_records(found.frames["specimens"])
-    ]
-    by_specimen = Table("specimens", widths, ("specimen_treatment", "tip_95_width_mm"))
-    return [Table("forecast", rows, columns), *([by_specimen] if len(widths) > 1 else [])]
+    columns = ("s_mm", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES))
+    return [Table("forecast", rows, columns)]
 
 
 def draw(found: Run) -> dict[str, Drawing]:
-    """Return median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
+    """Return median, 50 and 95 % bands of the needle, mm."""
     facts = describe(found)
     title = f"{facts['title']} ({facts['faults']})" if found.faults else facts["title"]
     table = found.frames["forecast"].assign(origin=found.origin, scene=title)
-    bands = {
-        "measured_95": ("95 % of measurements", "#D5D5D5"),
-        "needle_95": ("95 % of needles", "#BFDBEC"),
-        "needle_50": ("50 % of needles", "#7FB8D8"),
-    }
+    bands = {"needle_95": ("95 % of needles", "#BFDBEC"), "needle_50": ("50 % of needles", "#7FB8D8")}
     names = {name: Look(*one, marker="", width=6.0, white=0.0) for name, one in bands.items()}
     names["median"] = Look("median", METHOD_COLOURS["fitted"], marker="", width=1.4)
     if found.faults:  # whose bands are left out

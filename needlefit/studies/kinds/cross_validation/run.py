@@ -59,7 +59,6 @@ from needlefit.studies.identification import (
     add_intervals,
     identify_parameters,
     intervals_of_draws,
-    list_differing_intervals,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
@@ -69,7 +68,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.validity import VALIDITY_KEY, ValidityCounts
+from needlefit.studies.validity import MOSTLY_OUTSIDE, VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -120,7 +119,6 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             },
             **describe_insertions(job),
             **_find_truth(job),
-            "differing_intervals": going.differing,
             "search_faults": going.search_faults,
             VALIDITY_KEY: going.counts.table(),
         },
@@ -183,11 +181,10 @@ class _StudyRun:
     interrupted: bool = False
     rows: defaultdict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
     posteriors: dict[str, Posterior] = field(default_factory=dict)
-    #: by fold the parameters whose intervals by both samplers differ
-    differing: dict[str, list[str]] = field(default_factory=dict)
     uncertified: list[RunFault] = field(default_factory=list)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
+    outside: dict[str, float] = field(default_factory=dict)  #: by fold the share of draws outside validity
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
     #: posteriors of single specimens, which folds share
     specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
@@ -456,12 +453,9 @@ class _StudyRun:
         They are judged by draws of the posterior; without certified ones, by the information.
         """
         job, problem, posterior = self.job, self.job.problem(fold), self.posteriors.get(fold.name)
-        draws = importance = further = None
+        draws = further = None
         if drawn is not None:
-            draws, importance = drawn.specimens.replace_mean(drawn.made.draws), drawn.made.importance
-            if posterior is not None:
-                names = list_differing_intervals(job.parameters, importance, posterior)
-                self.differing |= {fold.name: list(names)} if names else {}
+            draws = drawn.specimens.replace_mean(drawn.made.draws)
             if drawn.specimens.separate:
                 further = None if draws.faults else drawn.specimens.population.new
                 self.rows["population"] += drawn.specimens.tabulate_population()
@@ -476,7 +470,7 @@ class _StudyRun:
                 for one in verdict.directions
             ]
         # without stated noise nothing says how far the data can be trusted, outside its validity the model
-        invalid = drawn is not None and drawn.outside > len(drawn.made.shown.thetas) / 2
+        invalid = drawn is not None and drawn.outside > MOSTLY_OUTSIDE * len(drawn.made.shown.thetas)
         if fit.minimized != "posterior" or invalid:
             nothing = dict.fromkeys(verdict.determined, False)
             notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")
@@ -490,7 +484,7 @@ class _StudyRun:
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
         fitted = _fitted_rows(job, fold, fit, verdict, judgements)
-        sampled = intervals_of_draws(job.parameters, draws, importance, posterior)
+        sampled = intervals_of_draws(job.parameters, draws, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
         self.rows["identification"] += judged
