@@ -108,7 +108,7 @@ def _list_unmet(problem: Problem, known: Collection[str]) -> list[ParameterProfi
         ends, value, nothing = np.array([low, high]), parameters.fixed[name], np.zeros(2)
         flat = LikelihoodProfile(
             name, ends, nothing, nothing, np.empty((2, 0)), value, math.inf, low, high, ("bound", "bound"),
-            minima=1, evaluations=0, retries=0,
+            minima=1,
         )  # fmt: skip
         profiles.append(ParameterProfile(flat, (low, high), value, tip_range_mm=0.0, log_posterior_rise=0.0))
     return profiles
