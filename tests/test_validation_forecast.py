@@ -177,9 +177,9 @@ def test_a_new_specimen_widens_the_band_and_one_insertion_narrows_it(job):
     found = planned(job, [theta(job)] * 400, new=True)
     others, once, same = found.specimens
     assert [one["specimen_treatment"] for one in found.specimens] == ["others", "one insertion", "same"]
-    # the prior of the tip's spread makes those of moduli and bevel narrower
-    assert 0.5 * np.log(2) < others["between_sd_ln_mu"] < np.log(2) and others["other_specimens"] == 0
-    assert 0.5 * np.log(1.8) < others["between_sd_ln_b"] < np.log(1.8)
+    # the stated spread of the tip is not below what those of moduli and bevel imply
+    assert others["between_sd_ln_mu"] == pytest.approx(np.log(2), rel=0.15) and others["other_specimens"] == 0
+    assert others["between_sd_ln_b"] == pytest.approx(np.log(1.8), rel=0.15)
     widths = [one["tip_95_width_mm"] for one in (same, once, others)]
     assert widths[0] < widths[1] < 0.6 * widths[2]
     assert widths[2] == pytest.approx(np.ptp(interval(found.needle, 0.95), axis=0)[-1], rel=0.05)
@@ -211,7 +211,7 @@ def test_of_several_specimens_a_name_is_needed_and_their_mean_width_is_reported(
     tips = {name: each.needle.means[:, -1] for name, each in tips.items()}
     assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
     named = forecast(SCENE, known, tune[1])
-    assert np.median(named.needle.means[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.02)
+    assert np.median(named.needle.means[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == () and [
         row["specimen_treatment"] for row in named.specimens
     ] == ["same"]
