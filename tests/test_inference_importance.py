@@ -94,9 +94,6 @@ class Plateau(Known):
         residuals = np.array([2.4 * (1 - hill), (v - 4 * np.sin(u)) / 0.05])
         return residuals, np.array([[9.6 * hill * (u - 5), 0.0], [-80 * np.cos(u), 20.0]])
 
-    def approach(self, minimized):
-        return None
-
 
 def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
     """By quadrature 0.2994 of it lies at x0 < 2."""
@@ -105,7 +102,7 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
         sample_about_modes(Plateau(), [mode], np.random.default_rng(1), efforts=(effort,))
         for effort in (Effort(profiles=False), Effort(draws=1000))
     )
-    assert not alone.certified and found.certified
+    assert not alone.certified and found.certified and found.effective_sample_size >= 250
     assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == pytest.approx(0.2994, abs=0.05)
 
 

@@ -35,11 +35,11 @@ def assert_equal(one: Posterior, other: Posterior) -> None:
 
 
 def test_a_run_ends_once_it_has_the_draws_that_were_asked_for():
-    got = draw(GAUSSIAN, BEGIN)
+    got = draw(GAUSSIAN, BEGIN, independent_draws=2000)
     walkers, steps, _ = got.draws.shape
     assert got.faults == () and walkers == 64 and steps % 10 == 0 and steps * walkers < 20000
-    assert got.ess.min() >= 400 and got.r_hat.max() < MAX_R_HAT and got.burn_in == 0
-    shorter = draw(GAUSSIAN, BEGIN, densities=(steps - 10) * walkers)
+    assert got.ess.min() >= 2000 and got.r_hat.max() < MAX_R_HAT and got.burn_in == 0
+    shorter = draw(GAUSSIAN, BEGIN, independent_draws=2000, densities=(steps - 10) * walkers)
     assert shorter.faults and np.array_equal(shorter.draws, got.draws[:, :-10])
     assert got.log_posterior.ravel() == pytest.approx(GAUSSIAN.log_density(flat(got)), abs=1e-12)
     assert got.percentiles()["x0"] == pytest.approx(

@@ -130,7 +130,13 @@ def test_a_tip_is_differentiated_with_all_that_is_tied():
         slope = (log_tip(theta + 1e-4 * along) - log_tip(theta - 1e-4 * along)) / 2e-4
         assert found[name] == pytest.approx(slope, rel=1e-3)
     model = make_spread_model(p, BetweenSpecimensRecord(tip_factor=1.1), theta)
-    assert model.tip_slopes * math.log(1.1) == pytest.approx([found[name] for name in model.names])
+    slopes = np.array([found[name] for name in model.names])
+    implied = np.sum((slopes * np.log([2.0, 1.8])) ** 2)  # of the tip, by the other two priors
+    stated = 1 / math.log(1.1) ** 2 - 1 / implied
+    assert model.tip_slopes == pytest.approx(slopes * math.sqrt(stated))
+    assert make_spread_model(p, BetweenSpecimensRecord(tip_factor=3.0), theta).tip_slopes == pytest.approx(
+        0.0
+    )
 
 
 @pytest.mark.parametrize("rho", [0.0, -0.9])

@@ -209,7 +209,7 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     tips = {name: each.y[:, -1] for name, each in tips.items()}
     assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
     named = forecast(SCENE, known, tune[1])
-    assert np.median(named.y[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.02)
+    assert np.median(named.y[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == ()
 
 

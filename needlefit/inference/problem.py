@@ -90,10 +90,10 @@ class PosteriorDensity:
         """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
         parts = [sets[start : start + SETS_AT_ONCE] for start in range(0, len(sets), SETS_AT_ONCE)]
         return np.concatenate(
-            [self._add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
+            [self.add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
         )
 
-    def _add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
+    def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
         scale, spread = self._scales(sets)
         total = np.array([self._log_prior(values) for values in sets])
@@ -102,12 +102,19 @@ class PosteriorDensity:
             total += log_marginals([white[k] for k in members], group, scale, spread)
         return total
 
-    def whitened_residuals(self, sets: Sequence[Values], jobs: int) -> Iterator[Floats]:
-        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last."""
-        points = iter(self._nodes.model.read_points(sets, self._nodes.places, jobs))
-        for one, some in zip(self.observations, self._nodes.nodes, strict=True):
+    def whitened_residuals(
+        self, sets: Sequence[Values], jobs: int, *, as_measured: bool = False
+    ) -> Iterator[Floats]:
+        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last.
+
+        Of the nodes `as_measured` alone there are (B, 1, R), without curves.
+        """
+        nodes = self._first_nodes if as_measured else self._nodes
+        points = iter(nodes.model.read_points(sets, nodes.places, jobs))
+        for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
-            yield append_pose_curves(one, whiten_residuals(one, stacked))
+            white = whiten_residuals(one, stacked)
+            yield white if as_measured else append_pose_curves(one, white)
 
     def estimate_bevel(
         self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
@@ -132,7 +139,7 @@ class PosteriorDensity:
     def gradients(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[float, Floats]]:
         """Return `log_densities`, and the derivatives (P,) of each by theta; NaN where a solve fails."""
         pairs = self._differentiate(sets, jobs)
-        totals = self._add_up([white for white, _ in pairs], sets)
+        totals = self.add_up([white for white, _ in pairs], sets)
         # the log density is a constant less half the residuals' squares
         found = self._linearize(pairs, sets)
         return [
@@ -194,7 +201,18 @@ class PosteriorDensity:
 
     @cached_property
     def _nodes(self) -> "_ModelledNodes":
-        nodes = tuple(one.nodes for one in self.observations)
+        return self._model_nodes(tuple(one.nodes for one in self.observations))
+
+    @cached_property
+    def _first_nodes(self) -> "_ModelledNodes":
+        return self._model_nodes(
+            tuple(
+                replace(one.nodes, insertions=one.nodes.insertions[:1], s=one.nodes.s[:1])
+                for one in self.observations
+            )
+        )
+
+    def _model_nodes(self, nodes: tuple[Nodes, ...]) -> "_ModelledNodes":
         every = [insertion for some in nodes for insertion in some.insertions]
         model = PreparedModel(self.medium, self.needle, every)
         return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))

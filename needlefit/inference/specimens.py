@@ -11,7 +11,10 @@ with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009
 to 1, m is flat within the bounds. What is known of specimens is rather how much their tips differ: with g the
 gradient of ln(tip deflection) by these parameters, the prior of T has the factor
 
-    exp( -g' T g / (2 s^2) ),      s the standard deviation of ln(tip deflection) between specimens.
+    exp( -g' T g (1 / s^2 - 1 / s_0^2) / 2 ),      s_0^2 = E g' T g by the priors above,
+
+with s the standard deviation of ln(tip deflection) between specimens. Without s_0, which the other priors
+imply, these would count a second time. Where s_0 is smaller than s the factor is 1.
 
 Of moduli that are tied with a spread the source counts; the others deviate
 from it as the tie states, in every specimen anew.
@@ -74,7 +77,7 @@ class SpreadModel:
     moduli: int  #: how many of them are moduli
     correlated: bool  #: whether there are moduli and a bevel parameter
     sds: Floats  #: standard deviations of the half-normal priors of the taus
-    #: (Q,) derivatives of ln(tip deflection), in standard deviations of it between specimens
+    #: (Q,) derivatives of ln(tip deflection), times the root of what is stated of it beside `sds`
     tip_slopes: Floats
 
     @classmethod
@@ -87,7 +90,8 @@ class SpreadModel:
     ) -> Self:
         """Return the model of the moduli and the bevel parameter; an SD of 0: they do not vary.
 
-        Without `tip_slopes`, by parameter, nothing is stated of tips.
+        `tip_slopes`, by parameter, are of ln(tip deflection) in its standard deviations between specimens.
+        Without, nothing is stated of tips.
         """
         # what is tied to a fixed parameter varies as the others do
         tied = {tie.name for tie in parameters.prior.ties if tie.source in parameters.free}
@@ -97,6 +101,12 @@ class SpreadModel:
         sds = [*[modulus_sd] * bool(moduli), *[bevel_sd] * len(bevels)]
         names, stated = (*moduli, *bevels), tip_slopes or {}
         slopes = np.array([stated.get(name, 0.0) for name in names])
+        of_moduli, of_bevel = slopes[: len(moduli)], slopes[len(moduli) :]
+        # g' T g as the mean over the other priors has it: w is 1/2 in the mean, rho 0
+        common = 0.5 if len(moduli) > 1 else 1.0
+        shared, apart = np.sum(of_moduli) ** 2, np.sum(of_moduli**2)
+        implied = modulus_sd**2 * (common * shared + (1 - common) * apart) + bevel_sd**2 * np.sum(of_bevel**2)
+        slopes = slopes * math.sqrt(max(0.0, 1 - 1 / implied)) if implied else slopes
         return cls(names, len(moduli), bool(moduli and bevels), np.array(sds), slopes)
 
     @property

@@ -97,7 +97,8 @@ class BetweenSpecimensRecord(Record):
     bevel_factor: float = Field(default=1.8, ge=1)
     """The same of the bevel parameter (b or theta)."""
     tip_factor: float = Field(default=2.0, ge=1.01)
-    """The same of the tip deflection: about 1.1 for specimens of one batch, 2 for tissue."""
+    """The same of the tip deflection, where the other two imply more: about 1.1 for specimens of one
+    batch, 2 for tissue."""
 
 
 class RecipeRecord(FileRecord):

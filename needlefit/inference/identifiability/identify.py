@@ -92,8 +92,6 @@ class Identifiability:
     notes: Mapping[str, str]  #: one sentence for a person
     #: reduced: mean square of the whitened residuals at the best point; 1 where the noise explains them
     chi_square: float
-    #: whether the dataset states no noise, so that the fit's residuals had to stand for it
-    noise_estimated: bool
     together: Mapping[str, bool] = field(default_factory=dict)  #: the same while all others are held
     #: under which assumption alone the data determine it, "" otherwise
     conditions: Mapping[str, str] = field(default_factory=dict)
@@ -176,7 +174,6 @@ def identify(
         directions=found,
         notes=notes,
         chi_square=chi_square,
-        noise_estimated=noisy is not problem,
     )
 
 
@@ -288,7 +285,6 @@ class FitProfiles:
 
     parameters: tuple[ParameterProfile, ...]  #: free ones in the order of theta, then fixed shape parameters
     scale: float  #: what deviances were divided by: the reduced chi-square where it is above 1
-    evaluations: int  #: Jacobians computed, those that led to the optimum included
     gain: float  #: how much higher than at the fit the log posterior is at the best point met on the way
     best: tuple[float, ...]  #: Theta of that point
 
@@ -326,11 +322,10 @@ def profile_parameters(
         every[n] = one
         step(len(every), len(parts))
     found = tuple(every[n] for n in sorted(every))
-    spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.jacobian(np.array(fit.theta))[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
-    return FitProfiles(found, scale, spent, gain, tuple(optimum.theta.tolist()))
+    return FitProfiles(found, scale, gain, tuple(optimum.theta.tolist()))
 
 
 def _profile_one(

@@ -41,7 +41,6 @@ class LocalMinimum:
     value: float  #: sum of squares; infinite where it cannot be computed
     slope: Floats  #: (P,) its derivatives
     information: Floats  #: (P, P) J^T J
-    evaluations: int = 1
     converged: bool = False  #: whether this is a minimum, as far as steps from it tell
 
 
@@ -79,7 +78,7 @@ def minimize_squares(
         elif not gain_ratio > 0.25:
             radius = 0.25 * float(np.max(np.abs(step)))
         at = trial if gain_ratio > 0 else at
-    return LocalMinimum(at.theta, at.value, at.slope, at.information, evaluations, converged)
+    return LocalMinimum(at.theta, at.value, at.slope, at.information, converged)
 
 
 def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
@@ -141,8 +140,6 @@ class ProfilePath:
     points: list[LocalMinimum] = field(default_factory=list)
     #: whether the lower and the upper side end at the bound
     at_bound: list[bool] = field(default_factory=lambda: [False, False])
-    evaluations: int = 0
-    retries: int = 0
 
 
 def trace_profile(
@@ -154,20 +151,17 @@ def trace_profile(
     steps: ProfileSteps = INTERVAL_STEPS,
 ) -> ProfilePath:
     """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
-    cheaper, spent, retries = target.approach("posterior"), 0, 0
+    cheaper = target.approach("posterior")
     for _ in range(MAX_RESTARTS):
         sides = [_ProfileSide(target, k, elsewhere, scale, cheaper, steps, optimum, side) for side in (-1, 1)]
         map_side_by_side(_ProfileSide.trace, sides)
-        path = ProfilePath([optimum], [one.at_bound for one in sides], spent, retries)
+        path = ProfilePath([optimum], [one.at_bound for one in sides])
         for one in sides:
             path.points += one.points
-            path.evaluations += one.evaluations
-            path.retries += one.retries
         better = select_best(path.points)
         if better.value > optimum.value - MIN_IMPROVEMENT:
             break
         optimum = minimize_squares(target, better.theta)
-        spent, retries = path.evaluations + optimum.evaluations, path.retries
     return path
 
 
@@ -189,8 +183,6 @@ class _ProfileSide:
     optimum: LocalMinimum
     side: int
     points: list[LocalMinimum] = field(default_factory=list)  #: without the optimum
-    evaluations: int = 0
-    retries: int = 0
 
     def __post_init__(self) -> None:
         self.range = float(self.target.upper[self.k] - self.target.lower[self.k])
@@ -254,7 +246,6 @@ class _ProfileSide:
         # a fall of the root, or a jump, means that the search has changed to another branch
         if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
             return point
-        self.retries += 1
         starts = (last.theta, self.optimum.theta, *self.elsewhere)
         return select_best([point, *self._minimize_each(starts, place)])
 
@@ -266,7 +257,6 @@ class _ProfileSide:
         if len(found) < 2 or not self.elsewhere:
             return False
         n = last = len(found) - 1
-        self.retries += 1
         lower = self._minimize_from_elsewhere(found[last])
         while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * self.scale:
             found[n] = lower
@@ -297,9 +287,7 @@ class _ProfileSide:
 
     def _minimize_each(self, starts: Sequence[Floats], place: float) -> list[LocalMinimum]:
         search = partial(minimize_squares, self.target, held=self.k, min_gain=self.steps.min_gain)
-        points = map_side_by_side(search, [self._set_held(start, place) for start in starts])
-        self.evaluations += sum(point.evaluations for point in points)
-        return points
+        return map_side_by_side(search, [self._set_held(start, place) for start in starts])
 
     def _set_held(self, start: Floats, place: float) -> Floats:
         theta = start.copy()
@@ -363,9 +351,6 @@ class LikelihoodProfile:
     #: out
     ends: tuple[End, End]
     minima: int  #: local minima of the profile; 1 for one that rises to both sides
-    #: evaluations, retries: Jacobians computed, and points that were tried from elsewhere too
-    evaluations: int
-    retries: int
 
     @property
     def flat(self) -> bool:
@@ -464,8 +449,6 @@ def compute_profile(
         high=high,
         ends=(below, above),
         minima=_count_minima(deviance),
-        evaluations=path.evaluations,
-        retries=path.retries,
     )
 
 

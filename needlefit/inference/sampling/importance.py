@@ -1,20 +1,23 @@
 """Sample the posterior about a fit by adaptive importance sampling; compute the evidence.
 
-Half of each round's draws come from a mixture of Student's t about the modes and points along the profiles,
-half from one that is fitted to all draws so far: they are weighted by the density of all rounds together
-(deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert, Scand. J. Stat. 39 (2012)
-798), and the mixture follows them by steps of expectation and maximisation over all components
-(Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin, J.-M. Marin, C. P. Robert, Stat.
-Comput. 18 (2008) 447). While few draws carry all weight it follows a flatter density, so that it grows along
-a ridge instead of falling on its best draws. The first half keeps what the second might leave. What falls
-outside the bounds has no density, and costs nothing. Parameters that the data leave as their flat prior has
+A proposal adapts in rounds. Half of each round's draws come from a mixture of Student's t about the modes
+and points along the profiles, half from one that is fitted to all draws so far: they are weighted by the
+density of all rounds together (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P.
+Robert, Scand. J. Stat. 39 (2012) 798), and the mixture follows them by steps of expectation and maximisation
+over all components (Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin, J.-M. Marin,
+C. P. Robert, Stat. Comput. 18 (2008) 447). While few draws carry all weight it follows a flatter density, so
+that it grows along a ridge instead of falling on its best draws. The first half keeps what the second might
+leave. What falls outside the bounds has no density, and costs nothing.
+What is returned are new draws, of the adapted proposal alone: weights of draws to which it was fitted are too
+small, and so is the evidence that they give.
+Parameters that the data leave as their flat prior has
 them, such as most alphas, are drawn from that prior.
 
 The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
 whether to trust them, and its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao,
 J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M. A. Stephens, Technometrics 51
 (2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
-would. It cannot see what no draw has come near, which is why half of the draws stay wide.
+would. It cannot see what no draw has come near, which is why a part of the draws stays wide.
 
 The evidence Z is the integral of likelihood and prior over theta, the mean of the weights. How probable
 further data y are, after data D, is the evidence of both over that of the first:
@@ -49,6 +52,7 @@ from needlefit.inference.identifiability.profile import (
 )
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 from needlefit.inference.sampling.log_density import (
     UNIFORM_PRECISION,
     Evaluator,
@@ -174,9 +178,11 @@ class StudentMixture:
 class Effort:
     """How many draws an importance sampler makes."""
 
-    draws: int = 250  #: of each round, within the bounds
-    rounds: int = 14  #: the most; the last one may be earlier, once the weights are good
-    min_ess: float = 250.0  #: independent draws that they must be worth, to be good
+    draws: int = 250  #: of each round in which the proposal adapts, within the bounds
+    rounds: int = 14  #: the most of these
+    #: independent draws that those of the last proposal must be worth; else those of the rounds are taken,
+    #: if they are worth `ADAPTED_ESS`
+    min_ess: float = 1000.0
     profiles: bool = True  #: whether the first draws are made along the profiles too, beside the modes
 
     @property
@@ -207,6 +213,23 @@ class Proposal:
         ends = self.lower[self.uniform], self.upper[self.uniform]
         found[:, self.uniform] = rng.uniform(*ends, size=(count, len(ends[0])))
         return found
+
+    def draw_inside(self, count: int, rng: np.random.Generator) -> tuple[Floats, float]:
+        """Return `count` draws (N, P) within the bounds, and the logarithm of how many tries that took.
+
+        Less that of the volume of the uniform ones: density and tries are then those of all parameters.
+        There are fewer draws where hardly any is within the bounds.
+        """
+        ends = self.lower[~self.uniform], self.upper[~self.uniform]
+        # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
+        drawn = self.mixture.draw(MAX_TRIES * count, rng)
+        inside = np.flatnonzero(np.all((drawn >= ends[0]) & (drawn <= ends[1]), axis=1))[:count]
+        tries = int(inside[-1]) + 1 if len(inside) == count else len(drawn)
+        found = np.empty((len(inside), len(self.uniform)))
+        found[:, ~self.uniform] = drawn[inside]
+        ends = self.lower[self.uniform], self.upper[self.uniform]
+        found[:, self.uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
+        return found, math.log(tries) - float(np.sum(np.log(ends[1] - ends[0])))
 
     def log_density(self, at: Floats) -> Floats:
         """Return the log density (N,) at points (N, P) within the bounds, but for a constant."""
@@ -313,8 +336,6 @@ def _make_effort(
     covariances = [(mode.axes @ mode.axes.T)[np.ix_(mixed, mixed)] for mode in approximations]
     factors = np.array([np.linalg.cholesky(covariance) for covariance in covariances])
     centres = np.array([mode.centre[mixed] for mode in approximations])
-    low, high = (ends[mixed] for ends in bounds)
-    log_volume = float(np.sum(np.log((bounds[1] - bounds[0])[uniform])))
     shares = np.repeat(np.array([1 - WIDE_SHARE, WIDE_SHARE]) / len(factors), len(factors))
     mixture = StudentMixture(
         shares, np.concatenate([centres, centres]), np.concatenate([factors, WIDE_SCALE * factors])
@@ -324,34 +345,55 @@ def _make_effort(
     proposals: list[tuple[Proposal, float]] = []  # with the logarithm of the number of tries
     proposed = np.empty((0, 0))  # log density and log tries (R, N) of every proposal at every draw
     while True:
-        # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
-        drawn = proposal.mixture.draw(50 * effort.draws, rng)
-        inside = np.flatnonzero(np.all((drawn >= low) & (drawn <= high), axis=1))[: effort.draws]
-        # tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
-        drawn_count = int(inside[-1]) + 1 if len(inside) == effort.draws else len(drawn)
-        new = np.empty((len(inside), len(uniform)))
-        new[:, mixed] = drawn[inside]
-        if uniform.any():
-            ends = bounds[0][uniform], bounds[1][uniform]
-            new[:, uniform] = rng.uniform(*ends, size=(len(inside), len(ends[0])))
+        new, log_tries = proposal.draw_inside(effort.draws, rng)
         thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
-        earlier = [log_tries + one.log_density(new) for one, log_tries in proposals]
-        proposals.append((proposal, math.log(drawn_count) - log_volume))
-        own = proposals[-1][1] + proposal.log_density(thetas)
+        earlier = [tries + one.log_density(new) for one, tries in proposals]
+        proposals.append((proposal, log_tries))
+        own = log_tries + proposal.log_density(thetas)
         proposed = np.vstack([np.hstack([proposed, np.reshape(earlier, (len(earlier), len(new)))]), own])
         # deterministic mixture: each draw against all proposals together, not only the one that drew it
-        heavy = density - logsumexp(proposed, axis=0)
-        weights, evidence = smooth_weights(heavy), float(logsumexp(heavy))
-        found = WeightedDraws(thetas, density, *weights, effort.min_ess, evidence, proposal)
-        if (found.certified and len(proposals) >= MIN_ROUNDS) or len(proposals) == effort.rounds:
-            return found
+        heavy, wanted = logsumexp(proposed, axis=0), min(effort.min_ess, ADAPTED_ESS)
+        found = _weigh(thetas, density, heavy, wanted, proposal)
+        adapted = found.certified and len(proposals) >= MIN_ROUNDS
+        if adapted or len(proposals) == effort.rounds:
+            break
         proposal = first.add_fitted(found, rng, effort.components, 0.5)
+    last = found
+    # The weights of draws that a proposal was fitted to make the evidence too small: new draws of the last
+    # proposal alone count. Where they do not suffice, another one is fitted to them.
+    for _ in range(LAST_PROPOSALS * adapted):
+        components = int(last.effective_sample_size / LAST_ESS_PER_COMPONENT)
+        proposal = first.add_fitted(last, rng, max(components, effort.components), LAST_SHARE)
+        thetas, density, total = np.empty((0, len(bounds[0]))), np.empty(0), -math.inf
+        for _ in range(math.ceil(LAST_DRAWS * effort.min_ess / DRAWS_AT_ONCE)):
+            new, log_tries = proposal.draw_inside(DRAWS_AT_ONCE, rng)
+            thetas, density = np.concatenate([thetas, new]), np.concatenate([density, log_density(new)])
+            total = np.logaddexp(total, log_tries)
+            last = _weigh(thetas, density, total + proposal.log_density(thetas), effort.min_ess, proposal)
+            if last.certified:
+                return last
+    return found
+
+
+def _weigh(
+    thetas: Floats, density: Floats, proposed: Floats, min_ess: float, proposal: Proposal
+) -> WeightedDraws:
+    """Return draws (N, P) weighted by their density over that of all proposals and tries together, (N,)."""
+    heavy = density - proposed
+    return WeightedDraws(thetas, density, *smooth_weights(heavy), min_ess, float(logsumexp(heavy)), proposal)
 
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
 MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
 MIN_COMPONENTS, DRAWS_PER_COMPONENT = 2, 125  #: of the fitted mixture; draws of one round
-MIN_ROUNDS = 3  #: no weights are good enough before
+MIN_ROUNDS = 3  #: no proposal has adapted before
+ADAPTED_ESS = 250.0  #: independent draws that those of all rounds are worth once it has
+MAX_TRIES = 50  #: tries for a draw within the bounds
+#: of the last proposal: independent draws for each component, and share of its fitted part
+LAST_ESS_PER_COMPONENT, LAST_SHARE = 30.0, 0.7
+LAST_DRAWS = 4.0  #: the most draws of it, in parts of the independent ones wanted
+LAST_PROPOSALS = 3  #: the most
+DRAWS_AT_ONCE = 1000  #: draws of it between two looks at their weights
 WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
 #: part of the first mixture that is so many times wider, for ridges that bend away from where they begin
 WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
@@ -445,7 +487,9 @@ def sample_about_modes(
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
     approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
-    return sample_by_importance(Evaluator(problem, jobs), approximations, bounds, rng, efforts, uniform)
+    nodes = None if problem.approach("posterior") is None else InterpolatedDensity(problem, jobs)
+    evaluator = Evaluator(problem, jobs, interpolated=nodes)
+    return sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
 
 
 def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:

@@ -15,6 +15,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.fit import EVALUATION_ERRORS, MAX_FAILED_POINTS
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 
 
 @dataclass
@@ -25,6 +26,7 @@ class Evaluator:
     jobs: int  #: threads
     failures: int = 0  #: evaluations that were no number, or raised
     failed: list[tuple[float, ...]] = field(default_factory=list)  #: the first of these
+    interpolated: InterpolatedDensity | None = None  #: in place of the problem's own
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (W,) of `thetas` (W, P)."""
@@ -42,6 +44,8 @@ class Evaluator:
     def _guarded(self, thetas: Floats) -> Floats:
         """Return the densities, NaN for a theta that raises: it is looked for one by one."""
         try:
+            if self.interpolated is not None:
+                return self.interpolated(thetas)
             return self.problem.log_posteriors(thetas, self.jobs)
         except EVALUATION_ERRORS:
             if len(thetas) == 1:

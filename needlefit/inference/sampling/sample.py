@@ -16,6 +16,11 @@ from needlefit.arrays import Floats
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
+from needlefit.inference.sampling.interpolated_density import (
+    FIRST_POINTS,
+    MAX_RMS_ERROR,
+    InterpolatedDensity,
+)
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -23,6 +28,7 @@ from needlefit.schemas.recipe import SampleRecord
 
 BLOCK_STEPS = 10  #: between two checks of convergence; the chain is stored at each
 INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
+CHECKED_DRAWS = 64  #: in which interpolated densities are checked in the end
 #: the mixture joins several fits to the draws by importance, each from other beginnings, so that none follows
 #: their noise; the rest is the wide one that these were drawn from, so that no place is proposed too rarely
 FITS, COMPONENTS, FITTED_SHARE = 6, 8, 0.9
@@ -36,12 +42,15 @@ def sample(
     callbacks: Callbacks | None = None,
     checkpoint: Checkpoint = NO_CHECKPOINT,
     name: str = "",
+    *,
+    interpolated: bool = True,
 ) -> Posterior | None:
     """Return the posterior by an ensemble of walkers; None after a stop before the first step.
 
     Walkers start from draws by importance, none twice while these suffice. Where these are not certified, the
-    first half of the steps is burn-in. The result does not depend on `callbacks.jobs`, nor on where a run was
-    interrupted that goes on from the chain that `checkpoint` keeps under `name`.
+    first half of the steps is burn-in; else most nodes are `interpolated` between draws by importance, and if
+    that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`, nor on
+    where a run was interrupted that goes on from the chain that `checkpoint` keeps under `name`.
     """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
@@ -53,7 +62,12 @@ def sample(
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
     proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
-    evaluator, backend, work = Evaluator(problem, callbacks.jobs), None, f"posterior of {name}"
+    nodes = None
+    if interpolated and begin.certified and problem.approach("posterior") is not None:
+        points = begin.thetas[np.unique(importance.resample(begin, FIRST_POINTS, rng))]
+        nodes = InterpolatedDensity(problem, callbacks.jobs, points)
+    evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
+    backend, work = None, f"posterior of {name}"
     if checkpoint.folder is not None:
         file, row = checkpoint.open_file(work, ("failures", "failed"))
         backend = emcee.backends.HDFBackend(file)
@@ -80,7 +94,13 @@ def sample(
                 failed=tuple(evaluator.failed),
                 interrupted=stopped,
             )
-        if stopped or steps == most or (found and not found.faults):
+        ended = stopped or steps == most or (found is not None and not found.faults)
+        if ended and found is not None and nodes is not None:
+            thetas = found.draws.reshape(-1, len(problem.names))
+            if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
+                name = f"{name} with all nodes"
+                return sample(problem, begin, settings, rng, callbacks, checkpoint, name, interpolated=False)
+        if ended:
             return found and replace(found, draws=problem.tabulate_values(found.draws))
         first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
         state, count = sampler.get_last_sample() if steps else first, min(BLOCK_STEPS, most - steps)

@@ -1,0 +1,79 @@
+"""The evidence is the integral of the density, also where most nodes are interpolated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, insertion, measure, medium, problem
+from sampling_cases import Known, banana, weighted
+
+from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling import interpolated_density
+from needlefit.inference.sampling.importance import Effort, sample_about_modes
+from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
+from needlefit.schemas.recipe import LikelihoodRecord
+
+MANY = Effort(min_ess=4000.0)
+
+
+def integrate(density, lower: np.ndarray, upper: np.ndarray, count: int) -> float:
+    """Return the logarithm of the integral over a box, by the midpoints of a grid."""
+    steps = (upper - lower) / count
+    axes = [low + step * (np.arange(count) + 0.5) for low, step in zip(lower, steps, strict=True)]
+    logs = density(np.stack([part.ravel() for part in np.meshgrid(*axes)], axis=1))
+    return float(np.logaddexp.reduce(logs[np.isfinite(logs)]) + np.sum(np.log(steps)))
+
+
+@pytest.fixture(scope="module")
+def layered() -> Problem:
+    """mu1 and b of insertions through two layers, whose depths are uncertain."""
+    record = medium(mu2_pa={"fixed": TRUTH["mu2_pa"]})
+    planned = [
+        replace(
+            insertion(30.0 + 5 * k, (12.0 + 3 * k,), (1, 2), (1, -1)[k % 2]), boundary_sd=0.3, depth_sd=0.2
+        )
+        for k in range(3)
+    ]
+    return problem(
+        record, [measure(TRUTH, record, one) for one in planned], LikelihoodRecord(bevel_spread=0.0)
+    )
+
+
+def test_the_evidence_of_a_banana_is_that_of_a_grid():
+    known = Known(banana, half=40.0)
+    exact = integrate(known.log_density, np.array([-6.0, -4.0]), np.array([6.0, 36.0]), 600)
+    found = [weighted(known, effort=MANY, seed=seed) for seed in range(4)]
+    assert all(one.certified for one in found)  # the standard error of each is at most 0.016
+    assert np.mean([one.log_evidence for one in found]) == pytest.approx(exact, abs=0.02)
+
+
+def test_the_evidence_of_insertions_is_that_of_a_grid(layered):
+    mode = minimize_squares(layered, layered.parameters.theta(TRUTH))
+    sds = np.sqrt(np.diag(np.linalg.inv(mode.information)))
+    ends = np.maximum(layered.lower, mode.theta - 7 * sds), np.minimum(layered.upper, mode.theta + 7 * sds)
+    exact = integrate(layered.log_posteriors, *ends, 48)
+    found = [
+        sample_about_modes(layered, [mode], np.random.default_rng(seed), efforts=(MANY,)) for seed in range(2)
+    ]
+    assert all(one.certified and one.effective_sample_size >= 4000 for one in found)
+    assert np.mean([one.log_evidence for one in found]) == pytest.approx(exact, abs=0.02)
+
+
+@pytest.mark.parametrize("bound", [0.02, 0.0])
+def test_interpolated_densities_err_less_than_the_bound(layered, bound, monkeypatch):
+    mode = minimize_squares(layered, layered.parameters.theta(TRUTH))
+    draws = sample_about_modes(layered, [mode], np.random.default_rng(1), efforts=(Effort(),))
+    thetas, counted = draws.thetas[:600], list[int]()
+    monkeypatch.setattr(interpolated_density, "MAX_RMS_ERROR", bound)
+    monkeypatch.setattr(
+        InterpolatedDensity,
+        "_evaluate",
+        lambda self, at, own=InterpolatedDensity._evaluate: counted.append(len(at)) or own(self, at),
+    )
+    exact, found = layered.log_posteriors(thetas), InterpolatedDensity(layered, 1)(thetas)
+    near = exact > exact.max() - 8
+    errors = (found - exact)[near]
+    assert np.sqrt(np.mean(errors**2)) <= max(bound, 1e-9) and near.sum() > 300
+    # With a bound that cannot be met all that matter are evaluated; else a fifth.
+    assert (sum(counted) >= near.sum()) if bound == 0 else (sum(counted) <= 140)
