@@ -32,7 +32,6 @@ from needlefit.inference.optimize import (
     select_leaders,
     starting_points,
 )
-from needlefit.inference.problem import explain_failure
 from needlefit.mechanics import native
 
 
@@ -180,19 +179,6 @@ def violent():
     record = medium(bevel_mm={"bounds": [1.0, 500.0]}, mu1_pa={"fixed": 3e5})
     made = [measure(TRUTH, record, one) for one in (insertion(6.0), insertion(24.0, (12.0,), (1, 2)))]
     return problem(record, made)
-
-
-def test_recorded_points_fail_again_and_say_where_and_why():
-    p = violent()
-    fit = minimize(p, recipe(evaluations=60), rng())
-    recorded = [theta for start in fit.starts for theta in start.failed]
-    assert 0 < len(recorded) <= fit.failures
-    for theta in recorded:
-        found = explain_failure(p, theta)
-        assert p.objective(np.array(theta)) == math.inf and math.isnan(p.log_posterior(theta))
-        at = [i.id for i in p.insertions].index(found.insertion)
-        assert found.reason == p.shapes(theta)[at].status != "converged"
-        assert all(shape.converged for shape in p.shapes(theta)[:at])
 
 
 # ---- starts are approached by an easier problem, and those that converge merged

@@ -12,7 +12,7 @@ from refusals import refusal
 from sampling_cases import Known, draw, flat, gaussian, weighted
 
 from needlefit.errors import DataError
-from needlefit.inference.fit import MAX_FAILED_POINTS, Callbacks
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling.importance import Effort
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
@@ -78,14 +78,13 @@ def test_failed_evaluations_have_no_density_and_are_counted():
 
     known = replace(GAUSSIAN, log_density=holes)
     got = draw(known, weighted(known, MEAN), **SHORT)
-    assert got.failures > 0 and 0 < len(got.failed) <= MAX_FAILED_POINTS
-    assert all(x > 0.7 or not -0.7 <= y <= 0.2 for x, y in got.failed)
+    assert got.failures > 0
     assert flat(got)[:, 0].max() <= 0.7 and flat(got)[:, 1].min() >= -0.7 and flat(got)[:, 1].max() <= 0.2
     values = {0.0: 1.5, 0.5: math.nan, 1.0: math.inf, 1.5: -math.inf}
     evaluator = Evaluator(replace(GAUSSIAN, log_density=lambda x: np.array([values[u] for u, _ in x])), 1)
     thetas = np.array([[0.0, 0], [0.5, 0], [1.0, 0], [1.5, 0], [2.5, 0]])
     assert evaluator(thetas).tolist() == [1.5, *[-math.inf] * 4]
-    assert evaluator.failures == 2 and evaluator.failed == [(0.5, 0.0), (1.0, 0.0)]
+    assert evaluator.failures == 2
 
 
 # ---- a run that was stopped goes on to the same draws

@@ -8,8 +8,8 @@ from test_cli import run
 
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
-from needlefit.studies import toml_reference as reference
-from needlefit.studies.toml_reference import list_files
+from needlefit.reporting import toml_reference as reference
+from needlefit.studies.kind import list_records
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def records_within(record, found):
 
 
 def test_every_key_has_a_meaning_and_an_example(page):
-    files, records = [one for one in list_files() if page.list_examples(one)], set()
+    files, records = [one for one in reference.list_files(list_records()) if page.list_examples(one)], set()
     for file in files:
         records_within(file.record, records)
     keys = {(reference.find_owner(record, name), name) for record in records for name in record.model_fields}
@@ -41,7 +41,7 @@ def test_every_key_has_a_meaning_and_an_example(page):
 
 
 def test_every_example_loads(page):
-    for file in list_files():
+    for file in reference.list_files(list_records()):
         for path in page.list_examples(file):
             load(shipped_folder() / path, file.record)
 

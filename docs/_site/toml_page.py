@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import dumps, read_toml
-from needlefit.studies.toml_reference import (
+from needlefit.reporting.toml_reference import (
     FileKind,
     KeyDescription,
     TableDescription,
@@ -24,6 +24,7 @@ from needlefit.studies.toml_reference import (
     format_value,
     list_files,
 )
+from needlefit.studies.kind import list_records
 
 PAGE = "reference/toml.md"
 EXAMPLES = {
@@ -63,7 +64,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def _page() -> Iterator[str]:
-    files = list_files()
+    files = list_files(list_records())
     elsewhere = dict(pair for one in reversed(files) for pair in collect_examples(one).items())
     yield OPENING
     yield from (f"- [{one.title}](#{_anchor(one.title)})" for one in files)

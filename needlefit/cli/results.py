@@ -15,7 +15,7 @@ from needlefit.cli.options import argument, option
 from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
 
 if TYPE_CHECKING:
-    from needlefit.studies.toml_reference import FileKind
+    from needlefit.reporting.toml_reference import FileKind
 
 
 def report(
@@ -134,7 +134,8 @@ def _fold(name: str) -> str:
 def _list_topics() -> dict[str, list[Topic]]:
     from needlefit.mechanics.laws import LAWS
     from needlefit.reporting.columns import list_columns
-    from needlefit.studies.toml_reference import list_files
+    from needlefit.reporting.toml_reference import list_files
+    from needlefit.studies.kind import list_records
 
     laws = []
     for law in LAWS.values():
@@ -154,7 +155,10 @@ def _list_topics() -> dict[str, list[Topic]]:
     ]
     return {
         "Warnings": [*read_sections().values()],
-        "Files": [*(Topic(f"{one.name}.toml", one.title, _list_keys(one)) for one in list_files()), *tables],
+        "Files": [
+            *(Topic(f"{one.name}.toml", one.title, _list_keys(one)) for one in list_files(list_records())),
+            *tables,
+        ],
         "Terms": read_terms(),
         "Tissue laws": laws,
         "Columns of tables": [
@@ -166,7 +170,7 @@ def _list_topics() -> dict[str, list[Topic]]:
 
 def _list_keys(file: "FileKind") -> tuple[str, ...]:
     """Return the paragraphs about a file: its tables, and their keys."""
-    from needlefit.studies.toml_reference import describe_files
+    from needlefit.reporting.toml_reference import describe_files
 
     lines: list[str] = []
     for number, table in enumerate(describe_files([file])[0][1]):

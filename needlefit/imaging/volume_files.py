@@ -250,11 +250,6 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
             write_series(volume, path, description)
 
 
-def ct_packages_installed() -> bool:
-    """Return whether the packages that read scans are installed."""
-    return all(find_spec(name) is not None for name in CT_PACKAGES)
-
-
 @contextmanager
 def explain_missing_packages(*needed: str) -> Iterator[None]:
     """Replace the error of a missing package by one that says how to install it.

@@ -55,8 +55,6 @@ class Start:
     #: "behind" (left after its approach), "interrupted", "no finite value", "profile" (no search: a better
     #: point that a profile met), ...
     stopped: str
-    #: the first evaluations that failed, to be simulated again; not all where there are many
-    failed: tuple[tuple[float, ...], ...] = ()
     gradients: int = 0  #: evaluations with derivatives among all; one costs about two without
     joined: int | None = None  #: the start that it met on the way, whose end is its own
 
@@ -133,7 +131,6 @@ def start_from_dict(table: Mapping[str, Any]) -> Start:
             theta=tuple(map(float, table["theta"])),
             objective=math.inf if objective is None else float(objective),
             stopped=str(table["stopped"]),
-            failed=tuple(tuple(map(float, theta)) for theta in table["failed"]),
             joined=None if joined is None else int(joined),
             **{name: int(table[name]) for name in ("index", "evaluations", "gradients", "failures")},
         )
@@ -174,8 +171,6 @@ Value = TypeVar("Value")
 
 #: exceptions that count as a failed evaluation; any other one is a bug and ends the search
 EVALUATION_ERRORS = (ModelError, ArithmeticError, np.linalg.LinAlgError)
-#: failed points that one start, or one ensemble of the sampler, keeps; the others are only counted
-MAX_FAILED_POINTS = 20
 
 
 def half_square(residuals: Floats) -> float:
@@ -205,7 +200,6 @@ class EvaluationRecorder:
         self.linearized: tuple[Floats, Floats] | None = None
         self.objective, self.worst = math.inf, -math.inf  #: smallest and largest finite value
         self.evaluations = self.gradients = self.failures = 0
-        self.failed: list[tuple[float, ...]] = []  #: the first `MAX_FAILED_POINTS` points that failed
         self.reason = ""  #: why the recorder ended the search; empty if it did not
 
     def value(self, theta: Floats) -> float:
@@ -277,8 +271,6 @@ class EvaluationRecorder:
     ) -> float:
         if value is None or not math.isfinite(value):
             self.failures += 1
-            if len(self.failed) < MAX_FAILED_POINTS:
-                self.failed.append(tuple(theta.tolist()))
             return math.inf
         self.worst = max(self.worst, float(value))
         if value < self.objective:

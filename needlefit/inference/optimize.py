@@ -446,7 +446,6 @@ def search(
         gradients=recorder.gradients,
         failures=recorder.failures,
         stopped=reason,
-        failed=tuple(recorder.failed),
     )
 
 
@@ -490,7 +489,6 @@ def continue_start(end: Start, continued: Start) -> Start:
         evaluations=end.evaluations + (continued.evaluations if alone else 0),
         gradients=end.gradients + (continued.gradients if alone else 0),
         failures=end.failures + (continued.failures if alone else 0),
-        failed=end.failed + (continued.failed if alone else ()),
         joined=None if alone else continued.index,
     )
 

@@ -33,7 +33,7 @@ from needlefit.inference.compared_points import (
     differentiate_align,
     select_points,
 )
-from needlefit.inference.fit import EVALUATION_ERRORS, ObjectiveFunction
+from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, make_batch, predict
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
@@ -614,31 +614,6 @@ def make_posterior_objective(
         problem.compute_misfits,
         absolute_tolerance,
     )
-
-
-@dataclass(frozen=True)
-class EvaluationFailure:
-    """Why one evaluation failed, and at which insertion."""
-
-    insertion: str  #: the first one without a solution; empty if all have one
-    #: the status of its shape; or the error that was raised, `ModelError: ...`; or "value not finite", if
-    #: every simulation converged
-    reason: str
-
-
-def explain_failure(problem: Problem, theta: Theta) -> EvaluationFailure:
-    """Return why a theta cannot be evaluated: the first insertion that fails, and how."""
-    values = problem.values(theta)
-    for insertion in problem.insertions:
-        try:
-            shape = predict(values, problem.medium, problem.dataset.needle, insertion)
-        except EVALUATION_ERRORS as error:
-            # the error's kind and the first line of its text, which says what is wrong
-            parts = (type(error).__name__, str(error).partition("\n")[0])
-            return EvaluationFailure(insertion.id, ": ".join(filter(None, parts)))
-        if not shape.converged:
-            return EvaluationFailure(insertion.id, shape.status)
-    return EvaluationFailure("", "value not finite")
 
 
 def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) -> Bools:

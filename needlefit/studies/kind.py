@@ -102,3 +102,8 @@ def find_kind(name: object) -> StudyKind:
     if not isinstance(name, str) or name not in KINDS:
         raise KINDS.unknown_name_error(str(name), key="kind")
     return KINDS[name]
+
+
+def list_records() -> dict[str, type[FileRecord]]:
+    """Return the keys of the study files that a user writes, by kind."""
+    return {name: KINDS[name].record for name in KINDS.names() if name != "reconstruction"}

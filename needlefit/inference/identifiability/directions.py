@@ -111,11 +111,6 @@ def describe_precision(sd: float, logarithm: bool) -> str:
     return f"to {format_sd(sd, logarithm)}"
 
 
-def format_combination_sd(sd: float, weights: Floats, names: Sequence[str]) -> str:
-    """Return the standard deviation of a combination as `describe_combination` writes it."""
-    return format_sd(*_scale_sd(sd, weights, names))
-
-
 def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, bool]:
     """Return the deviation of a combination whose largest weight is 1, and whether it is of a logarithm."""
     scaled = np.abs(weights) / np.max(np.abs(weights))

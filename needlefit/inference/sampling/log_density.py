@@ -7,13 +7,13 @@ over adaptive steps: in each parameter the longest of a list over which it falls
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.fit import EVALUATION_ERRORS, MAX_FAILED_POINTS
+from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
 
@@ -25,7 +25,6 @@ class Evaluator:
     problem: Problem
     jobs: int  #: threads
     failures: int = 0  #: evaluations that were no number, or raised
-    failed: list[tuple[float, ...]] = field(default_factory=list)  #: the first of these
     interpolated: InterpolatedDensity | None = None  #: in place of the problem's own
 
     def __call__(self, thetas: Floats) -> Floats:
@@ -37,8 +36,6 @@ class Evaluator:
             failed_rows = np.isnan(found) | (found == math.inf)
             density[inside] = np.where(failed_rows, -math.inf, found)
             self.failures += int(failed_rows.sum())
-            failed = [tuple(theta) for theta in thetas[inside][failed_rows].tolist()]
-            self.failed += failed[: MAX_FAILED_POINTS - len(self.failed)]
         return density
 
     def _guarded(self, thetas: Floats) -> Floats:

@@ -42,8 +42,6 @@ class Posterior:
     wanted: int  #: independent draws that were asked for
     burn_in: int  #: steps thrown away before
     failures: int  #: evaluations that were not a number, or raised, and were given density 0
-    #: the first of these, theta and not values, to be simulated again
-    failed: Sequence[Sequence[float]] = ()
     interrupted: bool = False
 
     @property

@@ -69,9 +69,9 @@ def sample(
     evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
     backend, work = None, f"posterior of {name}"
     if checkpoint.folder is not None:
-        file, row = checkpoint.open_file(work, ("failures", "failed"))
+        file, row = checkpoint.open_file(work, ("failures",))
         backend = emcee.backends.HDFBackend(file)
-        evaluator.failures, evaluator.failed = row.get("failures", 0), row.get("failed", [])
+        evaluator.failures = row.get("failures", 0)
     sampler = emcee.EnsembleSampler(
         walkers, len(problem.names), evaluator, moves=make_moves(proposal), backend=backend, vectorize=True
     )
@@ -91,7 +91,6 @@ def sample(
                 wanted=settings.independent_draws,
                 burn_in=burn_in,
                 failures=evaluator.failures,
-                failed=tuple(evaluator.failed),
                 interrupted=stopped,
             )
         ended = stopped or steps == most or (found is not None and not found.faults)
@@ -110,7 +109,7 @@ def sample(
             if stopped := callbacks.stop():
                 break
         if checkpoint.folder is not None and not stopped:
-            checkpoint.keep_file(work, {"failures": evaluator.failures, "failed": evaluator.failed})
+            checkpoint.keep_file(work, {"failures": evaluator.failures})
 
 
 def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:

@@ -1,10 +1,7 @@
 """Images of a scan in the axes of the constraint frame, with the reconstruction drawn over them."""
 
-from io import BytesIO
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.image import imsave
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
@@ -49,16 +46,6 @@ def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: 
     _draw_markers(axes, view, reconstruction)
     for spine in axes.spines.values():
         spine.set_visible(False)
-
-
-def encode_png(view: ScanView) -> bytes:
-    """Return an image of the scan as PNG: top row first, transparent outside the volume."""
-    grey = np.interp(view.values, *_choose_window((view,)))  # (H, W)
-    outside = ~np.isfinite(view.values)
-    image = np.dstack([np.where(outside, 0.0, grey)] * 3 + [np.where(outside, 0.0, 1.0)])
-    file = BytesIO()
-    imsave(file, image, origin="lower", format="png")
-    return file.getvalue()
 
 
 def join_needle(reconstruction: Reconstruction) -> Floats:

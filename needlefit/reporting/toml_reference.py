@@ -4,7 +4,7 @@ import ast
 import inspect
 import textwrap
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -22,7 +22,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
-from needlefit.studies.kind import KINDS
 
 
 @dataclass(frozen=True)
@@ -49,12 +48,13 @@ FILES = (
 )
 
 
-def list_files() -> tuple[FileKind, ...]:
-    """Return the kinds of file: those above, then every kind of study that a user writes."""
+def list_files(studies: Mapping[str, type[FileRecord]]) -> tuple[FileKind, ...]:
+    """Return the kinds of file: those above, then the further ones of `studies`, by the kind of study."""
     known = [one.record for one in FILES]
-    kinds = ((name, KINDS[name].record) for name in KINDS.names() if name != "reconstruction")
-    studies = (FileKind(name, f"Study of kind `{name}`", one) for name, one in kinds if one not in known)
-    return (*FILES, *studies)
+    further = (
+        FileKind(name, f"Study of kind `{name}`", one) for name, one in studies.items() if one not in known
+    )
+    return (*FILES, *further)
 
 
 @dataclass(frozen=True)
