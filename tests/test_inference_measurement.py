@@ -161,7 +161,7 @@ def test_knots_closer_than_points_are_refused_with_the_least_spacing(tmp_path, s
     text = "".join(line for line in file.read_text().splitlines(True) if not line.startswith('"'))
     file.write_text(text)
     (fault,) = check(file)
-    assert f"{file}:" in fault.where
+    assert f"{file}, key" in fault.where
     least = float(fault.expected.split()[-1])
     file.write_text(text.replace(f"knot_spacing_mm = {spacing}", f"knot_spacing_mm = {least}"))
     dataset = read(file)
@@ -174,7 +174,7 @@ def test_knots_closer_than_points_are_refused_with_the_least_spacing(tmp_path, s
 def test_operators_that_the_data_exclude_are_refused(tmp_path):
     file = with_measurement(tmp_path / "n", 'operator = "gaussian"\nwidth_mm = 40')
     (fault,) = check(file)
-    assert f"{file}:" in fault.where
+    assert f"{file}, key" in fault.where
     most = fault.expected.split()[-1]
     file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
     lengths = [np.ptp(arc_length(one.planar)) for one in read(file).insertions]
@@ -184,7 +184,7 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
         file = needles.build(tmp_path / "n")
         file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
         (fault,) = check(file)
-        assert f"{file}:" in fault.where and key in fault.what
+        assert f"{file}, key" in fault.where and key in fault.what
 
 
 @pytest.mark.parametrize(

@@ -205,7 +205,6 @@ def met(**changed: object) -> Posterior:
         wanted=400,
         burn_in=3,
         failures=2,
-        failed=((0.25, -1 / 3), (0.1, 0.7)),
     )
     return replace(fine, **changed)
 
@@ -235,7 +234,7 @@ def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
         assert (tmp_path / "one.nc").read_bytes() == (tmp_path / "two.nc").read_bytes()
         back = load(tmp_path / "one.nc")
         assert_equal(back, posterior)
-        for name in ("r_hat", "tau", "failed"):
+        for name in ("r_hat", "tau"):
             assert np.array_equal(getattr(back, name), getattr(posterior, name), equal_nan=True)
         for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
             assert getattr(back, name) == getattr(posterior, name)

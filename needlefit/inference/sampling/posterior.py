@@ -148,7 +148,7 @@ def _make_datasets(posterior: Posterior) -> "dict[str, xarray.Dataset]":
         "convergence/autocorrelation_time": posterior.tau,
         "convergence/ess": posterior.ess,
     }
-    kept = ("names", "wanted", "burn_in", "failures", "failed", "interrupted")
+    kept = ("names", "wanted", "burn_in", "failures", "interrupted")
     about = json.dumps({name: getattr(posterior, name) for name in kept})
     header = {
         "inference_library": "emcee",
