@@ -1,5 +1,6 @@
 """The report of a run: what every kind of study provides, and the folder that is written from it."""
 
+import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -127,7 +128,7 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
 def recall(result: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
     answer = find_kind(result.kind).report.answer(result)
-    opening, _, _ = answer.verdicts[0].sentence.partition(". ")
+    opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
     failed = [CHECKS.sentence(one.check, vars(one)) for one in answer.checks if one.passed is False]
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
     return f"{result.name}: {mark_faults(result.faults)}{opening.rstrip('.')}.{words}"
