@@ -25,11 +25,7 @@ def print_line(text: str = "") -> None:
 
 
 def print_written(folder: Path | str, more: str = "") -> None:
-    """Print the digest of the manifest of a result, and where the result lies."""
-    from needlefit.project.folders import MANIFEST, sha256
-
-    if (manifest := Path(folder) / MANIFEST).is_file():
-        print_line(f"Manifest: {MANIFEST}, SHA-256 {sha256(manifest)}")
+    """Print where a result lies."""
     print_line(f"written: {folder}/{more}")
 
 
