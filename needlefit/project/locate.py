@@ -155,13 +155,17 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
 def find_run(name: str) -> Path:
     """Return the folder of results that `name` means: a path, or bare a folder in `reports/` or here.
 
-    ConfigError if there is no such folder; the runs within it, or else those in `reports/`, are listed.
+    A folder that holds one run means that run; ConfigError if there is none, or if it holds several.
     """
-    if (found := _look_up_run(name)) is None:
-        files = sorted(Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
-        inside = [str(one.parent) for one in files]
-        raise unknown_name_error("run", name, inside or list_runs())
-    return found
+    if (found := _look_up_run(name)) is not None:
+        return found
+    inside = sorted(one.parent for one in Path(name).glob("*/run.json")) if is_dir(Path(name)) else []
+    if len(inside) > 1:
+        listed = join_names([str(one) for one in inside])
+        raise ConfigError(f"`{name}` holds several runs", expected=f"one of {listed}")
+    if not inside:
+        raise unknown_name_error("run", name, list_runs())
+    return inside[0]
 
 
 def _look_up_run(name: str) -> Path | None:
