@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: distribution, 0.7 % exceed it. The means of the parts then have an SD of 0.2 of the draws', not of 0.1
 MAX_R_HAT = 1.02
 LOG_POSTERIOR = "log posterior"
+#: what the file keeps beside arrays; of files of other versions, whatever else they have is left out
+_STORED = ("names", "wanted", "burn_in", "failures", "interrupted")
 UNITS = {"pa": "Pa", "mm": "mm", "deg": "degree"}  #: of parameters, by the endings of their names
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
 
@@ -118,7 +120,7 @@ def load(path: Path) -> Posterior:
             acceptance=numbers["sample_stats/acceptance_rate"],
             r_hat=numbers["convergence/r_hat"],
             tau=numbers["convergence/autocorrelation_time"],
-            **about,
+            **{name: about[name] for name in about.keys() & set(_STORED)},
         )
     except (DataError, KeyError, TypeError, ValueError) as error:
         raise DataError(
@@ -148,8 +150,7 @@ def _make_datasets(posterior: Posterior) -> "dict[str, xarray.Dataset]":
         "convergence/autocorrelation_time": posterior.tau,
         "convergence/ess": posterior.ess,
     }
-    kept = ("names", "wanted", "burn_in", "failures", "interrupted")
-    about = json.dumps({name: getattr(posterior, name) for name in kept})
+    about = json.dumps({name: getattr(posterior, name) for name in _STORED})
     header = {
         "inference_library": "emcee",
         "state": "; ".join(("NOT CONVERGED", *faults)) if (faults := posterior.faults) else "converged",
