@@ -223,9 +223,10 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
+        scenes = sorted(path.name for path in out.glob("scenes/*.toml"))
+        then = f"predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else f"check {out}/dataset.toml"
+        screen.print_text(f"What to do. Look at its figures, then: needlefit {then}")
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
-        if scenes := sorted(path.name for path in out.glob("scenes/*.toml")):
-            screen.print_text(f"next: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
