@@ -134,7 +134,11 @@ def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
         return "Fitted, but at a bound", "warn"
     if not results.reliable:
         return "Fitted, but not reliable", "warn"
-    return ("Fitted in part", "warn") if set(determined) - {"yes"} else ("Fitted", "pass")
+    return (
+        ("Fitted, but not all parameters are determined", "warn")
+        if set(determined) - {"yes"}
+        else ("Fitted", "pass")
+    )
 
 
 MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals

@@ -33,7 +33,6 @@ from needlefit.inference.parameters import HYPERPARAMETERS, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.metrics import METRICS
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.input_files import read_toml
 from needlefit.project.processes import one_thread
@@ -210,7 +209,7 @@ class _StudyRun:
         job, settings = self.job, self.settings
         (first, *others), profiles, drawn = job.searches, None, None
         fits = self._search(number, fold, [first])
-        self._note_fit(fold, fits)
+        self._note_fit(fits)
         rest: list[Callable[[], bytes]] = [
             lambda: pickle.dumps(self._go_on()._search(number, fold, others)),
             lambda: pickle.dumps(self._go_on()._examine(number, fold, fits)),
@@ -291,22 +290,16 @@ class _StudyRun:
             phases["profiles"] = PROFILE_STEPS * len(job.parameters.free)
         return phases | {"posterior draws": DRAW_STEPS, "predictions": PREDICTION_STEPS * len(fold.validate)}
 
-    def _note_fit(self, fold: Fold, fits: Mapping[str, Fit]) -> None:
-        """Tell the user the best fit and its errors, before there are intervals."""
+    def _note_fit(self, fits: Mapping[str, Fit]) -> None:
+        """Tell the user the best fit, before there are intervals."""
         job, fit = self.job, fits.get("fitted")
         if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
             return
-        scored = replace(job.problem(fold), insertions=fold.validate or fold.tune)
-        found = [METRICS["te_mm"].compute(curves) for curves in scored.compare(np.array(fit.theta))]
         values = (
             f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
             for name in job.parameters.free
         )
-        kind = "held-out" if fold.validate else "fitted"
-        self.settings.first(
-            f"{job.name}: best fit: {', '.join(values)}; mean tip error of {len(found)} {kind} insertions "
-            f"{np.mean(found):.2f} mm; intervals follow"
-        )
+        self.settings.first(f"{job.name}: best fit: {', '.join(values)}; intervals follow")
 
     def _search(self, number: int, fold: Fold, searches: Iterable[str]) -> dict[str, Fit]:
         """Return the fits of searches: of everything free, by the metric if asked, and of b alone."""
