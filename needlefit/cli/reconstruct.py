@@ -224,8 +224,8 @@ def _show(
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
         scenes = sorted(path.name for path in out.glob("scenes/*.toml"))
-        then = f"predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else f"check {out}/dataset.toml"
-        screen.print_text(f"What to do. Look at its figures, then: needlefit {then}")
+        then = f"Predict it: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else ""
+        screen.print_text(f"What to do. {then or found.answer.advice}")
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
 
 

@@ -230,7 +230,8 @@ def _list_depths(rows: Sequence[Row]) -> str:
 def find_answer(found: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
-    return replace(answer, tables=[replace(lay_out_reconstructions(found), name="scans")])
+    tables = [replace(lay_out_reconstructions(found), name="scans")]
+    return replace(answer, tables=tables, advice=_TEXT.sentence("advice", describe(found)))
 
 
 REPORT = StudyReport(
