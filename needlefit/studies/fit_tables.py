@@ -173,9 +173,14 @@ def _head(group: scores.ScoredGroup) -> Row:
 
 
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
-    """Return one row per study and held-out group: our tip error, what it compares with, and the verdict."""
+    """Return one row per study and held-out group: our tip error, and what it compares with.
+
+    The verdict is the study's, on all its groups together.
+    """
     rows: list[Row] = []
     for one in results:
+        together = scores.pool_insertions(one)
+        verdict = together and judge(one, together)
         for group in scores.list_held_out_groups(one):
             judged = judge(one, group)
             rows.append(
@@ -185,7 +190,7 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
                     "noise_of_te": group.get(scores.TE, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
                     "paper_te_mm": group.get(scores.TE, "paper"),
-                    "verdict": judged.outcome if judged else "not scored",
+                    "verdict": verdict.outcome if verdict else "not scored",
                 }
             )
     columns = (
@@ -231,7 +236,8 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
 
 
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
-    """Return the fitted model's errors on single insertions beside their noise floor."""
+    """Return our errors on single insertions: of held-out ones those of the predictive median."""
+    method = choose_method(results) if role == "validate" else "fitted"
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in list_metrics() if not one.spread_of),
@@ -247,9 +253,9 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
                 if one.relative and row["edp_flagged"]
             },
         }
-        for row in to_records(select_fitted(results.frames["errors"], role))
+        for row in to_records(select_fitted(results.frames["errors"], role, method))
     ]
-    return _lay_out(Table("insertions", rows, columns))
+    return _lay_out(Table("insertions", rows, columns), method=method)
 
 
 # ---- parameters: posterior and error-minimising fit, beside the paper's
