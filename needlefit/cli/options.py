@@ -72,7 +72,7 @@ Out = Annotated[Path, option("Folder of all results; each run has a folder in it
 Plugins = Annotated[
     list[str] | None,
     option(
-        "Installed Python module with further tissue laws, file formats, ...; may be repeated.",
+        "Installed Python module with further tissue laws, file formats, ... May be repeated.",
         "MODULE",
         callback=_use_plugins,
         is_eager=True,

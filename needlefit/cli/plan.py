@@ -35,7 +35,7 @@ def plan(
     radius: Annotated[float, option("A tip within it reaches the target.", "MM", min=0.01)] = 2.0,
     obstacle: Annotated[
         list[str] | None,
-        option("A sphere to pass by: centre and radius, mm; repeatable.", "X,Y[,Z],R"),
+        option("A sphere to pass by: centre and radius, mm. May be repeated.", "X,Y[,Z],R"),
     ] = None,
     markups: Annotated[
         Path | None,
@@ -47,7 +47,9 @@ def plan(
     obstacle_radius: Annotated[float, option("Radius of the obstacles of --markups.", "MM", min=0.01)] = 2.0,
     entry: Annotated[float, option("The entry may shift by so much to either side.", "MM", min=0.0)] = 0.0,
     base: Annotated[float, option("The base may move by so much to either side.", "MM", min=0.0)] = 10.0,
-    base_angle: Annotated[float, option("And turn by so much.", "DEGREES", min=0.0, max=40.0)] = 5.0,
+    base_angle: Annotated[
+        float, option("The base may turn by so much to either side.", "DEGREES", min=0.0, max=40.0)
+    ] = 5.0,
     turns: Annotated[int, option("The bevel may turn over so often on the way.", "N", min=0, max=2)] = 2,
     specimen: options.Specimen = None,
     recording: Annotated[

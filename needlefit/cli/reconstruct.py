@@ -73,7 +73,8 @@ def reconstruct(
     corrections: Annotated[
         list[Path] | None,
         option(
-            "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json; repeatable.", "FILE"
+            "Control points moved in 3D Slicer: SCAN's slicer/ID.corrections.mrk.json. May be repeated.",
+            "FILE",
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",

@@ -24,7 +24,7 @@ def report(
     out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
     paper: Annotated[
         Path | None,
-        option("Also write figures 3.5 and 7.16 in wide, LaTeX files and an example to a new folder.", "DIR"),
+        option("Also write figures 3.5 and 7.16 in wide, and the LaTeX files, to a new folder.", "DIR"),
     ] = None,
     explain: options.Explain = False,
     strict: options.Strict = False,

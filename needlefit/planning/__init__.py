@@ -1,1 +1,1 @@
-"""Plans of insertions: where to enter (`aiming`), and how to steer (`steering`), past obstacles."""
+"""Plans of insertions: targets and obstacles (`goals`), and how to steer past them (`steering`)."""

@@ -72,27 +72,9 @@ _PATTERNS = {
     rf"(?P<quantity>{_QUANTITIES})_(?P<name>{_PREDICTED})": "{name}",
     r"(?P<name>low|high)_(?P<level>50|95)(?P<unit>_mm|)": "{name}{unit}",
     r"p(?P<probability>\d+(?:[._]\d)?)": "value",
-    r"q(?P<probability>\d\d)": "value",
-    r"ratio_to_true_q(?P<probability>\d\d)": "ratio",
-    r"(?P<quantity>depth|deflection)_min_mm": "low_mm",
-    r"(?P<quantity>depth|deflection)_max_mm": "high_mm",
     r"rank_(?P<quantity>.+)": "rank",
-    r"weight_(?P<parameter>.+)": "weight",
 }
 """By pattern of a wide name: the tidy one. Groups are index columns, but for `name` and `unit`."""
-
-_PATTERNS_OF_TABLES = {
-    "bias_x_mm": {r"(?P<quantity>search_rms|median|miss_95|rms|bias_x|bias_y|spread)_mm": "miss_mm"},
-    "spearman": {r"(?P<quantity>candidates|spearman|largest_excess_nats|same_best)": "value"},
-}
-"""Further patterns, of the tables that have this column."""
-
-_METRIC_STATISTICS = {
-    "{short}_median_mm": "median",
-    "{short}_min_mm": "low",
-    "{short}_max_mm": "high",
-}
-"""Statistics of a metric in names of columns; a table that has one of them gets a row per metric."""
 
 _METRIC_VALUES = {"{metric}": "value", "floor_{metric}": "floor"}
 _PREDICTION_SCORE = re.compile(r"(tip|shape)_(crps_mm|interval_score_mm|in_50|in_95)")
@@ -153,23 +135,17 @@ def _unify_types(found: pd.DataFrame, names: list[str]) -> dict[str, "pd.Series"
 def _find_places(names: list[str]) -> dict[str, _Place]:
     metrics: dict[str, _Place] = {}
     for metric in list_metrics():
-        short = metric.name.removesuffix("_mm").removesuffix("_percent")
-        for pattern, column in (_METRIC_STATISTICS | _METRIC_VALUES).items():
-            wide = pattern.format(metric=metric.name, short=short)
-            metrics[wide] = _Place(column, {"metric": metric.name})
-    statistics = [
-        name for name in names if name in metrics and metrics[name].column not in ("value", "floor")
-    ]
+        for pattern, column in _METRIC_VALUES.items():
+            metrics[pattern.format(metric=metric.name)] = _Place(column, {"metric": metric.name})
     scores = [name for name in names if _PREDICTION_SCORE.fullmatch(name)]
-    if statistics or (scores and any(name in metrics for name in names)):
+    if scores and any(name in metrics for name in names):
         found = {name: metrics[name] for name in names if name in metrics}
         return found | {name: _Place("value", {"metric": name}) for name in scores}
-    patterns = next((more for mark, more in _PATTERNS_OF_TABLES.items() if mark in names), {}) | _PATTERNS
-    return {name: place for name in names if name not in metrics and (place := _match(name, patterns))}
+    return {name: place for name in names if name not in metrics and (place := _match(name))}
 
 
-def _match(name: str, patterns: Mapping[str, str]) -> _Place | None:
-    for pattern, target in patterns.items():
+def _match(name: str) -> _Place | None:
+    for pattern, target in _PATTERNS.items():
         found = re.fullmatch(pattern, name)
         if found:
             groups = found.groupdict()

@@ -36,7 +36,7 @@ MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from wh
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
 MIN_SAME_SIDE = 0.9  # length of the mean of unit deflections from which on they have one direction
-SAME_AXIS_DEG = 10.0  # within which a proposed direction, or one of a picture, is a world axis
+SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
 
 
 @dataclass(frozen=True)
