@@ -7,6 +7,7 @@ from pathlib import Path
 import import_cases
 import numpy as np
 import pytest
+import trimesh
 from import_cases import plan_import
 from refusals import refusal
 from scipy.io import savemat
@@ -486,6 +487,15 @@ def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     refusal(DataError, "--entry-point", planned, [tmp_path], pose="1,0,0")  # is the first surface a skin?
     refusal(DataError, "--pose", planned, [tmp_path])
     refusal(DataError, "--pose", planned, [tmp_path], pose="free")
+
+
+def test_a_skin_whose_entry_face_is_missing_is_named(tmp_path):
+    write_long(tmp_path, NEEDLES)
+    box = trimesh.creation.box(bounds=[[0.0, -15.0, -15.0], [30.0, 15.0, 15.0]])  # needles leave it at 30 mm
+    box.update_faces(box.face_normals[:, 0] > -0.5)
+    box.export(tmp_path / "skin.stl")
+    fault = refusal(DataError, "", planned, [tmp_path], pose="1,0,0", entry_point="skin")
+    assert "skin.stl" in str(fault) and "hole" in str(fault)
 
 
 @pytest.mark.parametrize("by", ["entry point", "depth", "label"])

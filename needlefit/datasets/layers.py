@@ -94,6 +94,24 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         yield Fault(str(path), what, expected, "convert its coordinates to mm")
 
 
+# An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area: a
+# plane has 1, half a ball 1 / 2, a cube without a face 1 / 5.
+MAX_OPENING_RATIO = 0.25
+
+
+def find_hole(surface: Surface, path: Path, fix: str) -> Iterator[Fault]:
+    """Yield the fault of an open mesh that looks like a solid with a hole.
+
+    The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
+    """
+    areas = np.asarray(surface.mesh.area_faces, dtype=np.float64)
+    opening = float(np.linalg.norm(areas @ surface.mesh.face_normals))
+    if opening < MAX_OPENING_RATIO * areas.sum():
+        sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2"
+        what = f"is open, but {sizes}: it looks like a solid with a hole"
+        yield Fault(str(path), what, "a closed surface, or a sheet with its rim outside the tissue", fix)
+
+
 def find_layers(
     centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -12,9 +11,6 @@ from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface, make_mesh
-
-if TYPE_CHECKING:
-    pass
 
 TUBE_FACETS = 12  # number of corners of a tube's cross-section
 

@@ -24,7 +24,7 @@ from scipy.special import ndtri
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
-from needlefit.datasets.layers import compute_depths, find_surface_faults, make_file_fault
+from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import Crossings, find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
@@ -123,11 +123,6 @@ def extract_boundary(
     return vertices * block + (block - 1) / 2 - before, faces.astype(np.int64)
 
 
-# An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area: a
-# plane has 1, half a ball 1 / 2, a cube without a face 1 / 5.
-MAX_OPENING_RATIO = 0.25
-
-
 def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
     """Return the surface in an STL, PLY or OBJ file; None after a fault.
 
@@ -143,28 +138,13 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
         surface = Surface(surface.name, surface.mesh, "solid", into)
     faults = list(find_surface_faults(surface, source.path))
     if source.kind is None and surface.kind == "sheet" and not faults:
-        faults = _find_hole(surface, source.path)
+        fix = f"close the hole, or list it as {source.path.name}=sheet:{into}"
+        faults = list(find_hole(surface, source.path, fix))
     found += faults
     if faults:
         return None
     stands_in_ras = read_coordinate_system(source.path) == "RAS"
     return transform_surface(surface, RAS_TO_LPS) if stands_in_ras else surface
-
-
-def _find_hole(surface: Surface, path: Path) -> list[Fault]:
-    """Return the fault of an open mesh that looks like a solid with a hole.
-
-    The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
-    """
-    areas = np.asarray(surface.mesh.area_faces, dtype=np.float64)
-    opening = float(np.linalg.norm(areas @ surface.mesh.face_normals))
-    if opening >= MAX_OPENING_RATIO * areas.sum():
-        return []
-    sizes = f"its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2"
-    what = f"is open, but {sizes}: it looks like a solid with a hole"
-    expected = "a closed surface, or a sheet with its rim outside the tissue"
-    fix = f"close the hole, or list it as {path.name}=sheet:{surface.into}"
-    return [Fault(str(path), what, expected, fix)]
 
 
 TANGENT_STEP_MM = 0.5  # distance to either side of a crossing over which the needle's direction is taken, mm

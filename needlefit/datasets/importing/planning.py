@@ -15,6 +15,7 @@ from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
 from needlefit.datasets.layers import (
     SAME_POINT_MM,
+    find_hole,
     find_length_tolerance,
     find_surface_faults,
     select_layers,
@@ -132,7 +133,10 @@ class Planner:
         self.keep("frame", "LPS" if "LPS" in systems else "as in the files", "one of all files", source)
         for surface, path, _ in self.content.surfaces:
             surface = replace(surface, kind="solid" if surface.mesh.is_watertight else "sheet")
-            if faults := list(find_surface_faults(surface, path)):
+            faults = list(find_surface_faults(surface, path))
+            if surface.kind == "sheet" and not faults:
+                faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
+            if faults:
                 raise as_error(faults, path)
             self.surfaces.append(surface)
         chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
