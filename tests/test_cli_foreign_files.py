@@ -58,7 +58,7 @@ class Case(NamedTuple):
 CASES = {
     "simulate": Case("simulate study2 --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"),
     "view": Case("view study2 --no-browser --out out"),
-    "plan": Case("plan study2 --target 40,1 --recording out/plan.csv -q"),
+    "plan": Case("plan study2 --target 40,1 --write-recording out/plan.csv -q"),
     "check": Case("check twin"),
     "diff": Case("diff ./out/run ./out/run"),
     "paper": Case("paper"),

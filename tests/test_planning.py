@@ -151,7 +151,7 @@ def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -
 def test_a_plan_that_fails_prints_no_steps_and_how_near_it_comes(tmp_path, capsys) -> None:
     words = ("plan", "phantom2", "--target", "45,9", "--radius", "0.5", "--base", "2", "--turns", "0")
     path = tmp_path / "plan.csv"
-    assert run(*words, "--recording", str(path)) == 5
+    assert run(*words, "--write-recording", str(path)) == 5
     out = capsys.readouterr().out
     assert "nan" not in out and "insert" not in out and "base is at its limit" in out and not path.exists()
     assert run(*words, "--json") == 5
@@ -212,8 +212,8 @@ def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:
     path = tmp_path / "plan.csv"
-    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry", "5", "--json")
-    assert run("plan", *words, "--recording", str(path)) == 0
+    words = ("phantom2", "--target", "45,2", "--obstacle", "25,0.4,0.8", "--entry-shift", "5", "--json")
+    assert run("plan", *words, "--write-recording", str(path)) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["reached"] and found["nominal_miss_mm"] < 0.2 and found["draws"] == 0
     assert found["steps"][-1]["depth_mm"] == pytest.approx(45.0, abs=1.0)

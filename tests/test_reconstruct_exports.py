@@ -1,4 +1,4 @@
-"""The scene that `reconstruct --scene` writes for 3D Slicer: parsed back by its rules."""
+"""The scene that `reconstruct --slicer-scene` writes for 3D Slicer: parsed back by its rules."""
 
 import json
 import zipfile
@@ -17,7 +17,7 @@ from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.sweep
 BOX_MM = (8, 5, 6)
-SCENE = ("--scene", "-q")
+SCENE = ("--slicer-scene", "-q")
 
 
 @pytest.fixture(scope="module")

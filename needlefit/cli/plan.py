@@ -45,14 +45,16 @@ def plan(
         ),
     ] = None,
     obstacle_radius: Annotated[float, option("Radius of the obstacles of --markups.", "MM", min=0.01)] = 2.0,
-    entry: Annotated[float, option("The entry may shift by so much to either side.", "MM", min=0.0)] = 0.0,
+    entry_shift: Annotated[
+        float, option("The entry may shift by so much to either side.", "MM", min=0.0)
+    ] = 0.0,
     base: Annotated[float, option("The base may move by so much to either side.", "MM", min=0.0)] = 10.0,
     base_angle: Annotated[
         float, option("The base may turn by so much to either side.", "DEGREES", min=0.0, max=40.0)
     ] = 5.0,
     turns: Annotated[int, option("The bevel may turn over so often on the way.", "N", min=0, max=2)] = 2,
     specimen: options.Specimen = None,
-    recording: Annotated[
+    write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")
     ] = None,
     jobs: options.Jobs = None,
@@ -70,11 +72,11 @@ def plan(
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.plans import begin_insertion, write_plan
 
-    if recording is not None:
-        require_output_files({"--recording": recording}, [] if markups is None else [markups])
+    if write_recording is not None:
+        require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
     shown = open_target(name, specimen=specimen or "planned")
     aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
-    limits = PlanLimits(entry, base, base_angle, turns)
+    limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
     found = plan_steering(insertion, aim.goal, limits, invocation.jobs)
@@ -90,10 +92,12 @@ def plan(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
     if not invocation.json:
         _show_steps(shown, aim, summary)
-    if recording is not None:
-        write_plan(shown, found, recording)
-        screen.print_note(f"written: {recording}")
-        screen.print_note(f"play it: {shlex.join(('needlefit', 'view', '--recording', str(recording)))}")
+    if write_recording is not None:
+        write_plan(shown, found, write_recording)
+        screen.print_note(f"written: {write_recording}")
+        screen.print_note(
+            f"play it: {shlex.join(('needlefit', 'view', '--recording', str(write_recording)))}"
+        )
     require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
 
 

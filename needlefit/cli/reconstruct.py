@@ -78,7 +78,9 @@ def reconstruct(
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
-    scene: Annotated[bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--scene")] = False,
+    slicer_scene: Annotated[
+        bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--slicer-scene")
+    ] = False,
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
@@ -160,7 +162,7 @@ def reconstruct(
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, scenes=scene
+                        out, ones, record, about, report, refused=failed, scenes=slicer_scene
                     )
                 except DataError as error:  # it belongs to no single scan
                     faulty = [
