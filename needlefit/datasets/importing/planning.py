@@ -180,10 +180,12 @@ class Planner:
         entry = None
         if answer.text not in ("first", "depth", *surfaces):
             entry = answer.to_vector("entry point", is_direction=False)
-        cut = list[float]()
+        cut, missed = list[float](), list[str]()
         for one in self.curves if answer.text != "first" else ():
             if answer.text in surfaces:
-                arc = min(find_surface_hits(one.line, surfaces[answer.text]), default=0.0)
+                hits = find_surface_hits(one.line, surfaces[answer.text])
+                arc = min(hits, default=0.0)
+                missed += [] if len(hits) else [one.name]
             elif entry is None:
                 if one.name not in depths:
                     raise answer.error("entry point", f"X,Y,Z, or a depth of {one.name}, too")
@@ -195,11 +197,11 @@ class Planner:
             if arc > MIN_CUT_MM:
                 cut_shaft(one, arc)
                 cut.append(arc)
+        if answer.text in surfaces and (missed or not cut):
+            which = f"needles cross on their way in ({missed[0]} does not)" if missed else "needles cross"
+            raise answer.error("entry point", f"a surface that {which}; is there a hole where they enter?")
         if cut:
             self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm cut off", "before the entry point")
-        elif answer.text in surfaces:
-            expected = "a surface that needles cross on their way in; is there a hole where they enter?"
-            raise answer.error("entry point", expected)
         self.surfaces = [one for one in self.surfaces if one.name != answer.text]
         for one in self.curves:
             depth = depths.get(one.name, one.length)
