@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.geometry.curves import arc_length
+from needlefit.reporting.scan_pages import list_facts
 from needlefit.studies.kinds.reconstruction import KIND
-from needlefit.studies.kinds.reconstruction.pages import list_facts
 from needlefit.studies.kinds.reconstruction.report import tabulate_batch
 from needlefit.studies.report import write_files
 from needlefit.studies.slicer import write_scan

@@ -21,6 +21,7 @@ from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml import dumps
+from needlefit.reporting.scan_pages import write_quality
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -28,7 +29,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
-from needlefit.studies.kinds.reconstruction.pages import write_quality
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.run import Run
