@@ -21,6 +21,8 @@ from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.toml import dumps
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.figures.looks import Panel
 from needlefit.reporting.scan_pages import write_quality
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
@@ -64,6 +66,8 @@ _MARKER_COLUMNS = (
     *("residual_y_mm", "residual_z_mm", "residual_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
+_DEFLECTION_COLUMNS = ("id", "x_mm", "y_mm", "low_mm", "high_mm")
+MAX_DRAWN_POINTS, NORMAL_95_SD = 60, 1.96
 _REFUSED_COLUMNS = ("id", "scan", "note")
 
 
@@ -91,6 +95,7 @@ def tabulate_batch(
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
+            "deflections": tabulate_deflections(ones),
         },
         run={
             "name": name,
@@ -128,6 +133,17 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
+
+
+def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
+    """Return points of each centreline in its bending plane, with the ends of its 95 % band, mm."""
+    frames = [pd.DataFrame(columns=list(_DEFLECTION_COLUMNS))]
+    for one in reconstructions:
+        points = np.linspace(0, len(one.local) - 1, min(len(one.local), MAX_DRAWN_POINTS)).round().astype(int)
+        (x, y), half = one.local[points, :2].T, NORMAL_95_SD * one.sd[points]
+        columns = {"id": one.scan.id, "x_mm": x, "y_mm": y, "low_mm": y - half, "high_mm": y + half}
+        frames.append(pd.DataFrame(columns))
+    return pd.concat(frames[len(frames) > 1 :], ignore_index=True)
 
 
 def describe_scan(one: Reconstruction) -> Row:
@@ -231,13 +247,24 @@ def find_answer(found: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
     tables = [replace(lay_out_reconstructions(found), name="scans")]
-    return replace(answer, tables=tables, advice=_TEXT.sentence("advice", describe(found)))
+    about, advice = (_TEXT.sentence(block, describe(found)) for block in ("about", "advice"))
+    return replace(answer, tables=tables, about=about, advice=advice)
+
+
+def draw(found: Run) -> dict[str, Drawing]:
+    """Return the deflection of each needle, with its 95 % band."""
+    panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm", zero=True)
+    options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
+    return {
+        "deflections": Drawing("curves", found.frames["deflections"].assign(origin=found.origin), options)
+    }
 
 
 REPORT = StudyReport(
     _TEXT,
     describe,
     lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
+    draw,
     answer=find_answer,
     keeps_files=True,
 )
