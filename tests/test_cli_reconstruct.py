@@ -20,7 +20,6 @@ from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.datasets.markups import Markups
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
-from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
@@ -302,11 +301,6 @@ def short_needle(folder):
     return [VOLUME, "--recipe", folder / "short.toml"]
 
 
-def turned_layer(folder):
-    write_surface(make_sheet("turned", (-14.0, -2.5, -3.0), (1, 0, 0), 8.0, into=2), folder / "turned.stl")
-    return [table(folder, surfaces="turned.stl=sheet:2", layers="", layers_alternative="")]
-
-
 def changed(**cells):
     return lambda folder: [table(folder, **cells)]
 
@@ -331,7 +325,6 @@ NO_BEVEL = {"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}
         (changed(entry_dx="-1.0"), "does not pass the entry"),
         (changed(**NO_BEVEL), "no bevel direction"),
         (changed(layers="3", layers_alternative="3"), "3 layers|3 were counted"),
-        pytest.param(turned_layer, "", marks=SWEEP),  # with the whole dataset
     ],
 )
 @pytest.mark.usefixtures("searched_once")

@@ -1,5 +1,6 @@
 """Read and write the cross-sections through which a reconstruction drew a needle: `sections/<id>.toml`."""
 
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -96,26 +97,30 @@ def find_centerline_faults(sections: SplineSections, centerline: Floats, place: 
 def find_operator_faults(
     record: DatasetRecord, listed: Sequence[ListedInsertion], file: Path
 ) -> Iterator[Fault]:
-    """Yield a fault if the points of an insertion do not suit the knots, or the width of a Gaussian."""
+    """Yield a fault if the points of insertions do not suit the knots, or the width of a Gaussian."""
     stated = record.measurement
     if stated is None:
         return
-    for one in listed:
-        s, id_ = _select_arc_lengths(record, one), one.insertion.id
-        if (spacing := stated.knot_spacing_mm) is not None:
-            key, least = "measurement.knot_spacing_mm", find_least_spacing(s, spacing)
-            if least is None or least > spacing:
-                what = f"{key} is {spacing:g}: the points of {id_} are too sparse for it"
-                expected = "at least 4 points compared" if least is None else f"at least {least + 0.005:.2f}"
-                yield Fault(locate_key(file, key), what, expected, "store the points more densely")
-                return
-        most = MAX_WIDTH_FRACTION * float(np.ptp(s))
-        if stated.width_mm is not None and stated.width_mm > most:
-            key = "measurement.width_mm"
-            what = f"{key} is {stated.width_mm:g}: too wide for the {np.ptp(s):.3g} mm compared of {id_}"
-            fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
-            yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:.2f}", fix)
-            return
+    compared = {one.insertion.id: _select_arc_lengths(record, one) for one in listed}
+    least, sparsest, key = stated.knot_spacing_mm, "", "measurement.knot_spacing_mm"
+    while least is not None:  # what suits one curve need not suit the next
+        found = ((find_least_spacing(s, least), name) for name, s in compared.items())
+        more = next((pair for pair in found if pair[0] is None or pair[0] > least), None)
+        if more is None:
+            break
+        least, sparsest = more
+    if sparsest:
+        what = f"{key} is {stated.knot_spacing_mm:g}: the points of {sparsest} are too sparse for it"
+        expected = "at least 4 points compared" if least is None else f"at least {least + 0.005:.2f}"
+        yield Fault(locate_key(file, key), what, expected, "store the points more densely")
+    lengths = {name: float(np.ptp(s)) for name, s in compared.items()}
+    shortest = min(lengths, key=lambda name: lengths[name])
+    most, key = math.floor(100 * MAX_WIDTH_FRACTION * lengths[shortest]) / 100, "measurement.width_mm"
+    if stated.width_mm is not None and stated.width_mm > most:
+        length = f"{lengths[shortest]:.3g} mm compared of {shortest}"
+        what = f"{key} is {stated.width_mm:g}: too wide for the {length}"
+        fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
+        yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
 
 
 def _select_arc_lengths(record: DatasetRecord, listed: ListedInsertion) -> Floats:
