@@ -13,6 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruction import Reconstruction, ScanView
 from needlefit.imaging.scans import Scan
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_file
 from needlefit.reporting import document
 from needlefit.reporting.figures.scan_views import (
@@ -129,7 +130,6 @@ OUT_OF_PLANE_COLOUR = "#D55E00"
 # mm around and between the panels
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 11.0, 2.5
 _PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
-_NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
 def paint_needle_section(reconstruction: Reconstruction) -> Figure:
@@ -154,7 +154,7 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
         paint(panels[-1], reconstruction)
         panels[-1].set_xlim(left, right)
         for at, sd, colour, _ in _marked_depths(reconstruction):
-            half = _NORMAL_95_HALF_WIDTH_SD * sd
+            half = NORMAL_95_HALF_WIDTH_SD * sd
             panels[-1].axvspan(at - half, at + half, color=colour, alpha=0.3, lw=0, zorder=0)
             panels[-1].axvline(at, color=colour, lw=0.7, zorder=1)
         top -= _PLOT_HEIGHT_MM + _PANEL_GAP_MM
@@ -194,7 +194,7 @@ def _paint_brightness(axes: Axes, reconstruction: Reconstruction) -> None:
 
 def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
     x, y, z = reconstruction.local.T
-    half = _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
+    half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd
     for side, colour, words in (
         (z, OUT_OF_PLANE_COLOUR, "out of plane, z"),
         (y, NEEDLE_COLOUR, "deflection, y"),

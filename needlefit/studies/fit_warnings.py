@@ -84,7 +84,7 @@ def _list_bounds(fits: pd.DataFrame, many: str) -> list[Row]:
             cut = [_describe_bound(str(name), end, *bounds, CUT_OFF_FRACTION) for end in interval]
             ends["parameter_at_bound"] += [at]
             ends["interval_at_bound"] += [] if at else cut
-        about = {"parameter": short_name(str(name)), "total": len(rows), "many": many, "of": ""}
+        about = {"parameter": short_name(str(name)), "total": len(rows), "many": many}
         for text, every in ends.items():
             if reached := list(filter(None, every)):
                 bounds_reached = list(dict.fromkeys(reached))

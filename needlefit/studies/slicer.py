@@ -14,6 +14,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
 from needlefit.geometry.meshes import make_tube, write_ply
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
@@ -120,7 +121,6 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
 POINT_SIZE_MM = 1.5  # points, mm
 _WHOLE_COLOUR, INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
 LAYER_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
-_NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
 def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) -> tuple[Path, ...]:
@@ -145,7 +145,7 @@ def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markup
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
     depth = reconstruction.depth
-    half = _NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
+    half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
     along = arc_length(whole)
     curves = [
         ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),

@@ -17,6 +17,7 @@ from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
@@ -67,7 +68,7 @@ _MARKER_COLUMNS = (
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
 _DEFLECTION_COLUMNS = ("id", "x_mm", "y_mm", "low_mm", "high_mm")
-MAX_DRAWN_POINTS, NORMAL_95_SD = 60, 1.96
+MAX_DRAWN_POINTS = 60  # of a needle in the figure
 _REFUSED_COLUMNS = ("id", "scan", "note")
 
 
@@ -140,7 +141,7 @@ def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFr
     frames = [pd.DataFrame(columns=list(_DEFLECTION_COLUMNS))]
     for one in reconstructions:
         points = np.linspace(0, len(one.local) - 1, min(len(one.local), MAX_DRAWN_POINTS)).round().astype(int)
-        (x, y), half = one.local[points, :2].T, NORMAL_95_SD * one.sd[points]
+        (x, y), half = one.local[points, :2].T, NORMAL_95_HALF_WIDTH_SD * one.sd[points]
         columns = {"id": one.scan.id, "x_mm": x, "y_mm": y, "low_mm": y - half, "high_mm": y + half}
         frames.append(pd.DataFrame(columns))
     return pd.concat(frames[len(frames) > 1 :], ignore_index=True)
