@@ -71,7 +71,7 @@ nitpick_ignore_regex = [
     # What begins with an underscore has no entry, even where a signature names it.
     ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
     # Imported for type checkers alone: from a package that may not be installed, or that takes long to load.
-    ("py:class", r"BaseFileLock|Client|SpecCluster|Curve|Pose|Row"),
+    ("py:class", r"BaseFileLock|Client|SpecCluster|Curve|Path|Pose|Row"),
     # Type variables: what stands for them is the caller's.
     ("py:class", r"(needlefit\.[\w.]+\.)?(F|R|T|Given|Item|Key|Result|Returned|Value)"),
 ]
