@@ -77,7 +77,7 @@ def test_entry_frames_arc_lengths_and_straight_curves_by_hand():
 def test_directions_without_a_plane_and_curves_of_other_shapes_are_refused():
     for direction, toward in [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]:
         refusal(DataError, "expected", make_entry_frame, (0, 0, 0), direction, toward)
-    for shapes in [((11, 2), (12, 2)), ((11, 3), (11, 3)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]:
+    for shapes in [((11, 2), (12, 2)), ((11, 4), (11, 4)), ((11,), (11,)), ((2, 11, 2), (2, 11, 2))]:
         with pytest.raises(ValueError, match="cannot be compared"):
             compare_curves(*(np.zeros(shape) for shape in shapes))
 
@@ -136,6 +136,11 @@ def test_errors_by_hand():
     assert {name: found[name] for name in expected} == pytest.approx(expected)
     assert curves.deflection == 4
     assert COMPARISON_POINTS == 101
+    in_space = [np.column_stack([one, [0.0, 2, z]]) for one, z in ((curves.simulated, 14.0), (measured, 2.0))]
+    found |= compute_metrics(compare_curves(*in_space))
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    assert (found["te_3d_mm"], found["ipe_3d_mm"]) == pytest.approx((13, 14 / 3))
+    assert found["edp_3d_percent"] == pytest.approx(100 * 13 / np.hypot(4, 2))
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
     assert compute_metrics(compare_curves(line, line))["edp_percent"] == 0
     assert compute_metrics(compare_curves(line + np.array([0, 1]), line))["edp_percent"] == np.inf

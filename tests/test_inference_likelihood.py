@@ -22,7 +22,7 @@ STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 
 
 def straight(angle_sd=0.0, depth=40.0):
-    return replace(insertion(depth, angle_sd=angle_sd), planar=STRAIGHT)
+    return insertion(depth, angle_sd=angle_sd).with_planar(STRAIGHT)
 
 
 def test_independent_noise_gives_the_textbook_density():

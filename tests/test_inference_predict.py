@@ -87,7 +87,7 @@ AT = np.linspace(0, 100, 21)
 
 def measured(depth, coefficients, side=1, points=801):
     planar = integrate_curvature(depth, [side * c for c in coefficients], np.linspace(0, depth, points))
-    return replace(insertion(depth, side=side), planar=planar)
+    return insertion(depth, side=side).with_planar(planar)
 
 
 def test_integrated_curvatures_are_lines_circles_and_clothoids():
@@ -132,7 +132,7 @@ def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
 
 
 def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
-    bent = replace(insertion(10.0), planar=np.array([[0.0, 0.3], [10.0, 0.3]]))
+    bent = insertion(10.0).with_planar(np.array([[0.0, 0.3], [10.0, 0.3]]))
     assert fit_baseline("straight", "known", 0.0, [bent]).rms == pytest.approx(0.3)
     tuned = [measured(d, (1e-3, 1e-5, 3e-7)) for d in (80.0, 100.0)]
     fits = fit_baselines("known", 0.0, tuned)

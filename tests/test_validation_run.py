@@ -297,7 +297,7 @@ def scorer(floor: NoiseFloor = FLOOR) -> Scorer:
 def straight(bend: float, side: int = 1) -> Insertion:
     """A needle of 10 mm whose tip has moved `bend` mm toward the bevel."""
     planar = np.array([[0.0, 0.0], [math.sqrt(100 - bend**2), side * bend]])
-    return dataclasses.replace(insertion(10.0, side=side), planar=planar)
+    return insertion(10.0, side=side).with_planar(planar)
 
 
 def along_x(scored: Insertion):

@@ -39,7 +39,7 @@ def oblique(angle: float, depth: float = 40.0):
     """A measured needle that runs straight at an angle to the entry axis."""
     s = np.linspace(0, depth, 9)
     planar = s[:, None] * [math.cos(angle), math.sin(angle)]
-    return dataclasses.replace(insertion(depth), planar=planar)
+    return insertion(depth).with_planar(planar)
 
 
 def of(one, pose="known", floor=0.2, shape=None, drop=0.0):

@@ -13,8 +13,6 @@ from needlefit.geometry.curves import (
     ComparedCurves,
     arc_length,
     compare_curves,
-    interpolate_at_arc,
-    resample_curve,
 )
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import compute_metrics, list_metrics
@@ -39,15 +37,18 @@ def estimate_noise_floor(
     displaced = draw_measurement_errors(dataset, insertion, rng, draws)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
-    curve = insertion.planar
+    curve, flat = insertion.planar, insertion.out_of_plane
     perturbed = curve + displaced
+    across = flat + _draw_errors_across(dataset, insertion, rng, draws)
     if dataset.pose == "tracker":
         perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
         perturbed = align_lateral(perturbed, curve)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     tracker = dataset.pose == "tracker"
-    compare = partial(compare_curves, measured=curve) if tracker else _prepare_comparison(curve, free)
-    errors = [compute_metrics(compare(again), metrics) for again in perturbed]
+    whole = np.column_stack([curve, flat])
+    compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, free)
+    again = np.concatenate([perturbed, across[..., None]], axis=-1)
+    errors = [compute_metrics(compare(one), metrics) for one in again]
     return {metric.name: float(np.mean([row[metric.name] for row in errors])) for metric in metrics}
 
 
@@ -75,6 +76,25 @@ def draw_measurement_errors(
     return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
 
 
+def _draw_errors_across(
+    dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
+) -> Floats:
+    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 of tip tracks.
+
+    They are drawn after those in the plane, which do not depend on them.
+    """
+    if dataset.pose == "tracker":
+        return np.zeros((draws, len(insertion.planar)))
+    s = arc_length(insertion.planar)
+    points = draw_point_noise(insertion.planar, dataset.noise, rng, draws)[..., 0]
+    if dataset.pose == "free":
+        return points
+    shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    normal = rng.normal(size=(2, draws, 1))
+    found: Floats = points + shift * normal[0] + insertion.pose_angle_sd * normal[1] * s
+    return found
+
+
 def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
     """Draw noise (draws, N, d), mm, of the points of `curve` (N, d): an independent and a correlated part."""
     s = arc_length(curve)
@@ -93,23 +113,35 @@ def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats
 
 
 def _prepare_comparison(curve: Floats, length: float | None) -> Callable[[Floats], ComparedCurves]:
-    """Return how a curve that was measured again is compared with `curve`, which is sampled once.
+    """Return how a curve (N, 3) that was measured again is compared with `curve`, which is sampled once.
 
-    At equal fractions, or along `length` from the tip after alignment.
+    At equal fractions, or along `length` from the tip after alignment in the plane.
     """
     if length is None:
         fractions = np.linspace(0, 1, COMPARISON_POINTS)
-        sampled = resample_curve(curve, fractions)
-        return lambda again: compare_curves(sampled, resample_curve(again, fractions))
+
+        def sample(points: Floats) -> Floats:
+            along = arc_length(points[:, :2])
+            return _interpolate(points, along, fractions * along[-1])
+
+        sampled = sample(curve)
+        return lambda again: compare_curves(sampled, sample(again))
     from_tip = np.linspace(length, 0, COMPARISON_POINTS)
 
-    def sample(points: Floats) -> Floats:
-        return interpolate_at_arc(points, arc_length(points)[-1] - from_tip)
+    def sample_from_tip(points: Floats) -> Floats:
+        along = arc_length(points[:, :2])
+        return _interpolate(points, along, along[-1] - from_tip)
 
-    sampled = sample(curve)
+    sampled = sample_from_tip(curve)
 
     def compare(again: Floats) -> ComparedCurves:
-        measured = sample(again)
-        return compare_curves(align_rigid(sampled, measured), measured)
+        measured = sample_from_tip(again)
+        aligned = align_rigid(sampled[:, :2], measured[:, :2])
+        return compare_curves(np.column_stack([aligned, sampled[:, 2]]), measured)
 
     return compare
+
+
+def _interpolate(points: Floats, along: Floats, s: Floats) -> Floats:
+    """Return the points (K, d) at `s` (K,) of a polyline whose points lie at `along` (N,)."""
+    return np.column_stack([np.interp(s, along, axis) for axis in points.T])

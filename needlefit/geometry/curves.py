@@ -25,12 +25,6 @@ def interpolate_at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
     return np.column_stack([np.interp(np.asarray(s, dtype=np.float64), along, axis) for axis in array.T])
 
 
-def resample_curve(points: ArrayLike, fractions: ArrayLike) -> Floats:
-    """Return the points (K, d) at `fractions` (K,) in [0, 1] of the arc length of `points` (N, d)."""
-    array = np.asarray(points, dtype=np.float64)
-    return interpolate_at_arc(array, np.asarray(fractions, dtype=np.float64) * arc_length(array)[-1])
-
-
 def interpolate_hermite(x: Floats, y: Floats, slope: Floats, at: Floats) -> Floats:
     """Return the cubic Hermite spline (K,) through `y` (N,) with `slope` (N,) at `x` (N,), increasing."""
     k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
@@ -122,19 +116,25 @@ COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (
 class ComparedCurves:
     """Two curves of one insertion at the same stations, from the entry to the tip."""
 
-    # `simulated`, `measured`: (K, 2); points in C, mm
+    # `simulated`, `measured`: (K, 2) points in the plane of C, mm, or (K, 3) in space
     simulated: Floats
     measured: Floats
 
     @cached_property
     def distances(self) -> Floats:
         """In-plane error (K,) at each station, |r_sim - r_measured|, mm."""
+        distances: Floats = np.linalg.norm((self.simulated - self.measured)[:, :2], axis=1)
+        return distances
+
+    @cached_property
+    def distances_3d(self) -> Floats:
+        """Distance (K,) in space at each station, mm."""
         distances: Floats = np.linalg.norm(self.simulated - self.measured, axis=1)
         return distances
 
     @property
     def tip_error(self) -> float:
-        """The distance at the last station, mm."""
+        """The in-plane error at the last station, mm."""
         return float(self.distances[-1])
 
     @property
@@ -142,15 +142,20 @@ class ComparedCurves:
         """Measured y_K - y_1, mm, signed as y is."""
         return float(self.measured[-1, 1] - self.measured[0, 1])
 
+    @property
+    def deflection_3d(self) -> float:
+        """Measured displacement of the tip across x, mm."""
+        return float(np.linalg.norm((self.measured[-1] - self.measured[0])[1:]))
+
 
 def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> ComparedCurves:
-    """Return two curves (K, 2), both in C, as compared station by station.
+    """Return two curves (K, 2) or (K, 3), both in C, as compared station by station.
 
     ValueError if their shapes differ.
     """
     sim, meas = np.asarray(simulated, dtype=np.float64), np.asarray(measured, dtype=np.float64)
-    if sim.shape != meas.shape or sim.ndim != 2 or sim.shape[1] != 2:
+    if sim.shape != meas.shape or sim.ndim != 2 or sim.shape[1] not in (2, 3):
         raise ValueError(
-            f"curves of shape {sim.shape} and {meas.shape} cannot be compared; need (K, 2) twice"
+            f"curves of shape {sim.shape} and {meas.shape} cannot be compared; need (K, 2) or (K, 3) twice"
         )
     return ComparedCurves(sim, meas)

@@ -68,5 +68,5 @@ def _residuals(
     differences = []
     for insertion, goal in pairs:
         simulated, measured = align_points(goal, baseline.curve(coefficients.tolist(), insertion))
-        differences.append((simulated - measured).ravel())
+        differences.append((simulated - measured)[:, :2].ravel())
     return np.concatenate(differences)

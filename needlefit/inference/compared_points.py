@@ -23,7 +23,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose, TipTrack, find_free_reach
 from needlefit.errors import DataError
-from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, interpolate_at_arc, resample_curve
+from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, interpolate_at_arc
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,
@@ -160,6 +160,12 @@ class ComparedPoints:
     s: Floats  #: (K,) where on the beam the simulated points are taken, mm from the entry
     measured: Floats  #: (K, 2) measured points, entry side first, tip last, mm
     pose: Pose
+    out_of_plane: Floats  #: (K,) their z, mm
+
+    @property
+    def in_space(self) -> Floats:
+        """The measured points in space, (K, 3) mm."""
+        return np.column_stack([self.measured, self.out_of_plane])
 
 
 def select_points(
@@ -174,19 +180,25 @@ def select_points(
         frame = make_tracker_columns(depth)
         first = frame[: _count_entry_side(len(depth))]
         line = frame @ np.linalg.lstsq(first, tip[: len(first)], rcond=None)[0]
-        return ComparedPoints(depth, np.column_stack([depth, tip - line]), pose)
+        return ComparedPoints(depth, np.column_stack([depth, tip - line]), pose, np.zeros(len(depth)))
+    along = arc_length(insertion.planar)
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
-        return ComparedPoints(insertion.depth * fractions, resample_curve(insertion.planar, fractions), pose)
-    to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
-    length = float(arc_length(insertion.planar)[-1])
-    measured = rotate_to_entry_axes(interpolate_at_arc(insertion.planar, length - to_tip))
-    return ComparedPoints(insertion.depth - to_tip, measured, pose)
+        s, at = insertion.depth * fractions, fractions * along[-1]
+        measured = interpolate_at_arc(insertion.planar, at)
+    else:
+        to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
+        s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
+        measured = rotate_to_entry_axes(interpolate_at_arc(insertion.planar, at))
+    return ComparedPoints(s, measured, pose, np.interp(at, along, insertion.out_of_plane))
 
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
-    """Return the simulated and the measured points (K, 2), aligned where the pose is unknown."""
-    return align(target.pose, curve(target.s), target.measured), target.measured
+    """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
+    simulated = curve(target.s)
+    across = simulated[:, 2] if simulated.shape[1] == 3 else np.zeros(len(simulated))
+    planar = align(target.pose, simulated[:, :2], target.measured)
+    return np.column_stack([planar, across]), target.in_space
 
 
 def align(pose: Pose, simulated: Floats, measured: Floats) -> Floats:
@@ -206,10 +218,10 @@ def differentiate_align(pose: Pose, simulated: Floats, measured: Floats, slopes:
 def compare_points(
     pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = COMPARISON_POINTS
 ) -> tuple[Floats, Floats]:
-    """Return the simulated and the measured points (K, 2) that are compared, entry side first, tip last.
+    """Return the simulated and the measured points (K, 3) that are compared, entry side first, tip last.
 
     `drop` is the proximal length left out where the pose is free, mm. `curve` takes beam coordinates (K,), 0
-    at the entry and `insertion.depth` at the tip, to points (K, 2) in C, mm.
+    at the entry and `insertion.depth` at the tip, to points (K, 2), or (K, 3) in space, in C, mm.
     """
     return align_points(select_points(pose, drop, insertion, stations), curve)
 

@@ -130,7 +130,7 @@ def _linearize(
     values, some = problem.values(theta), []
     for goal in problem.compared_points:
         at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
-        some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose))
+        some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose, goal.out_of_plane[at]))
     model, s = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions), [g.s for g in some]
     points, slopes = model.differentiate([values], problem.parameters, s)
     _, stated_slopes = model.differentiate([values], stated, s)

@@ -391,7 +391,7 @@ class Problem:
         return tuple(predict(values, self.medium, self.dataset.needle, i) for i in self.insertions)
 
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
-        """Return the simulated and the measured points (K, 2) compared in each insertion, mm."""
+        """Return the simulated and the measured points (K, 3) compared in each insertion, mm."""
         trios = zip(self.insertions, self.compared_points, self.shapes(theta), strict=True)
         return tuple(align_points(goal, SimulatedCurve(shape, one)) for one, goal, shape in trios)
 

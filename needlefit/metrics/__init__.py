@@ -27,6 +27,8 @@ class Metric:
     headline: bool = False
     #: whether it is relative to the measured deflection, and so means little where that is within the noise
     relative: bool = False
+    #: whether it counts what leaves the plane too; it stands in for the one of the plane where needles turn
+    in_space: bool = False
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
     order: int = 100  #: its place in tables, from the left
 
@@ -39,9 +41,9 @@ def list_metrics() -> tuple[Metric, ...]:
     return tuple(sorted(METRICS.values(), key=lambda metric: (metric.order, metric.name)))
 
 
-def headline_metrics() -> tuple[Metric, ...]:
-    """Return the metrics of sentences and comparisons."""
-    return tuple(metric for metric in list_metrics() if metric.headline)
+def headline_metrics(*, in_space: bool = False) -> tuple[Metric, ...]:
+    """Return the metrics of sentences and comparisons, in the plane or in space."""
+    return tuple(one for one in list_metrics() if one.headline and one.in_space == in_space)
 
 
 def compute_metrics(curves: ComparedCurves, metrics: "Sequence[Metric] | None" = None) -> dict[str, float]:
@@ -96,6 +98,17 @@ MAX_IPE = Metric(
     order=30,
 )
 
+IPE_3D = Metric(
+    "ipe_3d_mm",
+    "IPE in space",
+    "mm",
+    "Mean distance in space between simulated and measured points at equal fractions of the length.",
+    compute=lambda curves: float(np.mean(curves.distances_3d)),
+    headline=True,
+    in_space=True,
+    order=35,
+)
+
 TE = Metric(
     "te_mm",
     "TE",
@@ -107,11 +120,23 @@ TE = Metric(
 )
 
 
-def _relative_tip_error(curves: ComparedCurves) -> float:
-    """Return 100 TE / |deflection|; infinite where the measured needle stayed straight."""
-    if not curves.deflection:
-        return np.inf if curves.tip_error else 0.0
-    return 100 * curves.tip_error / abs(curves.deflection)
+TE_3D = Metric(
+    "te_3d_mm",
+    "TE in space",
+    "mm",
+    "Distance between the simulated and the measured tip in space.",
+    compute=lambda curves: float(curves.distances_3d[-1]),
+    headline=True,
+    in_space=True,
+    order=45,
+)
+
+
+def _relate(error: float, deflection: float) -> float:
+    """Return 100 error / |deflection|; infinite where the measured needle stayed straight."""
+    if not deflection:
+        return np.inf if error else 0.0
+    return 100 * error / abs(deflection)
 
 
 EDP = Metric(
@@ -119,8 +144,20 @@ EDP = Metric(
     "EDP",
     "%",
     "Error-to-deflection percentage (EDP): tip error as a percentage of the measured deflection of the tip.",
-    compute=_relative_tip_error,
+    compute=lambda curves: _relate(curves.tip_error, curves.deflection),
     has_floor=False,
     relative=True,
     order=50,
+)
+
+EDP_3D = Metric(
+    "edp_3d_percent",
+    "EDP in space",
+    "%",
+    "Tip error in space as a percentage of the tip's measured displacement across the entry axis.",
+    compute=lambda curves: _relate(float(curves.distances_3d[-1]), curves.deflection_3d),
+    has_floor=False,
+    relative=True,
+    in_space=True,
+    order=55,
 )

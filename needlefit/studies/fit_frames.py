@@ -80,7 +80,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("method", "estimate", "boundaries", "comparison"),
             *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
         ),
-        "shapes": (*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
+        "shapes": (
+            *(*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "measured_z_mm"),
+            *("simulated_x_mm", "simulated_y_mm", "simulated_z_mm"),
+        ),
         "starts": (
             *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
             *("evaluations", "gradients", "failed_solves", "stopped", "joined"),

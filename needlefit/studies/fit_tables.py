@@ -132,7 +132,7 @@ def _lay_out_groups(
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
     metrics = [one for one in list_metrics() if (one.headline or one.relative or not short)]
-    metrics = [one for one in metrics if not one.spread_of]
+    metrics = [one for one in metrics if not one.spread_of and not one.in_space]
     floors = [one.name for one in headline_metrics() if one.has_floor]
     last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
     if short:
@@ -238,9 +238,11 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
 def lay_out_insertions(results: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
     method = choose_method(results) if role == "validate" else "fitted"
+    # beside the errors in the plane those in space; the paper's EDP is of the plane alone
+    metrics = [one for one in list_metrics() if not (one.spread_of or (one.in_space and one.relative))]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
-        *(one.name for one in list_metrics() if not one.spread_of),
+        *(one.name for one in metrics),
     )
     rows = [
         {

@@ -138,6 +138,6 @@ _FAILED = {
 
 
 def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
-    names = ("measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm")
+    names = [f"{which}_{axis}_mm" for which in ("measured", "simulated") for axis in "xyz"]
     places = enumerate(np.column_stack([measured, simulated]).tolist())
     return [{**where, "j": j, **dict(zip(names, place, strict=True))} for j, place in places]

@@ -35,7 +35,7 @@ from needlefit.studies.run import Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 
-FORMAT_VERSION = 8  #: of the file of results
+FORMAT_VERSION = 9  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
 MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
