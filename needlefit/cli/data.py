@@ -253,7 +253,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
-    from needlefit.datasets.dataset_warnings import measure_out_of_plane
+    from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
     from needlefit.datasets.select import describe_holes

@@ -24,9 +24,9 @@ SCAN_SHIFT_COLUMNS = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
 SCAN_COLUMNS = (*SCAN_ROTATION_COLUMNS, *SCAN_SHIFT_COLUMNS)
 # Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too.
 REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
-# The columns of `insertions.csv` in the order in which they are written. `SHARED_COLUMN` and `HOLE_COLUMN`
-# follow where they are stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any
-# insertion has its own motion.
+# The columns of `insertions.csv` in the order in which they are written. `SHARED_COLUMN`, `HOLE_COLUMN` and
+# `ROLL_COLUMNS` follow where they are stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS`
+# where any insertion has its own motion.
 INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, *BEVEL_COLUMNS),
@@ -36,6 +36,9 @@ INSERTION_COLUMNS = (
 SHARED_COLUMN = "boundary_shared_sd_mm"
 HOLE_COLUMN = "hole"
 BASE_SHIFT_COLUMN = "base_moved_mm"
+ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
+TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
+DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
 # The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
 # is None; None: no cell may be empty. Angles are in rad in the field.
@@ -48,6 +51,8 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     "guide_distance_mm": ("guide_distance", math.nan),
     BASE_SHIFT_COLUMN: ("base_moved", 0.0),
     SHARED_COLUMN: ("boundary_shared_sd", math.nan),
+    ROLL_COLUMNS[0]: ("roll", math.nan),
+    ROLL_COLUMNS[1]: ("roll_sd", DEFAULT_ROLL_SD_DEG),
 }
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
@@ -93,3 +98,8 @@ class InsertionRow:
     base_moved: float = 0.0
     hole: str = ""  # the same in rows of one specimen: one insertion, measured at several depths
     line: int = 0  # line of the file that it comes from, 0 if from none
+    # in place of a side: roll of the bevel at first contact, right-handed about x, rad; 0 toward +y
+    roll: float | None = None
+    roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
+    # turns during the insertion: depth (mm) from which on the bevel has a roll (rad)
+    turns: tuple[tuple[float, float], ...] = ()

@@ -10,21 +10,26 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import KDTree
 
-from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     HOLE_COLUMN,
     INSERTION_COLUMNS,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
+    ROLL_COLUMNS,
     SCAN_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
 )
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion, name_small_unit
-from needlefit.datasets.noise import MEAN_NORM_PER_SD
-from needlefit.geometry.frames import normalize
+from needlefit.datasets.planes import (
+    MAX_NAMED_INSERTIONS,
+    MIN_BEND_SLOPE,
+    SIGNIFICANT_SD,
+    compute_deflection_sd,
+    find_plane_warnings,
+)
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
@@ -51,14 +56,9 @@ MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
 CHECK_UNIT = "check its unit, mm"
 
-SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
-# Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
-MIN_BEND_SLOPE = 0.005
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
 # single one is limited to this.
 REVERSED_SD = 4.0
-MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
-MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 # Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
 MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
@@ -114,21 +114,18 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
 BendSide = Literal["toward", "away", "unknown"]
 
 
-def _compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
-    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-    pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
-    return math.hypot(pose, noise.point_sd, noise.correlated_sd)
-
-
 def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     """Return to which side of its bevel an insertion or a run of a tip track bends.
 
     Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
     changes, must say so. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
-    free shape lies by its bend, and a base or guide that moved bends the needle too: they say nothing.
+    free shape lies by its bend, and a base or guide that moved, or a bevel that was turned, bends the needle
+    too: they say nothing.
     """
     track = insertion if isinstance(insertion, TipTrack) else None
     if track.guided if track else insertion.pose_source == "none" or insertion.base_moved:
+        return "unknown"
+    if insertion.turns:
         return "unknown"
     x, y = insertion.planar[:, 0], insertion.side * insertion.planar[:, 1]
     parabola = np.polyfit(x - x[0], y, 2)
@@ -138,53 +135,11 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     least = MIN_BEND_SLOPE * insertion.depth
     measures = [(bend, max(least if track else 0.5 * least, noise_sd))]
     if track is None:
-        limit = max(least, SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise))
+        limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
         measures.append((insertion.deflection, limit))
     if all(value > limit for value, limit in measures):
         return "toward"
     return "away" if all(value < -limit for value, limit in measures) else "unknown"
-
-
-def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
-    """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
-
-    None of free shapes and tracks: their plane is that of the shape itself.
-    """
-    known = [one for one in dataset.insertions if one.pose_source != "none" and dataset.pose == "known"]
-    sds = [_compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
-    away = [abs(float(one.out_of_plane[-1])) for one in known]
-    found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
-    return sorted(found, key=lambda one: -one[2])
-
-
-def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions whose tips leave the planes of their bevels.
-
-    It proposes the direction of side 1 that fits their tips, and says whether one fits all.
-    """
-    tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
-    places, worst = [], 0.0
-    for insertion, where in ((one.insertion, one.where) for one in listed):
-        away = abs(float(insertion.out_of_plane[-1])) if insertion.pose_source != "none" else 0.0
-        errors = SIGNIFICANT_SD * _compute_deflection_sd(insertion, noise)
-        if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
-            across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
-            tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
-            places.append(where)
-            worst = max(worst, away)
-    if tips:
-        shown = [
-            f"{', '.join(f'{x:z.2f}' for x in normalize(tip).round(2))} ({id_})" for id_, tip in tips.items()
-        ]
-        mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
-        if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
-            shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
-        what = (
-            f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
-            f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
-        )
-        fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
-        yield ResultWarning("bevel_plane", what, places[0], fix)
 
 
 def find_side_warnings(
@@ -221,10 +176,10 @@ def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
 
     They allow for noise of points and pose, and for entry directions off by a third of `MIN_BEND_SLOPE`.
     """
-    if insertion.pose_source == "none" or insertion.base_moved:
+    if insertion.pose_source == "none" or insertion.base_moved or insertion.turns:
         return math.nan
     slope = MIN_BEND_SLOPE * insertion.depth / SIGNIFICANT_SD
-    return insertion.deflection / math.hypot(_compute_deflection_sd(insertion, noise), slope)
+    return insertion.deflection / math.hypot(compute_deflection_sd(insertion, noise), slope)
 
 
 # ---- insertions
@@ -404,7 +359,7 @@ def find_column_warnings(
     `of_points`: they are those of a centreline.
     """
     rows, points = record.insertions, record.centerlines
-    of_row = {*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *SCAN_COLUMNS}
+    of_row = {*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *ROLL_COLUMNS, *SCAN_COLUMNS}
     known = {*POINT_COLUMNS, SD_COLUMN} if of_points else of_row
     mapped = {*rows.columns.values(), *points.columns.values(), *points.group_by}
     there = {*names}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
@@ -114,6 +115,10 @@ class Insertion:
         depths. Empty where the table does not state it.
     bevel_factor : float
         What the needle's bevel offset is multiplied by in this insertion; 1 as measured.
+    roll_sd : float
+        Standard deviation of the bevel's roll about x, rad.
+    turns : tuple of (float, float)
+        Depth, mm, from which on the bevel has a roll, degrees, counted from that at first contact.
     """
 
     id: str
@@ -143,6 +148,8 @@ class Insertion:
     boundary_shared_sd: float | None = None
     hole: str = ""
     bevel_factor: float = 1.0
+    roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
+    turns: tuple[tuple[float, float], ...] = ()
 
     def with_planar(self, planar: Floats) -> Self:
         """Return the insertion as if its measured points were `planar` (N, 2), in C's xy plane, alone."""
@@ -185,6 +192,8 @@ class Dataset:
         Name of the file format of its centrelines; empty where they stand in a table.
     measurement : MeasurementRecord
         What the measurement does to a shape before its points are stored.
+    planes : int
+        1 where needles are simulated and compared in their planes, 2 in space.
     """
 
     name: str
@@ -231,6 +240,7 @@ class Dataset:
 
     centerline_format: str = ""
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT
+    planes: int = 1
 
 
 # Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than

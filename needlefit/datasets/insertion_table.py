@@ -1,7 +1,8 @@
 """Parse the table of insertions: from cells to rows, with the faults of each row."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy
@@ -21,6 +22,7 @@ from needlefit.datasets.columns import (
     SCAN_ROTATION_COLUMNS,
     SCAN_SHIFT_COLUMNS,
     SHARED_COLUMN,
+    TURN_COLUMNS,
     InsertionRow,
 )
 from needlefit.datasets.faults import Fault
@@ -55,6 +57,28 @@ def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> li
     found += [*cell_faults, *faults]
     bad = unread | {fault.where for fault in faults}
     return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
+
+
+def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
+    """Return the rows with the turns of the bevel that a table lists; note the faults of that table."""
+    if note_missing_columns(table, list(TURN_COLUMNS), found):
+        return list(rows)
+    ids = list(table.cells["id"])
+    depth, roll = (parse_numbers(table, name, found) for name in TURN_COLUMNS[1:])
+    known = {row.id: row for row in rows}
+    turns: dict[str, list[tuple[float, float]]] = {}
+    for n, name in enumerate(ids):
+        own, row = turns.setdefault(name, []), known.get(name)
+        least = own[-1][0] if own else 0.0
+        if row is None:
+            fix = "correct the id, or remove the line"
+            found.append(Fault(table.where(n), f"turns insertion {name!r:.60}", "an id of the table", fix))
+        elif not least < depth[n] < row.depth:
+            what = f"turns {name} at {depth[n]:g} mm"
+            expected = f"depths that increase between 0 and {row.depth:g} mm"
+            found.append(Fault(table.where(n), what, expected, "correct depth_mm, or remove the line"))
+        own.append((float(depth[n]), math.radians(roll[n])))
+    return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
 
 
 def _is_finite(row: InsertionRow) -> bool:
@@ -154,6 +178,21 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
     if row.side not in (1, -1):
         what = "bevel_side is unknown"
         yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
+    if row.roll is not None and row.side != 1:
+        what, fix = (
+            "bevel_side and bevel_roll_deg both say where the bevel faces",
+            "empty one of the two cells",
+        )
+        yield Fault(where, what, "one of the two", fix)
+    if row.roll is not None and record.frame.pose == "free":
+        what, fix = (
+            "a roll is stated for a shape of unknown pose",
+            'remove it, or state poses (pose = "known")',
+        )
+        yield Fault(where, what, "no bevel_roll_deg", fix)
+    elif row.roll is not None and row.bevel is None:
+        fix = f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0"
+        yield Fault(where, "bevel_roll_deg is stated without its direction of 0", "a direction", fix)
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
             expected, fix = "a standard deviation, 0 or more", "remove the sign, or leave the cell empty: 0"

@@ -1,5 +1,6 @@
 """Find the layers of each insertion and reduce it to its plane; faults of curves, surfaces and layers."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -145,8 +146,9 @@ def reduce_insertion(
     the world.
 
     C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in which
-    the centreline leaves the entry line. A row without entry pose gets `fit_free_frame`. DataError if the
-    bevel direction is parallel to the entry.
+    the centreline leaves the entry line; where a roll is stated, y points where the bevel faces at first
+    contact. A row without entry pose gets `fit_free_frame`. DataError if the bevel direction is parallel to
+    the entry.
     """
     centerline = points.values
     frame = _make_frame(row, centerline)
@@ -172,6 +174,8 @@ def reduce_insertion(
             "surfaces": medium.surfaces,
             "patient": patient,
             "sections": sections,
+            "side": row.side if row.roll is None else 1,
+            "turns": _count_from_contact(row),
         }
     )
 
@@ -181,8 +185,21 @@ def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
         frame = fit_free_frame(centerline)
         # a shape bends toward its bevel
         return frame if row.side > 0 else Frame(frame.origin, frame.rotation * [1.0, -1.0, -1.0])
-    toward = find_bending_direction(centerline, row.direction) if row.bevel is None else row.bevel
-    return make_entry_frame(row.entry, row.direction, toward)
+    before = centerline  # the first turn, if there is any: behind it the needle bends elsewhere
+    if row.turns:
+        before = centerline[: max(2, int(np.searchsorted(arc_length(centerline), row.turns[0][0])))]
+    toward = find_bending_direction(before, row.direction) if row.bevel is None else row.bevel
+    frame = make_entry_frame(row.entry, row.direction, toward)
+    if row.roll is None:
+        return frame
+    (x, y, z), (cos, sin) = frame.rotation.T, (math.cos(row.roll), math.sin(row.roll))
+    return make_entry_frame(row.entry, x, cos * y + sin * z)
+
+
+def _count_from_contact(row: InsertionRow) -> tuple[tuple[float, float], ...]:
+    """Return depth (mm) and roll of each turn, degrees from where the bevel faced at first contact."""
+    contact = row.roll if row.roll is not None else 0.0 if row.side > 0 else math.pi
+    return tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns)
 
 
 MAX_BACKWARD_MM = 0.05  # a centreline may go back by this, mm, between two points: noise does that

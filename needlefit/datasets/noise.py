@@ -39,7 +39,7 @@ def estimate_noise_floor(
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
     curve, flat = insertion.planar, insertion.out_of_plane
     perturbed = curve + displaced
-    across = flat + _draw_errors_across(dataset, insertion, rng, draws)
+    across = flat + draw_errors_across(dataset, insertion, rng, draws)
     if dataset.pose == "tracker":
         perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
         perturbed = align_lateral(perturbed, curve)
@@ -76,7 +76,7 @@ def draw_measurement_errors(
     return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
 
 
-def _draw_errors_across(
+def draw_errors_across(
     dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
 ) -> Floats:
     """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 of tip tracks.

@@ -41,7 +41,7 @@ from needlefit.datasets.insertion import (
     find_free_reach,
     make_track,
 )
-from needlefit.datasets.insertion_table import parse_rows
+from needlefit.datasets.insertion_table import add_turns, parse_rows
 from needlefit.datasets.layers import (
     ListedInsertion,
     SharedSurfaces,
@@ -209,7 +209,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     insertions = [one.insertion for one in listed]
     reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
     pattern = record.centerlines.pattern
-    tables = [name for name in (record.insertions.file, record.centerlines.file) if name is not None]
+    named = (record.insertions.file, record.insertions.turns, record.centerlines.file)
+    tables = [name for name in named if name is not None]
     own = [pattern.replace("{id}", one.id) for one in insertions] if pattern is not None else []
     own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
     if record.measurement is not None and record.measurement.sections is not None:
@@ -241,7 +242,11 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
         return
     reading.warnings += find_column_warnings(record, map(str, table.cells.columns), table.path)
     headers: set[tuple[str, ...]] = set()
-    for row in parse_rows(table, record, found):
+    rows = parse_rows(table, record, found)
+    if record.insertions.turns is not None:
+        turns = reading.read_table(root / record.insertions.turns)
+        rows = [] if turns is None else add_turns(rows, turns, found)
+    for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or make_patient_frame(record.frame)
         faults: list[Fault] = []
         points = curves.find(row, patient, faults)

@@ -18,11 +18,13 @@ from needlefit.datasets.columns import (
     INSERTION_COLUMNS,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
+    ROLL_COLUMNS,
     SCAN_COLUMNS,
     SCAN_ROTATION_COLUMNS,
     SCAN_SHIFT_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
+    TURN_COLUMNS,
     InsertionRow,
 )
 from needlefit.datasets.sections import format_sections
@@ -68,6 +70,8 @@ def write_dataset(
         raise DataError(what, where=str(folder), expected="insertions.file and centerlines.pattern")
     _require_files(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _format_rows(rows)}
+    if (turns := record.insertions.turns) is not None:
+        files[turns] = _format_turns(rows)
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
@@ -105,9 +109,16 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
     columns += [HOLE_COLUMN] if any(row.hole for row in rows) else []
     columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
+    columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
     lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
     return "".join(",".join(cells) + "\n" for cells in lines)
+
+
+def _format_turns(rows: Sequence[InsertionRow]) -> str:
+    turns = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
+    cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in turns]
+    return "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
 
 
 def format_cells(row: InsertionRow) -> dict[str, str]:
@@ -135,7 +146,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         cells |= dict(zip(names, _format_vector(vector, digits), strict=True))
     for name, (field, _) in NUMBER_COLUMNS.items():
         value = getattr(row, field)
-        value = math.degrees(value) if name.endswith("_deg") else value
+        value = math.degrees(value) if name.endswith("_deg") and value is not None else value
         cells[name] = "" if value is None else _format_number(value)
     return cells
 

@@ -45,19 +45,19 @@ MIN_CONSTRAINT_POINTS = 2
 
 
 def read_points(insertion: Insertion | None, shape: NeedleShape, s: Floats) -> Floats:
-    """Return the simulated points (K, 2) of an insertion, mm; NaN where the solve failed.
+    """Return the simulated points (K, 2), in space (K, 3), of an insertion, mm; NaN where the solve failed.
 
     `s` (K,), mm, are beam coordinates; of a tip track the depths of the readings.
     """
     if not shape.converged:
-        return np.full((len(s), 2), np.nan)
+        return np.full((len(s), 2 if shape.w is None else 3), np.nan)
     if isinstance(insertion, TipTrack):
         return np.column_stack([s, extrapolate_tip(shape.constraints[:, 0], shape.tip_track[:, 0], s)])
     return compute_positions(shape, s)
 
 
 def read_batch_points(insertion: Insertion, shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return `read_points` (B, K, 2) of many simulations of one insertion."""
+    """Return `read_points` (B, K, 2), in space (B, K, 3), of many simulations of one insertion."""
     if not isinstance(insertion, TipTrack):
         return compute_batch_positions(shapes, s)
     found = np.full((len(shapes), len(s), 2), np.nan)
@@ -70,7 +70,7 @@ def read_batch_points(insertion: Insertion, shapes: NeedleShapes, s: Floats) -> 
 def read_batch_derivatives(
     insertion: Insertion, shapes: NeedleShapes, jacobians: Jacobians, s: Floats
 ) -> Floats:
-    """Return the derivatives (B, K, 2, P) of `read_batch_points` by the Jacobians' parameters."""
+    """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `read_batch_points`."""
     if not isinstance(insertion, TipTrack):
         return differentiate_batch_positions(shapes, jacobians, s)
     found = np.zeros((len(shapes), len(s), 2, len(jacobians.names)))
@@ -132,6 +132,19 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     return tuple(one if key is None else deepest[key] for one, key in zip(insertions, keys, strict=True))
 
 
+def pad_planes(points: Floats, planes: int, axis: int = -1) -> Floats:
+    """Return points in as many planes, of which those that bend in one alone lie at z = 0.
+
+    `axis` has the coordinates, two or three.
+    """
+    missing = 1 + planes - points.shape[axis]
+    if missing <= 0:
+        return points
+    shape = [*points.shape]
+    shape[axis] = missing
+    return np.concatenate([points, np.zeros(shape)], axis=axis)
+
+
 Curve = Callable[[Floats], Floats]
 
 #: part of the scored points, from the entry side, whose line is x in a free comparison
@@ -167,6 +180,10 @@ class ComparedPoints:
         """The measured points in space, (K, 3) mm."""
         return np.column_stack([self.measured, self.out_of_plane])
 
+    def measured_in(self, planes: int) -> Floats:
+        """Return the measured points in one plane, (K, 2) mm, or in two, (K, 3)."""
+        return self.measured if planes == 1 else self.in_space
+
 
 def select_points(
     pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS
@@ -195,10 +212,9 @@ def select_points(
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
-    simulated = curve(target.s)
-    across = simulated[:, 2] if simulated.shape[1] == 3 else np.zeros(len(simulated))
+    simulated = pad_planes(curve(target.s), 2)
     planar = align(target.pose, simulated[:, :2], target.measured)
-    return np.column_stack([planar, across]), target.in_space
+    return np.column_stack([planar, simulated[:, 2]]), target.in_space
 
 
 def align(pose: Pose, simulated: Floats, measured: Floats) -> Floats:

@@ -21,10 +21,10 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.noise import draw_measurement_errors
+from needlefit.datasets.noise import draw_errors_across, draw_measurement_errors
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
 from needlefit.geometry.curves import arc_length
-from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align
+from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, pad_planes
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
@@ -94,9 +94,9 @@ class _LinearErrors:
     """The objective about a point, where needles are linear: sum_r w_r |d_r + J_r step| over R stations."""
 
     weights: Floats  #: (R,)
-    off: Floats  #: (R, 2) simulated minus measured points, mm
-    jacobian: Floats  #: (R, 2, P) derivatives of the simulated points by theta
-    drawn: Floats | None = None  #: (B, R, 2) replicates of what `off` would be at the true theta, mm
+    off: Floats  #: (R, 2 or 3) simulated minus measured points, mm
+    jacobian: Floats  #: (R, 2 or 3, P) derivatives of the simulated points by theta
+    drawn: Floats | None = None  #: (B, R, 2 or 3) replicates of what `off` would be at the true theta, mm
 
     def excess(self, lower: Floats, upper: Floats) -> float:
         """Return the objective without a step minus its least value, for steps within bounds (P,)."""
@@ -142,7 +142,8 @@ def _linearize(
     for insertion, goal, simulated, by, by_stated in zip(
         problem.insertions, some, points, slopes, stated_slopes, strict=True
     ):
-        place = (goal.pose, simulated[0], goal.measured)
+        planes, place = problem.dataset.planes, (goal.pose, simulated[0], goal.measured)
+        measured, by_stated = goal.measured_in(planes), pad_planes(by_stated, planes, axis=-2)
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[0][..., columns])
@@ -150,9 +151,9 @@ def _linearize(
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
         found.append(
             _LinearErrors(
-                station_weights(goal.measured, problem.weights),
-                align(*place) - goal.measured,
-                differentiate_align(*place, by[0]),
+                station_weights(measured, problem.weights),
+                pad_planes(align(*place), planes) - measured,
+                pad_planes(differentiate_align(*place, by[0]), planes, axis=-2),
                 drawn,
             )
         )
@@ -167,7 +168,7 @@ def _draw_errors(
     shared: dict[Surface, Floats],
     rng: np.random.Generator,
 ) -> Floats | None:
-    """Draw by how much a simulated needle errs at the stations, (B, K, 2) mm; None without stated noise.
+    """Draw by how much a simulated needle errs at the stations, (B, K, 2 or 3) mm; None without noise.
 
     `shared` has the errors (B,) of surfaces, in standard deviations; what is missing is drawn and added.
     """
@@ -177,9 +178,17 @@ def _draw_errors(
     along = arc_length(insertion.planar)
     at = along[-1] - (insertion.depth - goal.s) * (along[-1] / insertion.depth if goal.pose == "known" else 1)
     drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)
+    planes = problem.dataset.planes
+    if planes == 2:
+        across = draw_errors_across(problem.dataset, insertion, rng, REPLICATES)
+        rolls = insertion.roll_sd * rng.standard_normal((REPLICATES, 1))
+        turned = np.stack([0.0 * goal.out_of_plane, -goal.out_of_plane, goal.measured[:, 1]], axis=-1)
+        drawn = np.concatenate([drawn, _interpolate(at, along, across)[..., None]], axis=-1)
+        drawn = drawn + rolls[..., None] * turned
     nodes = make_nodes(insertion, goal.s, "linear")
     model = PreparedModel(problem.medium, problem.dataset.needle, nodes.insertions)
-    curves = np.stack([points[0] for points in model.read_points([values], list(nodes.s))])  # (m, K, 2)
+    points = model.read_points([values], list(nodes.s))
+    curves = np.stack([pad_planes(one[0], planes) for one in points])  # (m, K, 2 or 3)
     for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):
         deviation = axis.own * rng.standard_normal(REPLICATES)
         if axis.surface:

@@ -75,6 +75,8 @@ class InsertionInputs(Protocol):
     @property
     def side(self) -> int: ...
     @property
+    def turns(self) -> tuple[tuple[float, float], ...]: ...
+    @property
     def bevel_factor(self) -> float: ...
     @property
     def guide_distance(self) -> float | None: ...
@@ -221,11 +223,11 @@ class PreparedModel:
 
         def read(one: _Simulation, at: Floats) -> tuple[Floats, Floats]:
             shapes, jacobians = found[one]
-            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2, Q)
+            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2 or 3, Q)
             by_theta = one.chain(slopes, parameters, jacobians.names)
-            moves = by.reshape(len(by), 2 * len(at), by.shape[-1]) @ by_theta
+            moves = by.reshape(len(by), math.prod(by.shape[1:3]), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
-            moves = moves.reshape(len(by), len(at), 2, by_theta.shape[-1])
+            moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
             return read_batch_points(one.insertion, shapes, at), moves
 
         points, moves = self._read(s, len(sets), read, 2)
@@ -287,7 +289,7 @@ class _Simulation:
         }
         slopes = {**slopes, **bevels}
         nothing = np.zeros(free)
-        rows = {"guide1_y": nothing, "guide1_slope": nothing}
+        rows = dict.fromkeys(("guide1_y", "guide1_slope", "guide1_z", "guide1_slope_z"), nothing)
         rows["offset"] = slopes.get("bevel_mm", nothing)
         rows["cut_angle"] = math.radians(1.0) * slopes.get("cut_angle_deg", nothing)
         # the guide stands before the entry, at x = -guide_distance, hence the sign
@@ -325,10 +327,15 @@ def _make_steps(
         ends = zip([*insertion.depths[1:-1].tolist(), end], insertion.guide[1:], strict=True)
         x = -values["guide_distance_mm"]
         return tuple(Step(depth, bevel, Controls(guides=(Guide(x, float(y)),))) for depth, y in ends)
-    inserted = Step(insertion.depth, bevel, controls)
-    if not insertion.base_moved:
-        return (inserted,)
-    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
+    turned = [(0.0, 0.0), *(turn for turn in insertion.turns if turn[0] < insertion.depth)]
+    stops = [*(depth for depth, _ in turned[1:]), insertion.depth]
+    steps = [
+        Step(end, replace(bevel, roll_deg=roll), controls)
+        for end, (_, roll) in zip(stops, turned, strict=True)
+    ]
+    if insertion.base_moved:
+        steps.append(replace(steps[-1], controls=replace(controls, base_y=insertion.base_moved)))
+    return tuple(steps)
 
 
 def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:
@@ -377,7 +384,7 @@ def make_scene_record(
     return SceneRecord(
         schema_=SceneRecord.SCHEMA,
         title=title,
-        depth_mm=None if moved else insertion.depth,
+        depth_mm=None if moved or insertion.turns else insertion.depth,
         law=medium.law,
         needle=NeedleRecord(  # by its rigidity, whatever that was stated by
             name=f"needle of {dataset.name}",
@@ -389,13 +396,22 @@ def make_scene_record(
         bevel=BevelRecord.model_validate(bevel),
         rules=_make_rules(medium),
         controls=ControlsRecord(guide_distance_mm=guide),
-        steps=(
-            StepRecord(depth_mm=insertion.depth),
-            StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved),
-        )
-        if moved
-        else (),
+        steps=_record_steps(insertion) if moved or insertion.turns else (),
     )
+
+
+def _record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
+    """Return the steps of an insertion with turns of its bevel, or a move of its base at the end."""
+    contact = 0.0 if insertion.side > 0 else 180.0
+    turned = [(None, 0.0), *insertion.turns]
+    ends = [*(depth for depth, _ in insertion.turns), insertion.depth]
+    steps = [
+        StepRecord(depth_mm=end, roll_deg=None if begin is None else contact + roll)
+        for end, (begin, roll) in zip(ends, turned, strict=True)
+    ]
+    if insertion.base_moved:
+        steps.append(StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved))
+    return tuple(steps)
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:

@@ -31,6 +31,7 @@ from needlefit.inference.compared_points import (
     align,
     align_points,
     differentiate_align,
+    pad_planes,
     select_points,
 )
 from needlefit.inference.fit import ObjectiveFunction
@@ -301,8 +302,8 @@ SMOOTHING_MM = 1e-4
 
 
 def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -> float:
-    """Return the metric misfit of one insertion, mm; points (K, 2) run from the entry to the tip."""
-    off = simulated - measured  # (K, 2)
+    """Return the metric misfit of one insertion, mm; points (K, 2 or 3) run from the entry to the tip."""
+    off = simulated - measured
     distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (K,)
     return float(station_weights(measured, weights) @ distances)
 
@@ -310,15 +311,15 @@ def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -
 def metric_misfit_gradient(
     simulated: Floats, measured: Floats, weights: WeightsRecord, slopes: Floats
 ) -> Floats:
-    """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, 2, P)."""
+    """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, D, P)."""
     off = simulated - measured
-    along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]  # (K, 2)
+    along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]
     return np.einsum("k,ki,kip->p", station_weights(measured, weights), along, slopes)
 
 
 def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
     """Return the weight (K,) of the distance at each station."""
-    deflection = abs(float(measured[-1, 1] - measured[0, 1]))
+    deflection = float(np.linalg.norm((measured[-1] - measured[0])[1:]))
     station_weights = np.full(len(measured), weights.ipe / len(measured))
     # the tip error and EDP count the last station alone, on top of its share of IPE
     station_weights[-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
@@ -408,11 +409,12 @@ class Problem:
         return evaluate(self._objective_gradients, np.asarray(theta))
 
     def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
-        goals, total = self.compared_points, np.zeros(len(thetas))
+        goals, total, planes = self.compared_points, np.zeros(len(thetas)), self.dataset.planes
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
         for goal, simulated in zip(goals, points, strict=True):
-            aligned = align(goal.pose, simulated, goal.measured)
-            total += [metric_misfit(one, goal.measured, self.weights) for one in aligned]
+            measured = goal.measured_in(planes)
+            aligned = pad_planes(align(goal.pose, simulated, goal.measured), planes)
+            total += [metric_misfit(one, measured, self.weights) for one in aligned]
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
@@ -420,11 +422,13 @@ class Problem:
         total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
         pairs = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
         for goal, simulated, by in zip(goals, *pairs, strict=True):
-            slopes = differentiate_align(goal.pose, simulated, goal.measured, by)
-            aligned = align(goal.pose, simulated, goal.measured)
+            planes, measured = self.dataset.planes, goal.measured_in(self.dataset.planes)
+            by_aligned = differentiate_align(goal.pose, simulated, goal.measured, by)
+            slopes = pad_planes(by_aligned, planes, axis=-2)
+            aligned = pad_planes(align(goal.pose, simulated, goal.measured), planes)
             for b in range(len(sets)):
-                total[b] += metric_misfit(aligned[b], goal.measured, self.weights)
-                slope[b] += metric_misfit_gradient(aligned[b], goal.measured, self.weights, slopes[b])
+                total[b] += metric_misfit(aligned[b], measured, self.weights)
+                slope[b] += metric_misfit_gradient(aligned[b], measured, self.weights, slopes[b])
         return [(float(total[b]) / len(goals), slope[b] / len(goals)) for b in range(len(sets))]
 
     def _list_values(self, thetas: Floats) -> list[dict[str, float]]:

@@ -164,6 +164,9 @@ class InsertionsRecord(Record):
     """Names of needlefit's columns in your table, where they differ."""
     constants: dict[str, Scalar] = {}
     """Values that hold for every row, by column."""
+    turns: str | None = None
+    """Table of the bevel's turns during insertions, with columns id, depth_mm and bevel_roll_deg: from that
+    depth on the bevel has that roll."""
 
 
 class CenterlinesRecord(Record):
@@ -314,6 +317,8 @@ class DatasetRecord(SourceRecord):
             raise ValueError("without insertions.file, insertions.id_template must name the insertions")
         if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
             raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
+        if self.frame.pose == "free" and self.insertions.turns is not None:
+            raise ValueError('turns of the bevel need the pose of its needle: frame.pose = "known"')
         if self.frame.pose == "free" and self.measurement is not None and self.measurement.sections:
             raise ValueError(
                 'cross-sections stand in the world: with frame.pose = "free" give measurement.knot_spacing_mm'

@@ -56,6 +56,9 @@ class FitRecord(FileRecord):
     are in docs/fitting.md."""
     fix: dict[str, float] = {}
     """Parameters that are held at a value (Pa, mm, degrees): `{ alpha1 = 2.0 }`."""
+    planes: Literal[1, 2] | None = None
+    """Planes in which needles are simulated and compared: 1, that of x and the bevel at contact, or 2, in
+    space. Without it, 2 if any needle was turned out of its plane, or left it by more than its errors."""
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
     specimens: Literal["others", "training only"] = "others"

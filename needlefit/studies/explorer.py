@@ -64,6 +64,7 @@ class StoredInsertion:
     specimen: str
     sequence: tuple[int, ...]
     boundaries: Floats
+    turns: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def read(cls, run: Mapping[str, Any], name: str) -> Self:
@@ -81,6 +82,7 @@ def describe_insertions(job: "Job") -> dict[str, Any]:
                 "depth": one.depth, "side": one.side, "bevel_factor": one.bevel_factor,
                 "guide_distance": one.guide_distance, "base_moved": one.base_moved,
                 "compared": None if drop is None else find_free_reach(drop, one), "specimen": one.specimen,
+                **({"turns": one.turns} if one.turns else {}),
             }
             for one in job.insertions
             if not isinstance(one, TipTrack)

@@ -9,6 +9,7 @@ from typing import Any
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
+from needlefit.datasets.planes import set_planes
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
@@ -294,6 +295,14 @@ def prepare(
     else:
         parameters = without_prior(stated)
     divided = make_folds(record, dataset)
+    with add_key_context("planes"):
+        everything = [one for fold in divided for one in (*fold.tune, *fold.validate)]
+        dataset = set_planes(dataset, everything, record.planes)
+    divided = make_folds(record, dataset)
+    if record.planes is None and dataset.planes == 2:
+        settings.note(
+            "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
+        )
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
     if isinstance(record, StudyRecord) and not record.same_specimen:
         key = "validate" if record.leave_out is None else "leave_out"

@@ -37,6 +37,7 @@ def describe_configuration(job: Job) -> dict[str, Any]:
             for f in job.folds
         ],
         "rules": describe_model_options(job.medium),
+        "planes": job.dataset.planes,
     }
 
 

@@ -15,6 +15,9 @@ integrated over with its prior. A slope and the response to the guide may also b
 the entry those of a tissue that yields there. Headings, where their deviation is stated, are compared with
 the direction of the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant,
 the sensor's in the needle and the cut's. Equations: docs/inference.md, section 2 and "Tip tracks".
+
+In space the residuals along y stand before those along z. Both have the same errors; the pose adds a shift
+and a turn out of the plane, and the bevel's roll turns the whole needle about the entry axis.
 """
 
 import math
@@ -39,7 +42,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
-from needlefit.inference.compared_points import rotate_to_entry_axes
+from needlefit.inference.compared_points import pad_planes, rotate_to_entry_axes
 from needlefit.inference.likelihood.nodes import (
     FRAME,
     GROUP_GAIN,
@@ -64,12 +67,12 @@ class SectionData:
     """The cross-sections of one insertion, as the likelihood takes them."""
 
     s: Floats  #: (K,) their beam coordinates, mm; negative outside the tissue
-    planar: Floats  #: (K, 2) places in C's xy plane, mm
+    places: Floats  #: (K, 3) places in C, mm
     operator: Floats  #: (F, K) from their deflections to the F coefficients of the spline
     #: (F, F) of these coefficients, by the spline itself and by what neighbours share, mm^2
     covariance: Floats
     shared: Floats  #: (K, K) covariance of what neighbours share, mm^2
-    slope: Floats  #: (K,) slope of the spline there, dy/dx
+    slope: Floats  #: (K, 2) slopes of the spline there, dy/dx and dz/dx
     reached: Bools  #: (C,) which of the spline's coefficients the F are
     stored: SplineSections  #: as stored; those left out are not in it
 
@@ -84,13 +87,13 @@ def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
     first = base if insertion.guide_distance is None else max(base, -insertion.guide_distance)
     kept = s >= first
     s, stored = s[kept], stored.select(kept)
-    planar = insertion.frame.to_local(stored.points)[:, :2]
+    places = insertion.frame.to_local(stored.points)
     fit = fit_matrices(stored.q, stored.weights, stored.knots)
     shared = stored.shared_sd**2 * np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
     covariance = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
-    by_q = fit.slope @ (fit.operator @ planar)  # (K, 2)
-    slope = by_q[:, 1] / by_q[:, 0]
-    return SectionData(s, planar, fit.operator, covariance, shared, slope, fit.reached, stored)
+    by_q = fit.slope @ (fit.operator @ places)  # (K, 3)
+    slope = by_q[:, 1:] / by_q[:, :1]
+    return SectionData(s, places, fit.operator, covariance, shared, slope, fit.reached, stored)
 
 
 def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
@@ -145,6 +148,28 @@ def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:
     return np.column_stack([np.ones(len(x)), x, -slope])
 
 
+def pose_modes_in_space(measured: Floats, slopes: Floats | None = None) -> Floats:
+    """Return the change (2 K, 6) of deflections along y, then z, by unit errors of pose and roll.
+
+    Those of `pose_modes` in the plane, a shift and a turn out of it, and a turn about x. `measured` is (K, 3);
+    `slopes` (K, 2) are by default those of cubics through the points.
+    """
+    (x, y, z), nothing = measured.T, np.zeros((len(measured), 2))
+    along_y = pose_modes(measured, None if slopes is None else slopes[:, 0])
+    along_z = pose_modes(measured[:, [0, 2]], None if slopes is None else slopes[:, 1])
+    return np.concatenate(
+        [
+            np.column_stack([along_y, nothing, -z]),
+            np.column_stack([nothing, along_z[:, 2], along_z[:, :2], y]),
+        ]
+    )
+
+
+def pose_sds_in_space(insertion: Insertion, noise: Noise) -> Floats:
+    """Return the prior standard deviations (6,) in the order of `pose_modes_in_space`."""
+    return np.concatenate([sds := pose_sds(insertion, noise), sds[:2], [insertion.roll_sd]])
+
+
 def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
     """Return the prior standard deviations (3,) of a known pose: mm, rad, mm, in the order of `pose_modes`.
 
@@ -172,14 +197,14 @@ PLAIN_LIKELIHOOD = LikelihoodRecord(bevel_spread=0.0)  #: all insertions have th
 class Observation:
     """One insertion, prepared for comparison with simulated needles."""
 
-    measured: Floats  #: (K, 2) measured places, mm; of a tip track depth and tip
-    #: (C, C) of the errors of what is compared at noise scale 1, mm^2: of the K measured y, or of C spline
-    #: coefficients
+    measured: Floats  #: (K, 2), in space (K, 3), measured places, mm; of a tip track depth and tip
+    #: (C, C) of the errors of what is compared at noise scale 1, mm^2: of the K measured y (in space of y,
+    #: then z), or of C spline coefficients
     point_covariance: Floats
     pose_spread: Floats  #: (C, c) what a deviation of a known pose adds to them, mm; c = 0 where it is free
     free: Floats  #: (C, f) what a free pose does to them, per unit; f = 0 where it is known
-    #: (R, K) from differences of the K deflections to independent residuals of unit variance; R = C less what
-    #: a free pose takes
+    #: (R, K), in space (R, 2 K), from differences of the deflections to independent residuals of unit
+    #: variance; R = C less what a free pose takes
     whitening: Floats
     log_norm: float  #: logarithm of the Gaussian's normalising factor
     pose: Pose  #: a free shape is aligned before its residuals are formed
@@ -198,6 +223,18 @@ class Observation:
     @property
     def insertion(self) -> Insertion:
         return self.nodes.insertions[0]
+
+    @property
+    def planes(self) -> int:
+        """1 where deflections are compared along y, 2 along y and z."""
+        return self.measured.shape[1] - 1
+
+    def stack(self, points: Floats) -> Floats:
+        """Return the deflections (..., K) of points (..., K, 2), in space (..., 2 K): along y, then z."""
+        if self.planes == 1:
+            return points[..., 1]
+        padded = pad_planes(points, 2)
+        return np.concatenate([padded[..., 1], padded[..., 2]], axis=-1)
 
     def covariance(self, scale: float = 1.0) -> Floats:
         """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""
@@ -240,6 +277,9 @@ def make_observation(
     along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion)
     measured = interpolate_at_arc(insertion.planar, along)
     measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
+    if dataset.planes == 2:
+        across = np.interp(along, arc_length(insertion.planar), insertion.out_of_plane)
+        measured = np.column_stack([measured, across])
     sd = None
     if insertion.sd is not None:
         sd = np.interp(along, arc_length(insertion.planar), insertion.sd)
@@ -253,9 +293,15 @@ def make_observation(
     operator = points_operator(measurement, s)
     if operator is not None and measurement.operator == "spline":
         cov, free = operator @ cov @ operator.T, operator @ free
+    if dataset.planes == 2:
+        cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
+        operator = None if operator is None else block_diag(operator, operator)
+        modes = pose_modes_in_space(measured) * pose_sds_in_space(insertion, noise)
+    else:
+        modes = pose_modes(measured) * pose_sds(insertion, noise)
     pose = np.empty((len(cov), 0))
     if dataset.pose == "known":
-        pose, free = _apply(operator, pose_modes(measured) * pose_sds(insertion, noise)), free[:, :0]
+        pose, free = _apply(operator, modes), free[:, :0]
     # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
     try:
         whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
@@ -265,7 +311,8 @@ def make_observation(
     nodes = make_nodes(insertion, s, likelihood.depths, bevel=varies, constants=len(curves))
     offset: Floats | float = 0.0
     if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
-        offset = whitening @ (_apply(operator, measured[:, 1]) - measured[:, 1])
+        stored = measured[:, 1:].T.ravel()
+        offset = whitening @ (_apply(operator, stored) - stored)
     whitening = whitening if operator is None else whitening @ operator
     return Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves, offset)
 
@@ -385,17 +432,22 @@ def _observe_sections(
     model_error: Discrepancy | None,
 ) -> Observation:
     """Return the observation of an insertion by the spline through its cross-sections, of a known pose."""
-    pose = known.operator @ (pose_modes(known.planar, known.slope) * pose_sds(insertion, dataset.noise))
-    free = np.empty((len(pose), 0))
-    cov = known.covariance
+    operator, cov = known.operator, known.covariance
     if model_error is not None:
-        cov = cov + known.operator @ model_error.covariance(known.s) @ known.operator.T
+        cov = cov + operator @ model_error.covariance(known.s) @ operator.T
+    if dataset.planes == 2:
+        measured, operator, cov = known.places, block_diag(operator, operator), block_diag(cov, cov)
+        modes = pose_modes_in_space(measured, known.slope) * pose_sds_in_space(insertion, dataset.noise)
+    else:
+        measured = known.places[:, :2]
+        modes = pose_modes(measured, known.slope[:, 0]) * pose_sds(insertion, dataset.noise)
+    pose = operator @ modes
+    free = np.empty((len(pose), 0))
     whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
     varies = likelihood.bevel_spread > 0
     nodes = make_nodes(insertion, known.s, likelihood.depths, bevel=varies, constants=len(curves))
-    return Observation(
-        known.planar, cov, pose, free, whitening @ known.operator, log_norm, dataset.pose, nodes, curves
-    )
+    whitening = whitening @ operator
+    return Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves)
 
 
 def _whiten_known(
@@ -433,15 +485,16 @@ def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
 
 
 def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
-    """Return the whitened residuals (..., R) of points (..., K, 2), aligned first if the pose is free."""
+    """Return the whitened residuals (..., R) of points (..., K, 2 or 3), aligned if the pose is free."""
     if observation.pose == "free":
         simulated = align_rigid(simulated, observation.measured)
-    return whiten_deflections(observation, simulated[..., 1])
+    return whiten_deflections(observation, observation.stack(simulated))
 
 
 def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
-    """Return the whitened residuals (..., R) of deflections (..., K), without alignment."""
-    return (deflections - observation.measured[:, 1]) @ observation.whitening.T + observation.offset
+    """Return the whitened residuals (..., R) of stacked deflections, without alignment."""
+    measured = observation.stack(observation.measured)
+    return (deflections - measured) @ observation.whitening.T + observation.offset
 
 
 def append_pose_curves(observation: Observation, white: Floats) -> Floats:
@@ -451,7 +504,10 @@ def append_pose_curves(observation: Observation, white: Floats) -> Floats:
 
 
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 2, P)."""
+    """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, D, P)."""
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
-    return observation.whitening @ slopes[..., 1, :]
+    if observation.planes == 1:
+        return observation.whitening @ slopes[..., 1, :]
+    padded = pad_planes(slopes, 2, axis=-2)
+    return observation.whitening @ np.concatenate([padded[..., 1, :], padded[..., 2, :]], axis=-2)

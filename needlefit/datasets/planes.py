@@ -1,0 +1,117 @@
+"""How far needles leave the planes of their bevels, and whether they are compared in one plane or in space."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.noise import MEAN_NORM_PER_SD
+from needlefit.errors import ConfigError
+from needlefit.geometry.frames import normalize
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+
+SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
+# Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
+MIN_BEND_SLOPE = 0.005
+MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
+MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
+PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degrees
+
+
+def compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
+    """Return the standard deviation of a tip across the needle by points and pose, mm."""
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+    pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
+    return math.hypot(pose, noise.point_sd, noise.correlated_sd)
+
+
+def turns_out_of_plane(insertion: Insertion) -> bool:
+    """Whether the bevel was turned on the way by anything but half turns."""
+    return any(abs(math.sin(math.radians(roll))) > PLANAR_TURN_SINE for _, roll in insertion.turns)
+
+
+def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
+    """Whether a needle was turned out of its plane, or left it by more than errors of points, pose and roll."""
+    if turns_out_of_plane(insertion):
+        return True
+    sd = math.hypot(compute_deflection_sd(insertion, noise), insertion.roll_sd * insertion.deflection)
+    away = abs(float(insertion.out_of_plane[-1]))
+    return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
+
+
+def set_planes(dataset: Dataset, insertions: Sequence[Insertion], stated: int | None) -> Dataset:
+    """Return the dataset with the number of planes in which its needles are simulated and compared.
+
+    It is the `stated` one; where that is None, 2 if any of the `insertions` leaves its plane. In one plane a
+    turn counts as the half turn, or none, that is nearest to it.
+
+    Raises ConfigError if two are stated for needles of unknown pose.
+    """
+    if stated == 2 and dataset.pose != "known":
+        raise ConfigError(
+            f"the needles of {dataset.name} have no known pose",
+            key="planes",
+            expected="1: their plane is that of their shape",
+        )
+    planes = stated or 1
+    if stated is None and dataset.pose == "known":
+        planes += any(leaves_plane(one, dataset.noise) for one in insertions)
+    if planes == 2:
+        return replace(dataset, planes=2)
+    kept = tuple(_project_turns(one) if one.turns else one for one in dataset.insertions)
+    return replace(dataset, insertions=kept)
+
+
+def _project_turns(insertion: Insertion) -> Insertion:
+    turns = [(depth, math.cos(math.radians(roll))) for depth, roll in insertion.turns]
+    halves = ((depth, 0.0 if cosine > -PLANAR_TURN_SINE else 180.0) for depth, cosine in turns)
+    return replace(insertion, turns=tuple(halves))
+
+
+def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
+    """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
+
+    None of free shapes and tracks, whose plane is that of the shape itself, and of needles that were turned.
+    """
+    posed = dataset.pose == "known"
+    known = [one for one in dataset.insertions if posed and one.pose_source != "none" and not one.turns]
+    sds = [compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
+    away = [abs(float(one.out_of_plane[-1])) for one in known]
+    found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
+    return sorted(found, key=lambda one: -one[2])
+
+
+def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions whose tips leave the planes of their bevels.
+
+    It proposes the direction of side 1 that fits their tips, and says whether one fits all.
+    """
+    tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
+    places, worst = [], 0.0
+    for insertion, where in ((one.insertion, one.where) for one in listed):
+        has_plane = insertion.pose_source != "none" and not turns_out_of_plane(insertion)
+        away = abs(float(insertion.out_of_plane[-1])) if has_plane else 0.0
+        errors = SIGNIFICANT_SD * compute_deflection_sd(insertion, noise)
+        if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
+            across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
+            tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
+            places.append(where)
+            worst = max(worst, away)
+    if tips:
+        shown = [
+            f"{', '.join(f'{x:z.2f}' for x in normalize(tip).round(2))} ({id_})" for id_, tip in tips.items()
+        ]
+        mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
+        if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
+            shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
+        what = (
+            f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
+            f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
+        )
+        fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
+        yield ResultWarning("bevel_plane", what, places[0], fix)
