@@ -1,4 +1,4 @@
-"""How far needles leave the planes of their bevels, and whether they are compared in one plane or in space."""
+"""How far needles leave the planes of their bevels; whether they are compared in one plane or in space."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -36,7 +36,7 @@ def turns_out_of_plane(insertion: Insertion) -> bool:
 
 
 def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
-    """Whether a needle was turned out of its plane, or left it by more than errors of points, pose and roll."""
+    """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too."""
     if turns_out_of_plane(insertion):
         return True
     sd = math.hypot(compute_deflection_sd(insertion, noise), insertion.roll_sd * insertion.deflection)
@@ -114,4 +114,5 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
         )
         fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
+        fix += "; state turns of the bevel by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, places[0], fix)

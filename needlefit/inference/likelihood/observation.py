@@ -151,10 +151,10 @@ def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:
 def pose_modes_in_space(measured: Floats, slopes: Floats | None = None) -> Floats:
     """Return the change (2 K, 6) of deflections along y, then z, by unit errors of pose and roll.
 
-    Those of `pose_modes` in the plane, a shift and a turn out of it, and a turn about x. `measured` is (K, 3);
-    `slopes` (K, 2) are by default those of cubics through the points.
+    Those of `pose_modes` in the plane, a shift and a turn out of it, and a turn about x. `measured` is
+    (K, 3); `slopes` (K, 2) are by default those of cubics through the points.
     """
-    (x, y, z), nothing = measured.T, np.zeros((len(measured), 2))
+    (y, z), nothing = measured[:, 1:].T, np.zeros((len(measured), 2))
     along_y = pose_modes(measured, None if slopes is None else slopes[:, 0])
     along_z = pose_modes(measured[:, [0, 2]], None if slopes is None else slopes[:, 1])
     return np.concatenate(
