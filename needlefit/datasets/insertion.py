@@ -151,11 +151,11 @@ class Insertion:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     turns: tuple[tuple[float, float], ...] = ()
 
-    def with_planar(self, planar: Floats) -> Self:
-        """Return the insertion as if its measured points were `planar` (N, 2), in C's xy plane, alone."""
-        flat = np.zeros(len(planar))
-        world = self.frame.to_world(np.column_stack((planar, flat)))
-        return replace(self, planar=planar, centerline=world, out_of_plane=flat, sections=None)
+    def with_planar(self, planar: Floats, out_of_plane: Floats | None = None) -> Self:
+        """Return the insertion as if its measured points were `planar` (N, 2) in C, at z = 0 by default."""
+        z = np.zeros(len(planar)) if out_of_plane is None else out_of_plane
+        world = self.frame.to_world(np.column_stack((planar, z)))
+        return replace(self, planar=planar, centerline=world, out_of_plane=z, sections=None)
 
     @property
     def deflection(self) -> float:

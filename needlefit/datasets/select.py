@@ -118,8 +118,8 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
     """Return which insertions of a dataset are one insertion, measured at several depths, by their ids.
 
     Of each its specimen, and a number in it. They have the same `hole` where the medium states it. Else they
-    went into one specimen with the bevel on the same side, to different depths, and, where the pose is known,
-    from the same entry in the same direction. A tip track is a whole insertion.
+    went into one specimen with the bevel on the same side and the same turns, to different depths, and, where
+    the pose is known, from the same entry in the same direction. A tip track is a whole insertion.
     """
     found: dict[str, tuple[str, int]] = {}
     for medium in dict.fromkeys(one.medium for one in dataset.insertions):
@@ -149,7 +149,7 @@ def _make_hole_key(source: HoleSource, one: Insertion) -> tuple[object, ...]:
         return (one.specimen, one.hole)
     entry = np.concatenate([one.frame.origin, one.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
     # adding 0 makes -0 the same as 0
-    return (one.specimen, one.side, *((entry + 0.0).tolist() if source == "entry" else ()))
+    return (one.specimen, one.side, one.turns, *((entry + 0.0).tolist() if source == "entry" else ()))
 
 
 def _has_other_depths(hole: Sequence[Insertion], one: Insertion) -> bool:

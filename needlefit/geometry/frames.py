@@ -176,12 +176,14 @@ class Placement:
         return found
 
     def to_world(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2), given in C, in world coordinates, (K, 3) mm."""
-        flat = np.asarray(points, dtype=np.float64)
-        return self.frame.to_world(np.column_stack([flat, np.zeros(len(flat))]))
+        """Return points (K, 2), in C's plane, or (K, 3), in C, in world coordinates, (K, 3) mm."""
+        given = np.asarray(points, dtype=np.float64)
+        if given.shape[1] == 2:
+            given = np.column_stack([given, np.zeros(len(given))])
+        return self.frame.to_world(given)
 
     def to_patient(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2), given in C, in patient coordinates, (K, 3) LPS, mm."""
+        """Return points (K, 2) or (K, 3), given in C, in patient coordinates, (K, 3) LPS, mm."""
         return self.patient.to_local(self.to_world(points))
 
 

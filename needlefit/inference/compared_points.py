@@ -145,6 +145,13 @@ def pad_planes(points: Floats, planes: int, axis: int = -1) -> Floats:
     return np.concatenate([points, np.zeros(shape)], axis=axis)
 
 
+def turn_about_x(points: Floats, angle: Floats | float) -> Floats:
+    """Return points (..., K, 3) turned about C's x axis by angles (...,), rad."""
+    cos, sin = (np.asarray(part)[..., None] for part in (np.cos(angle), np.sin(angle)))
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1)
+
+
 Curve = Callable[[Floats], Floats]
 
 #: part of the scored points, from the entry side, whose line is x in a free comparison

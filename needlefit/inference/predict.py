@@ -103,6 +103,18 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
     return off - between / 2
 
 
+MEDIAN_STEPS = 60  #: of the search for a geometric median; each leaves about half of what is missing
+
+
+def find_geometric_median(points: Floats) -> Floats:
+    """Return the points (K, d) whose mean distance from `points` (B, K, d) is least (E. Weiszfeld, 1937)."""
+    found: Floats = np.median(points, axis=0)
+    for _ in range(MEDIAN_STEPS):
+        weights = 1 / np.maximum(np.linalg.norm(points - found, axis=-1, keepdims=True), TINY_MM)
+        found = (weights * points).sum(axis=0) / weights.sum(axis=0)
+    return found
+
+
 def simulate_shape_pit(
     mixture: PredictiveMixture, covariance: Floats, observed: Floats, rng: np.random.Generator
 ) -> float:

@@ -174,7 +174,9 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
     tips = [np.array([one.depth]) for one in problem.insertions]
     points, moves = model.differentiate([problem.values(theta)], problem.parameters, tips)
-    tip, by_theta = np.array(points)[:, 0, 0, 1], np.array(moves)[:, 0, 0, 1]  # (I,), (I, P)
+    # along y, in space along z too: (I,), (I, P), or twice as many rows
+    tip = np.concatenate([one[0, 0, 1:] for one in points])
+    by_theta = np.concatenate([one[0, 0, 1:] for one in moves])
     solved = np.isfinite(tip) & np.isfinite(by_theta).all(axis=1)
     tip, by_theta = tip[solved], by_theta[solved]
     slopes = tip @ by_theta / max(float(tip @ tip), np.finfo(float).tiny)

@@ -1,5 +1,7 @@
 """How well predictive intervals cover insertions, and how wide they are: also after one more insertion."""
 
+import math
+
 import numpy as np
 import pandas as pd
 
@@ -14,9 +16,19 @@ def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
     return estimate_proportion(list(predictive[column]), group_rows(predictive))
 
 
+def measure_tips(predictive: pd.DataFrame, which: str) -> "pd.Series[float]":
+    """Return how far tips deflect, mm: "measured", or the "median" predicted."""
+    y, z = f"tip_{which}_mm", f"tip_z_{which}_mm"
+    across = predictive[y].abs()
+    return across.combine(predictive[z], math.hypot) if z in predictive else across
+
+
 def median_width(predictive: pd.DataFrame) -> float:
-    """Return the median width of the 95 % intervals of tips, mm."""
-    return float((predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]).median())
+    """Return the median width of the 95 % intervals of tips, mm; in space of the wider one of y and z."""
+    width = predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]
+    if "tip_z_95_high_mm" in predictive:
+        width = width.combine(predictive["tip_z_95_high_mm"] - predictive["tip_z_95_low_mm"], max)
+    return float(width.median())
 
 
 def tip_error_of_medians(predictive: pd.DataFrame) -> float:
@@ -24,7 +36,11 @@ def tip_error_of_medians(predictive: pd.DataFrame) -> float:
 
     That is the tip error of the predictions; `te_mm` is of the posterior mode.
     """
-    return float((predictive["tip_median_mm"] - predictive["tip_measured_mm"]).abs().mean())
+    off = (predictive["tip_median_mm"] - predictive["tip_measured_mm"]).abs()
+    if "tip_z_median_mm" in predictive:
+        out = predictive["tip_z_median_mm"] - predictive["tip_z_measured_mm"]
+        off = off.combine(out, math.hypot)
+    return float(off.mean())
 
 
 COVERAGE_COLUMNS = (

@@ -68,25 +68,25 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts) if parts else bands
 
 
-def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
-    """Return by fold and insertion what stands above its panel: its tip error."""
+def _title_panels(errors: pd.DataFrame, metric: str) -> dict[forms.InsertionKey, str]:
+    """Return by fold and insertion what stands above its panel: its tip error, a `metric`."""
     titles = {}
     for row in to_records(errors):
-        error = f"{format_mm(row['te_mm'], 3 if row['comparison'] == 'aligned' else 2)} mm"
+        error = f"{format_mm(row[metric], 3 if row['comparison'] == 'aligned' else 2)} mm"
         titles[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
     return titles
 
 
 def draw_first_page(results: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
-    method = choose_method(results)
+    method, metric = choose_method(results), scores.name_tip_error(results)
     ranked = select_fitted(results.frames["errors"], role, method).query("converged")
-    ranked = ranked.sort_values("te_mm", kind="stable")
+    ranked = ranked.sort_values(metric, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = collect_curves(results, role, (method,), _OVERLAY_POINT_STEP)
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(results, role))], ignore_index=True)
-    options = {"heads": _title_panels(chosen), "method": method}
+    options = {"heads": _title_panels(chosen, metric), "method": method}
     return Drawing(forms.first_page, frame.assign(origin=results.origin), options)
 
 
@@ -100,7 +100,7 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
     names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
     for key, name in names.items():
         rows = here[(here["method"] == key) & here["converged"].astype(bool)]
-        for row in to_records(rows[["fold", "insertion", scores.TE]]):
+        for row in to_records(rows.assign(**{scores.TE: rows[group.tip]})[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
     for one in scores.list_held_out_groups(results):
         if (printed := one.get(scores.TE, "paper")) is not None:
@@ -110,14 +110,14 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
                 "name": "paper, own needles",
                 scores.TE: printed,
             }
-    if (floor := group.get(scores.TE, "floor")) is not None:
+    if (floor := group.get(group.tip, "floor")) is not None:
         yield {"curve": forms.TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
 def draw_overlays(results: Run, role: str) -> Drawing:
     """Return all insertions."""
-    ours = choose_method(results)
-    titles = _title_panels(select_fitted(results.frames["errors"], role, ours))
+    ours, metric = choose_method(results), scores.name_tip_error(results)
+    titles = _title_panels(select_fitted(results.frames["errors"], role, ours), metric)
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(results, role, names, every)
@@ -142,11 +142,11 @@ def _list_group_errors(results: Run) -> Iterator[Row]:
         layers = labels.group_name(group.head["medium"], group.head["layers"])
         name = f"{labels.study_name(group.head['study'])}, {layers}"
         about = {"group": name, "origin": results.origin}
-        for tip in to_records(scores.select_group(errors, group)[["insertion", scores.TE]]):
-            yield {**about, "mark": "tip", **tip}
+        for tip in to_records(scores.select_group(errors, group)[["insertion", group.tip]]):
+            yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[group.tip]}
         curve = find_closest_curve(group)
-        means = {"curve": group.get(scores.TE, method=curve) if curve else None}
-        means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(scores.TE, "floor")}
+        means = {"curve": group.get(group.tip, method=curve) if curve else None}
+        means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(group.tip, "floor")}
         yield from ({**about, "mark": mark, scores.TE: mean} for mark, mean in means.items() if mean)
 
 
@@ -188,5 +188,7 @@ def _orient_pits(results: Run) -> dict[str, Floats]:
     predictions = results.frames["predictive"]
     sides = predictions["insertion"].map(scores.find_bevel_sides(results)).to_numpy(dtype=np.float64)
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
+    if scores.is_in_space(results):  # those of tips are by the distance from the predicted one
+        return {"tip": tips, "shape": shapes}
     # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}

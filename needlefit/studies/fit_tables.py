@@ -127,16 +127,18 @@ def _lay_out_groups(
     """
     rows: list[Row] = []
     for number, (group, kinds) in enumerate(blocks):
-        noise = group.get(scores.TE, "floor")
+        noise = group.get(group.tip, "floor")
         for row in _list_rows(group, kinds):
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
-    metrics = [one for one in list_metrics() if (one.headline or one.relative or not short)]
-    metrics = [one for one in metrics if not one.spread_of and not one.in_space]
-    floors = [one.name for one in headline_metrics() if one.has_floor]
+    in_space = bool(blocks) and all(group.in_space for group, _ in blocks)
+    metrics = [one for one in list_metrics() if one.in_space == in_space and not one.spread_of]
+    if short:
+        metrics = [one for one in metrics if one.headline or one.relative]
+    floors = [one.name for one in headline_metrics(in_space=in_space) if one.has_floor]
     last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
     if short:
-        metrics.sort(key=lambda one: one.name != scores.TE)
+        metrics.sort(key=lambda one: one.name not in (scores.TE, scores.TE_IN_SPACE))
     columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
@@ -187,7 +189,7 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
                 {
                     **_head(group),
                     "te_mm": judged and judged.error_mm,
-                    "noise_of_te": group.get(scores.TE, "floor"),
+                    "noise_of_te": group.get(group.tip, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
                     "paper_te_mm": group.get(scores.TE, "paper"),
                     "verdict": verdict.outcome if verdict else "not scored",
@@ -230,7 +232,7 @@ def lay_out_baselines(results: Run, role: str) -> TableLayout:
         }
         for row in to_records(scores.compare_methods(results, role))
     ]
-    errors = (one.name for one in headline_metrics())
+    errors = (one.name for one in headline_metrics(in_space=scores.is_in_space(results)))
     columns = ("method", "insertions", *errors, "te_difference", "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
@@ -23,7 +24,7 @@ from needlefit.datasets.select import count_layers, find_repeats, list_bevels, n
 from needlefit.errors import ConfigError
 from needlefit.grouping import group_values
 from needlefit.inference import specimens
-from needlefit.inference.compared_points import Curve, align
+from needlefit.inference.compared_points import Curve, align, pad_planes, turn_about_x
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -35,6 +36,7 @@ from needlefit.inference.predict import (
     PredictiveMixture,
     cdf,
     crps,
+    find_geometric_median,
     quantile,
     rms_noise_scale,
     simulate_shape_pit,
@@ -408,7 +410,10 @@ class _Predictor:
         """Return the prediction of an insertion; None where too few draws have a solution."""
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
-        observation = make_observation(job.dataset, insertion, likelihood=self.likelihood)
+        planes = job.dataset.planes
+        # in space the roll is drawn: it turns the needle as a whole
+        unrolled = replace(insertion, roll_sd=0.0) if planes == 2 else insertion
+        observation = make_observation(job.dataset, unrolled, likelihood=self.likelihood)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
@@ -427,11 +432,14 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        aligned = align(observation.pose, found.points[solved], observation.measured)
-        heights = aligned[..., 1]
+        points = pad_planes(found.points[solved], planes)
+        if planes == 2:
+            points = turn_about_x(points, insertion.roll_sd * rng.standard_normal(len(points)))
+        aligned = align(observation.pose, points, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
-        covariance, measured = _measurement_covariance(observation, factor), observation.measured[:, 1]
-        mixture = PredictiveMixture(heights, np.sqrt(np.diag(covariance)))
+        covariance = _measurement_covariance(observation, factor)
+        measured = observation.stack(observation.measured)
+        mixture = PredictiveMixture(observation.stack(aligned), np.sqrt(np.diag(covariance)))
         row = {
             "fold": fold.name,
             "insertion": insertion.id,
@@ -451,14 +459,22 @@ class _Predictor:
             some = [values for values, kept in zip(sets, solved, strict=True) if kept]
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
+        across: Floats = quantile(mixture, (0.5,)).T
+        columns: tuple[str, ...] = COLUMNS["predictive"]
+        if planes == 2:
+            across = find_geometric_median(aligned[..., 1:])
+            tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
+            errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
+            row |= _score_tip_in_space(aligned[:, -1, 1:] + errors, across[-1], measured[tips])
+            columns = (*columns, *SPATIAL_COLUMNS)
         band, median = tuple[Row, ...](), None
         if self.bands:
             where = {"fold": fold.name, "insertion": insertion.id}
             band = tuple({**where, **point} for point in _band_rows(mixture, observation.measured))
-            points = np.column_stack([np.median(aligned[..., 0], axis=0), *quantile(mixture, (0.5,))])
-            median = partial(_interpolate, observation.nodes.s[0], points)
-        row = {name: row[name] for name in COLUMNS["predictive"]}
-        return HeldOutPrediction(row, band, len(heights), int(np.sum(~found.valid[solved])), median)
+            middle = np.column_stack([np.median(aligned[..., 0], axis=0), across])
+            median = partial(_interpolate, observation.nodes.s[0], middle)
+        row = {name: row[name] for name in columns}
+        return HeldOutPrediction(row, band, len(aligned), int(np.sum(~found.valid[solved])), median)
 
     def _simulate(
         self,
@@ -489,15 +505,15 @@ class _Predictor:
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
         found = self._simulate(insertion, observation, further, rng)
-        again = np.full(len(sets), np.nan)
+        again, tip = np.full(len(sets), np.nan), len(observation.measured) - 1
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]
-        errors = first.sd[-1] * rng.standard_normal((2, len(sets)))
-        return estimate_width_after_one(again + errors[0], first.means[:, -1] + errors[1])
+        errors = first.sd[tip] * rng.standard_normal((2, len(sets)))
+        return estimate_width_after_one(again + errors[0], first.means[:, tip] + errors[1])
 
 
 def _interpolate(known: Floats, points: Floats, s: Floats) -> Floats:
-    """Return the points (K, 2) of a curve at `s` (K,); `points` are those at `known`."""
+    """Return the points (K, D) of a curve at `s` (K,); `points` are those at `known`."""
     return np.column_stack([np.interp(s, known, along) for along in points.T])
 
 
@@ -531,7 +547,7 @@ def _condition_bevels(
 
 
 def _measurement_covariance(observation: Observation, factor: float) -> Floats:
-    """Return the covariance (K, K) of the measured y about a given needle: of points, and of a known pose.
+    """Return the covariance of the measured deflections about a given needle: of points, and of a known pose.
 
     A free shape or tip track is laid on the measured one, which takes from its errors what a motion can.
     """
@@ -545,13 +561,15 @@ def _measurement_covariance(observation: Observation, factor: float) -> Floats:
 
 
 def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
-    """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
+    """Yield median and intervals at some of the measured points (K, 2 or 3), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
-    some = PredictiveMixture(mixture.means[:, kept], mixture.sd[kept])
-    median, intervals = _find_intervals(some)
-    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": median}
-    for level, (low, high) in intervals.items():
-        columns |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
+    columns = {"x_mm": measured[kept, 0]}
+    for plane, ending in enumerate(("mm", "z_mm")[: measured.shape[1] - 1]):
+        rows = kept + plane * len(measured)
+        median, intervals = _find_intervals(PredictiveMixture(mixture.means[:, rows], mixture.sd[rows]))
+        columns |= {f"measured_{ending}": measured[kept, 1 + plane], f"median_{ending}": median}
+        for level, (low, high) in intervals.items():
+            columns |= {f"low_{100 * level:.0f}_{ending}": low, f"high_{100 * level:.0f}_{ending}": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
 
@@ -562,6 +580,32 @@ def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Flo
     median, *found = quantile(mixture, (0.5, *ends))
     pairs = np.array(found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
     return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
+
+
+#: columns that predictions in space have besides; there `tip_pit` is the probability of a tip nearer to the
+#: centre, by the spread of tips, `tip_crps_mm` the energy score, and `tip_in_95` is by `tip_pit`
+SPATIAL_COLUMNS = ("tip_z_measured_mm", "tip_z_median_mm", "tip_z_95_low_mm", "tip_z_95_high_mm")
+
+
+def _score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
+    """Return what became of the prediction of a tip (2,) across the needle, by predicted tips (B, 2).
+
+    The energy score is mean |X - y| - mean |X - X'| / 2 (T. Gneiting, A. E. Raftery, JASA 102 (2007) 359).
+    """
+    root = np.linalg.cholesky(np.cov(tips.T))
+    sizes = np.linalg.norm(np.linalg.solve(root, (tips - centre).T), axis=0)
+    pit = float(np.mean(sizes < np.linalg.norm(np.linalg.solve(root, measured - centre))))
+    apart = pdist(tips).mean() * (len(tips) - 1) / len(tips)
+    low, high = np.quantile(tips[:, 1], [0.025, 0.975]).tolist()
+    (y, z), (y_median, z_median) = measured.tolist(), centre.tolist()
+    return {
+        **{"tip_measured_mm": y, "tip_median_mm": y_median},
+        **{"tip_z_measured_mm": z, "tip_z_median_mm": z_median},
+        **{"tip_z_95_low_mm": low, "tip_z_95_high_mm": high},
+        **{"tip_pit": pit, "tip_in_50": pit <= 0.5, "tip_in_95": pit <= 0.95},
+        "tip_crps_mm": float(np.linalg.norm(tips - measured, axis=1).mean() - apart / 2),
+        "tip_interval_score_mm": math.nan,
+    }
 
 
 def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:

@@ -17,7 +17,7 @@ import scipy
 from needlefit.inference.baselines import BASELINES
 from needlefit.project.result_warnings import read_warnings
 from needlefit.studies.answer import Check, Finding, Status
-from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, median_width
+from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.run import Run, once_per_run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
@@ -59,15 +59,15 @@ def choose_method(results: Run) -> str:
 def judge(results: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
     method = choose_method(results)
-    error = group.get(TE, method=method)
+    error = group.get(group.tip, method=method)
     if error is None:
         return None
-    ratio, curve = group.over_floor(TE, method=method), find_closest_curve(group)
-    nearest = None if curve is None else group.get(TE, method=curve)
+    ratio, curve = group.over_floor(group.tip, method=method), find_closest_curve(group)
+    nearest = None if curve is None else group.get(group.tip, method=curve)
     if results.frames["errors"]["fold"].nunique() > 1:
         errors = select_group(results.frames["errors"], group)
         held = (errors["role"] == "validate") & (errors["boundaries"] == "measured")
-        outcome = judge_fits(errors[held], method)
+        outcome = judge_fits(errors[held], method, group.tip)
     else:
         outcome = describe_fit(error, ratio, nearest)
     return Judgement(outcome, error, ratio, curve or "", nearest)
@@ -81,28 +81,31 @@ def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | N
     return "predicts" if noise_ratio is not None and noise_ratio <= MAX_NOISE_RATIO else "in part"
 
 
-def judge_fits(errors: pd.DataFrame, method: str = MEDIAN_METHOD) -> Outcome:
+def judge_fits(errors: pd.DataFrame, method: str = MEDIAN_METHOD, metric: str = TE) -> Outcome:
     """Return whether several fits generalise: their tip errors are significantly smaller than every curve's.
 
     Of many curves one may be closer by chance: that fits do not generalise has Holm's correction.
 
     `errors`: rows of the table "errors" of held-out insertions, with `fold`, `specimen`, `hole`, `insertion`,
-    `method` and `te_mm` (mm): those of `method`, and of the curves by their names.
+    `method` and the `metric` (mm): those of `method`, and of the curves by their names.
     """
-    known = [pair for name in BASELINES.names() if (pair := compare_pairs(errors, method, name)) is not None]
+    pairs = (compare_pairs(errors, method, name, metric) for name in BASELINES.names())
+    known = [pair for pair in pairs if pair is not None]
     if any(theirs * len(known) <= SIGNIFICANCE for _, theirs in known):
         return "does not generalise"
     return "generalises" if known and all(ours <= SIGNIFICANCE for ours, _ in known) else "not shown"
 
 
-def compare_pairs(errors: pd.DataFrame, method: str, other: str) -> tuple[float, float] | None:
+def compare_pairs(
+    errors: pd.DataFrame, method: str, other: str, metric: str = TE
+) -> tuple[float, float] | None:
     """Return the p values of paired tip errors: that of a method's being smaller, and that of the other's.
 
     `errors` as in `judge_fits`. A trial is the mean over insertions that share a fit, a specimen or a hole;
     None with fewer than two.
     """
     keys = ["fold", "specimen", "hole", "insertion"]
-    ours, theirs = (errors[errors["method"] == name].set_index(keys)[TE] for name in (method, other))
+    ours, theirs = (errors[errors["method"] == name].set_index(keys)[metric] for name in (method, other))
     gaps = (ours - theirs).replace([np.inf, -np.inf], np.nan).dropna()
     trials = gaps.groupby(join_trials(gaps.index.to_frame(index=False))).mean()
     if len(trials) < 2:
@@ -125,7 +128,7 @@ def join_trials(rows: pd.DataFrame) -> list[int]:
 
 def find_closest_curve(group: ScoredGroup) -> str | None:
     """Return the curve without mechanics with the smallest tip error."""
-    errors = {name: group.get(TE, method=name) for name in BASELINES.names()}
+    errors = {name: group.get(group.tip, method=name) for name in BASELINES.names()}
     known = {name: error for name, error in errors.items() if error is not None}
     return min(known, key=lambda name: known[name], default=None)
 
@@ -168,13 +171,15 @@ def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterato
             inside = low <= found.hits / found.trials <= high
             passed = inside if found.trials >= MIN_TIPS_50 else None
             yield replace(one, passed=passed, threshold=found.trials / 2, beyond=_count_beyond(predictive))
-    width, deflection = median_width(predictive), float(predictive["tip_measured_mm"].abs().median())
+    width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
     limit = float((run.get("recipe") or {}).get("aiming_width_mm", MAX_AIMING_WIDTH_MM))
     yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
 
 
 def _count_beyond(predictive: pd.DataFrame) -> int:
     """Return how many tips deflect more than their predictive medians."""
+    if "tip_z_measured_mm" in predictive:
+        return int((measure_tips(predictive, "measured") > measure_tips(predictive, "median")).sum())
     measured, median = predictive["tip_measured_mm"], predictive["tip_median_mm"]
     return int(((measured - median) * np.sign(median) > 0).sum())
 

@@ -15,7 +15,7 @@ from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import SimulatedCurve, select_points
+from needlefit.inference.compared_points import SimulatedCurve, pad_planes, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import make_batch, predict
 from needlefit.inference.predict import Draws
@@ -109,7 +109,8 @@ def _place_predicted_band(
         [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
     ).T
     shift = np.interp(x, *insertion.planar.T) - measured
-    low, middle, high = (placement.to_patient(np.column_stack([x, y + shift])) for y in heights)
+    across = np.array([row.get("median_z_mm", 0.0) for row in rows])
+    low, middle, high = (placement.to_patient(np.column_stack([x, y + shift, across])) for y in heights)
     return Band(low, middle, high, "predicted")
 
 
@@ -123,9 +124,10 @@ def _place_band_of_draws(
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None
-    heights = [_align(problem, insertion, s, needle)[:, 1] for needle in needles]
+    aligned = pad_planes(np.array([_align(problem, insertion, s, needle) for needle in needles]), 2)
+    across = np.median(aligned[..., 2], axis=0)
     low, middle, high = (
-        placement.to_patient(np.column_stack([x, y]))
-        for y in np.percentile(heights, BAND_PERCENTILES, axis=0)
+        placement.to_patient(np.column_stack([x, y, across]))
+        for y in np.percentile(aligned[..., 1], BAND_PERCENTILES, axis=0)
     )
     return Band(low, middle, high, "posterior")

@@ -122,12 +122,14 @@ class Scorer:
     def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
         curves = compare_curves(simulated, measured)
         side = insertion.side
-        floor = self.floors[insertion.id]["te_mm"]
+        in_space = self.dataset.planes == 2
+        floor = self.floors[insertion.id]["te_3d_mm" if in_space else "te_mm"]
+        bend = curves.deflection_3d if in_space else abs(curves.deflection)
         return {
             **compute_metrics(curves),
             "deflection_mm": side * curves.deflection,
             "predicted_deflection_mm": side * float(simulated[-1, 1] - simulated[0, 1]),
-            "edp_flagged": bool(abs(curves.deflection) < floor),  # never where no floor is stated (NaN)
+            "edp_flagged": bool(bend < floor),  # never where no floor is stated (NaN)
             "converged": True,
         }
 

@@ -52,6 +52,16 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
+def is_in_space(results: Run) -> bool:
+    """Whether needles were simulated and compared in space."""
+    return bool(results.run.get("planes", 1) == 2)
+
+
+def name_tip_error(results: Run) -> str:
+    """Return the metric of the tip error that a run is judged by."""
+    return TE_IN_SPACE if is_in_space(results) else TE
+
+
 def compare_methods(results: Run, role: str) -> pd.DataFrame:
     """Compare the tip errors of every method with the fit's on the same insertions and folds of a role.
 
@@ -67,13 +77,14 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     """
     errors = results.frames["errors"]
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
-    names = [metric.name for metric in headline_metrics()]
+    names = [metric.name for metric in headline_metrics(in_space=is_in_space(results))]
+    tip = name_tip_error(results)
     errors = errors.assign(group=group_rows(errors), **{name: _finite_column(errors, name) for name in names})
     means = errors.groupby(["method", "fold", "group"], sort=False)[names].mean()
     found, rows = set(errors["method"]), []
     for method in [name for name in list_methods() if {name, "fitted"} <= found]:
         theirs = means.loc[method]
-        gaps = (theirs[TE] - means.loc["fitted"][TE]).dropna()
+        gaps = (theirs[tip] - means.loc["fitted"][tip]).dropna()
         averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
         row = {"method": method, "insertions": len(gaps), **averages}
         row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}
@@ -104,9 +115,10 @@ def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
-_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "origin")
+_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "planes", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
-TE = "te_mm"  #: the metric of verdicts, of warnings about them, and of every comparison of methods in words
+#: the metric of verdicts, of warnings about them, and of every comparison of methods in words; and in space
+TE, TE_IN_SPACE = "te_mm", "te_3d_mm"
 #: values of `grouping`: insertions held out, or fitted to, by medium and number of layers
 HELD_OUT, BY_LAYERS = "held_out", "layers"
 
@@ -117,6 +129,15 @@ class ScoredGroup:
 
     head: Row  #: the first row of the fit with measured boundaries: what all have in common, and its counts
     rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
+
+    @property
+    def in_space(self) -> bool:
+        return bool(self.head["planes"] == 2)
+
+    @property
+    def tip(self) -> str:
+        """The metric of the tip error that it is judged by."""
+        return TE_IN_SPACE if self.in_space else TE
 
     def get(
         self, metric: str, column: str = "value", method: str = "fitted", boundaries: str = "measured"
@@ -198,7 +219,7 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
         return None
     grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
-    return ScoredGroup({**fitted, **head}, by_place)
+    return ScoredGroup({**fitted, **head, "planes": results.run.get("planes", 1)}, by_place)
 
 
 def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
@@ -224,6 +245,7 @@ def _list_rows(results: Run, grouping: str) -> list[Row]:
             "layer_count_rule": results.record.layer_count_rule,
             "origin": results.origin,
             "comparison": str(errors["comparison"].iloc[0]),
+            "planes": results.run.get("planes", 1),
         }
         found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found

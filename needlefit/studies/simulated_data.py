@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
@@ -17,14 +18,16 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
-from needlefit.inference.compared_points import read_points
+from needlefit.inference.compared_points import pad_planes, read_points, turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
     SectionData,
     points_covariance,
     pose_modes,
+    pose_modes_in_space,
     pose_sds,
+    pose_sds_in_space,
     select_sections,
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
@@ -86,26 +89,41 @@ def simulate_measurement(
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
-    points = read_points(true, shape, at)
+    points, planes = read_points(true, shape, at), dataset.planes
+    if planes == 2:
+        points = turn_about_x(pad_planes(points, 2), insertion.roll_sd * rng.standard_normal())
+    x, across = points[:, 0], points[:, 1:]  # (K,), (K, planes)
+    # the roll, which turned the needle as a whole, is none of these
+    sds = (pose_sds if planes == 1 else pose_sds_in_space)(insertion, dataset.noise)[:5]
     if known is not None:
-        slope = np.gradient(points[:, 1], points[:, 0])
-        moved = pose_modes(points, slope) @ (pose_sds(insertion, dataset.noise) * rng.standard_normal(3))
-        return _measure_sections(insertion, known, points[:, 0], moved + points[:, 1], scale, rng)
+        slopes = np.gradient(across, x, axis=0)
+        modes = _pose_modes(points, slopes)
+        moved = modes @ (sds * rng.standard_normal(len(sds)))
+        return _measure_sections(insertion, known, x, across + moved.reshape(planes, -1).T, scale, rng)
     cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
+    cov = cov if planes == 1 else scipy.linalg.block_diag(cov, cov)
     if dataset.pose == "known":
-        spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
+        spread = _pose_modes(points) * sds
         cov = cov + spread @ spread.T
-    y = points[:, 1] + np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
-    along_x = np.diff(s) ** 2 - np.diff(y) ** 2
+    noise = np.linalg.cholesky(cov) @ rng.standard_normal(len(cov))
+    across = across + noise.reshape(planes, -1).T
+    along_x = np.diff(s) ** 2 - np.sum(np.diff(across, axis=0) ** 2, axis=1)
     if np.any(along_x <= 0):
         return None
     # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power
-    planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), y])
+    planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), across[:, 0]])
     if dataset.pose == "free":  # turned by any angle, and moved
         angle = rng.uniform(0.0, 2 * np.pi)
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
-    return insertion.with_planar(planar)
+    return insertion.with_planar(planar, across[:, 1] if planes == 2 else None)
+
+
+def _pose_modes(points: Floats, slopes: Floats | None = None) -> Floats:
+    """Return what errors of a known pose do to deflections: in the plane, or along y and then z."""
+    if points.shape[1] == 2:
+        return pose_modes(points, None if slopes is None else slopes[:, 0])
+    return pose_modes_in_space(points, slopes)[:, :5]
 
 
 def draw_bevels(
@@ -122,17 +140,25 @@ def draw_bevels(
 
 
 def _measure_sections(
-    insertion: Insertion, known: SectionData, x: Floats, y: Floats, scale: float, rng: np.random.Generator
+    insertion: Insertion,
+    known: SectionData,
+    x: Floats,
+    across: Floats,
+    scale: float,
+    rng: np.random.Generator,
 ) -> Insertion:
-    """Return the insertion with cross-sections at `x`, `y` (K,), and the spline through them, with noise."""
-    stored = known.stored
-    own = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT)) * rng.standard_normal(len(y))
-    shared = np.linalg.cholesky(known.shared + MIN_WEIGHT * np.eye(len(y))) @ rng.standard_normal(len(y))
-    seen = np.column_stack([x, y + scale * (own + shared)])
+    """Return the insertion with cross-sections at `x` (K,) and `across` (K, planes), and the spline through
+    them, with noise.
+    """
+    stored, count = known.stored, len(x)
+    sds = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT))
+    root = np.linalg.cholesky(known.shared + MIN_WEIGHT * np.eye(count))
+    noise = [sds * rng.standard_normal(count) + root @ rng.standard_normal(count) for _ in across.T]
+    seen = pad_planes(np.column_stack([x, across + scale * np.array(noise).T]), 2)
     q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
-    measured = insertion.with_planar(design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen)
-    world = insertion.frame.to_world(np.column_stack([seen, np.zeros(len(y))]))
-    return replace(measured, sections=replace(stored, points=world))
+    points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
+    measured = insertion.with_planar(points[:, :2], points[:, 2])
+    return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
 
 
 POINT_SPACING_MM = 1.0  #: distance of measured points along a needle, mm
@@ -235,10 +261,12 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
         if met is None or shape is None or not shape.converged:
             return None
         if isinstance(one, TipTrack):
-            planar = read_points(one, shape, one.depths)
+            points = read_points(one, shape, one.depths)
         else:
-            planar = sample_inserted_points(shape, len(one.planar))
-        made.append(replace(one.with_planar(planar), boundaries=met.boundaries, sequence=met.sequence))
+            points = sample_inserted_points(shape, len(one.planar))
+        points = pad_planes(points, 2)
+        measured = one.with_planar(points[:, :2], points[:, 2])
+        made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(job.problem(fold), insertions=tuple(made))
 
 

@@ -109,7 +109,8 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     stated = problem.dataset.noise if problem.noise is None else problem.noise
     if stated.stated:
         return problem
-    squares = [np.mean((sim - measured)[:, 1] ** 2) for sim, measured in problem.points(theta)]
+    across = slice(1, 1 + problem.dataset.planes)
+    squares = [np.mean((sim - measured)[:, across] ** 2) for sim, measured in problem.points(theta)]
     # 1e-6 mm: a fit without residuals must not give a noise of 0
     rms = max(math.sqrt(float(np.mean(squares))), 1e-6)
     return replace(problem, noise=replace(stated, point_sd=rms))
@@ -245,7 +246,7 @@ def estimate_model_error(problem: Problem, residuals: Floats, chi_square: float)
     squares = float(residuals @ residuals)
     excess = squares * (1.0 - 1.0 / chi_square) if chi_square > 1 else 0.0
     added = sum(
-        float(np.sum((one.whitening @ unit.covariance(s)) * one.whitening))
+        float(np.sum((one.whitening @ unit.covariance_in(one.planes, s)) * one.whitening))
         for one in problem.density.observations
         for s in one.nodes.s[:1]
     )

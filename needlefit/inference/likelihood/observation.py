@@ -124,6 +124,11 @@ class Discrepancy:
         apart = (s[:, None] - s) / self.length
         return self.sd**2 * np.exp(-0.5 * apart**2)
 
+    def covariance_in(self, planes: int, s: Floats) -> Floats:
+        """Return the same of deflections along y, and, in two planes, behind them along z."""
+        one = self.covariance(s)
+        return one if planes == 1 else np.asarray(block_diag(one, one))
+
 
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25

@@ -50,6 +50,7 @@ def collect_values(results: Run) -> dict[str, Any]:
         "results": results,
         "frames": frames,
         "role": role,
+        "in_space": scores.is_in_space(results),
         "dataset": str(run.get("dataset", {}).get("name", results.dataset_title)),
         "media": {
             name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
@@ -103,8 +104,8 @@ def find_answer(results: Run) -> Answer:
     }
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
-        scores.TE: judged.error_mm,
-        "floor_te_mm": group.get(scores.TE, "floor"),
+        group.tip: judged.error_mm,
+        f"floor_{group.tip}": group.get(group.tip, "floor"),
         "te_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
