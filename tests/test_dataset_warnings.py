@@ -11,9 +11,9 @@ from test_datasets import CURVE, X, record, row
 
 from needlefit.datasets.dataset_warnings import (
     find_side_warnings,
-    measure_out_of_plane,
     measure_scatter,
 )
+from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import check, check_all, read
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import Surface, make_mesh, make_sheet

@@ -157,6 +157,11 @@ class Insertion:
         world = self.frame.to_world(np.column_stack((planar, z)))
         return replace(self, planar=planar, centerline=world, out_of_plane=z, sections=None)
 
+    def measure_arc(self, planes: int) -> Floats:
+        """Return the arc length (N,) along the measured points, mm: along those in the plane, or in space."""
+        flat = planes == 1
+        return arc_length(self.planar if flat else np.column_stack([self.planar, self.out_of_plane]))
+
     @property
     def deflection(self) -> float:
         """Measured tip deflection y_K - y_1 in C, positive toward the bevel, mm."""
@@ -264,9 +269,11 @@ def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
 MAX_CENTERLINE_POINTS = 200  # a centreline with more points is thinned to about this many
 
 
-def select_compared_places(pose: Pose, drop: float, insertion: Insertion) -> tuple[Floats, Floats]:
+def select_compared_places(
+    pose: Pose, drop: float, insertion: Insertion, planes: int = 1
+) -> tuple[Floats, Floats]:
     """Return arc lengths along the centreline (K,) and beam coordinates (K,), mm, of the points compared."""
-    along = arc_length(insertion.planar)
+    along = insertion.measure_arc(planes)
     if pose == "known":
         at = along * (insertion.depth / along[-1])
     else:

@@ -23,7 +23,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose, TipTrack, find_free_reach
 from needlefit.errors import DataError
-from needlefit.geometry.curves import COMPARISON_POINTS, arc_length, interpolate_at_arc
+from needlefit.geometry.curves import COMPARISON_POINTS, interpolate_at_arc
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,
@@ -193,7 +193,7 @@ class ComparedPoints:
 
 
 def select_points(
-    pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS
+    pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS, planes: int = 1
 ) -> ComparedPoints:
     """Return the measured points that a curve is compared with; see `compare_points`.
 
@@ -205,11 +205,11 @@ def select_points(
         first = frame[: _count_entry_side(len(depth))]
         line = frame @ np.linalg.lstsq(first, tip[: len(first)], rcond=None)[0]
         return ComparedPoints(depth, np.column_stack([depth, tip - line]), pose, np.zeros(len(depth)))
-    along = arc_length(insertion.planar)
+    along = insertion.measure_arc(planes)
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
         s, at = insertion.depth * fractions, fractions * along[-1]
-        measured = interpolate_at_arc(insertion.planar, at)
+        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
     else:
         to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
         s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
@@ -239,14 +239,19 @@ def differentiate_align(pose: Pose, simulated: Floats, measured: Floats, slopes:
 
 
 def compare_points(
-    pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = COMPARISON_POINTS
+    pose: Pose,
+    drop: float,
+    insertion: Insertion,
+    curve: Curve,
+    stations: int = COMPARISON_POINTS,
+    planes: int = 1,
 ) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3) that are compared, entry side first, tip last.
 
     `drop` is the proximal length left out where the pose is free, mm. `curve` takes beam coordinates (K,), 0
     at the entry and `insertion.depth` at the tip, to points (K, 2), or (K, 3) in space, in C, mm.
     """
-    return align_points(select_points(pose, drop, insertion, stations), curve)
+    return align_points(select_points(pose, drop, insertion, stations, planes), curve)
 
 
 def rotate_to_entry_axes(points: Floats) -> Floats:

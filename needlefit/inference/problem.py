@@ -516,7 +516,9 @@ class Problem:
     def compared_points(self) -> tuple[ComparedPoints, ...]:
         """The measured points that each simulated needle is compared with; computed once."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
-        return tuple(select_points(pose, drop, insertion) for insertion in self.insertions)
+        return tuple(
+            select_points(pose, drop, insertion, planes=self.dataset.planes) for insertion in self.insertions
+        )
 
     @cached_property
     def density(self) -> PosteriorDensity:

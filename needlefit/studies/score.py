@@ -98,7 +98,7 @@ class Scorer:
             if isinstance(curve, SimulatedCurve):
                 self.counts.score(where, curve.shape.validity)
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
-            simulated, measured = compare_points(pose, drop, insertion, curve)
+            simulated, measured = compare_points(pose, drop, insertion, curve, planes=self.dataset.planes)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
             shapes += _shape_rows(where, simulated, measured)
         return errors, shapes

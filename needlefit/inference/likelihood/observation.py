@@ -39,7 +39,6 @@ from needlefit.datasets.insertion import (
 )
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import DataError
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
 from needlefit.inference.compared_points import pad_planes, rotate_to_entry_axes
@@ -279,15 +278,11 @@ def make_observation(
         return _observe_sections(dataset, insertion, known, likelihood, model_error)
     measurement = dataset.measurement if smoothed else DEFAULT_MEASUREMENT
     noise = dataset.noise if noise is None else noise
-    along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion)
-    measured = interpolate_at_arc(insertion.planar, along)
+    along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.planes)
+    arc, axes = insertion.measure_arc(dataset.planes), [*insertion.planar.T, insertion.out_of_plane]
+    measured = np.column_stack([np.interp(along, arc, axis) for axis in axes[: 1 + dataset.planes]])
     measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
-    if dataset.planes == 2:
-        across = np.interp(along, arc_length(insertion.planar), insertion.out_of_plane)
-        measured = np.column_stack([measured, across])
-    sd = None
-    if insertion.sd is not None:
-        sd = np.interp(along, arc_length(insertion.planar), insertion.sd)
+    sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
     cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
     if measurement.bias_sd_mm is not None and measurement.bias_length_mm is not None:
         # An unknown operator: a smooth bias that all insertions of a fit share. Its covariance counts as

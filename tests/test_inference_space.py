@@ -1,0 +1,180 @@
+"""Needles in space: rolls and turns as stated, residuals along y and z, predictions across the needle."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
+from test_datasets import CURVE, record, row
+
+from needlefit.datasets.planes import leaves_plane, set_planes, turns_out_of_plane
+from needlefit.datasets.read import check, read
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import ConfigError
+from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.forward_model import predict
+from needlefit.inference.predict import find_geometric_median
+from needlefit.inference.problem import make_problem
+from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.studies.held_out_predictions import _score_tip_in_space
+from needlefit.studies.simulated_data import simulate_measurement
+
+TURNED = {
+    "insertions": {"file": "insertions.csv", "turns": "turns.csv"},
+    "media": {"given": {"boundaries_mm": [20.0]}},
+}
+FREE = LikelihoodRecord(bevel_spread=0.0)
+
+
+def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
+    """An insertion through two layers whose bevel turns on the way, measured without errors."""
+    planned = replace(insertion(depth, (12.0,), (1, 2)), turns=turns, **changes)
+    points = sample_inserted_points(predict(TRUTH, medium(), NEEDLE, planned), 101)
+    z = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
+    return planned.with_planar(points[:, :2], z)
+
+
+def in_space(made, how=FREE, planes=2):
+    data = replace(dataset(made), planes=planes)
+    return make_problem(data, made, medium(), WeightsRecord(), how)
+
+
+def test_values_gradients_and_residuals_in_space_are_of_one_density():
+    made = [turned(boundary_sd=0.4, depth_sd=0.3), turned(35.0, ((10.0, -90.0), (22.0, 180.0)), side=-1)]
+    p = in_space(made, LikelihoodRecord())
+    theta = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1, "bevel_cv": 0.1})
+    assert_one_density(p, theta)
+    value, slope = p.objective_gradient(theta)
+    moves = 1e-5 * np.eye(len(theta))
+    differences = [(p.objective(theta + m) - p.objective(theta - m)) / 2e-5 for m in moves]
+    assert slope == pytest.approx(differences, rel=1e-5, abs=1e-6) and value > 0.1
+    exact = p.with_parameters(replace(p.parameters)).objective(p.parameters.theta({**TRUTH, "bevel_cv": 0.1}))
+    assert exact < 1e-4
+
+
+def test_needles_in_one_plane_have_the_same_likelihood_in_space():
+    made = [turned(40.0, ()), turned(33.0, (), side=-1)]
+    one, two = (in_space(made, planes=planes) for planes in (1, 2))
+    thetas = [one.parameters.theta({**TRUTH, "mu1_pa": mu, "bevel_mm": 0.09}) for mu in (2e5, 6e5)]
+    gaps = [p.log_posterior(thetas[0]) - p.log_posterior(thetas[1]) for p in (one, two)]
+    assert gaps[0] == pytest.approx(gaps[1], rel=1e-9) and abs(gaps[0]) > 0.1
+
+
+def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_say():
+    exact = turned(turns=())
+    points, quiet = np.column_stack([exact.planar, exact.out_of_plane]), {"pose_angle_sd": 0.0}
+    theta = in_space([exact]).parameters.theta(TRUTH)
+    noise = replace(dataset([exact]).noise, registration_mean=0.0, point_sd=0.02, correlated_sd=0.0)
+    angle = 0.02
+    rolled = turn_about_x(points, angle)
+    tilted = points + np.column_stack([0 * points[:, :2], angle * points[:, 0]])
+    for moved, sds in ((rolled, {"roll_sd": 0.05}), (tilted, {"pose_angle_sd": 0.05, "roll_sd": 1e-9})):
+        one = replace(exact, **(quiet | sds))
+        pair = [one, one.with_planar(moved[:, :2], moved[:, 2])]
+        values = [replace(in_space([o]), noise=noise).log_posterior(theta) for o in pair]
+        # half the square of the angle in SDs, and what the noise adds to these
+        assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.02)
+
+
+def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
+    """The bevel faces y; turned frames state rolls of 0, 30 and -90 degrees, and the same turn."""
+    in_world = CURVE + np.column_stack([0 * CURVE[:, :2], 1e-4 * np.maximum(CURVE[:, 0] - 25, 0) ** 2])
+    found = []
+    for degrees in (0.0, 30.0, -90.0):
+        angle = math.radians(degrees)
+        toward = np.array([0.0, math.cos(angle), -math.sin(angle)])
+        turns = ((25.0, angle + math.pi / 2),)
+        one = row("a", "given", layers=2, bevel=toward, roll=angle, roll_sd=0.02, turns=turns)
+        tables = record(**TURNED)
+        file = write_dataset(tmp_path / f"{degrees:g}", tables, [one], {"a": in_world}, {}, checksums=False)
+        assert check(file) == []
+        found.append(read(file).insertions[0])
+    for one in found:
+        np.testing.assert_allclose(one.planar, found[0].planar, atol=1e-4)
+        np.testing.assert_allclose(one.out_of_plane, in_world[:, 2], atol=1e-4)
+        assert np.ravel(one.turns) == pytest.approx((25.0, 90.0), abs=1e-3)
+        assert one.side == 1 and one.roll_sd == pytest.approx(0.02, abs=1e-4)
+    digests = {read(tmp_path / f"{degrees:g}").digest for degrees in (0, 30)}
+    text = (tmp_path / "0/turns.csv").read_text()
+    (tmp_path / "0/turns.csv").write_text(text.replace("25.0", "26.0"))
+    assert read(tmp_path / "0").digest not in digests
+
+
+@pytest.mark.parametrize(
+    ("rows", "row_changes", "pose", "place"),
+    [
+        (["b,20,90"], {}, "known", "turns.csv:2"),
+        (["a,20,90", "a,15,180"], {}, "known", "turns.csv:3"),
+        (["a,60,90"], {}, "known", "turns.csv:2"),
+        (["a,20,right"], {}, "known", "turns.csv:2"),
+        ([], {"roll": 1.0, "side": -1}, "known", "insertions.csv:2"),
+        ([], {"roll": 1.0, "bevel": None}, "known", "insertions.csv:2"),
+        (["a,20,90"], {}, "free", "dataset.toml"),
+    ],
+)
+def test_rolls_and_turns_that_contradict_are_faults(tmp_path, rows, row_changes, pose, place):
+    one = row("a", "given", layers=2, **({"bevel": np.array([0.0, 1, 0])} | row_changes))
+    tables = record(**TURNED)
+    file = write_dataset(tmp_path, tables, [one], {"a": CURVE}, {}, checksums=False)
+    (tmp_path / "turns.csv").write_text("\n".join(["id,depth_mm,bevel_roll_deg", *rows, ""]))
+    if pose == "free":
+        file.write_text(file.read_text().replace('pose = "known"', 'pose = "free"'))
+    assert any(place in fault.where for fault in check(file))
+
+
+def test_the_data_decide_in_how_many_planes_needles_are_compared():
+    flat, half, quarter = turned(turns=()), turned(turns=((18.0, 180.0),)), turned()
+    assert [turns_out_of_plane(one) for one in (flat, half, quarter)] == [False, False, True]
+    data = dataset([flat, half, quarter])
+    for insertions, stated, planes in (
+        ([flat, half], None, 1),
+        ([flat, quarter], None, 2),
+        ([flat], 2, 2),
+        ([quarter], 1, 1),
+    ):
+        assert set_planes(data, insertions, stated).planes == planes
+    # in one plane a quarter turn is none, and a larger one a half turn
+    more = turned(turns=((10.0, 90.0), (20.0, 140.0)))
+    assert set_planes(dataset([more]), [more], 1).insertions[0].turns == ((10.0, 0.0), (20.0, 180.0))
+    # 10 degrees are two SDs of a roll of 5, and ten of one of 1
+    points = turn_about_x(np.column_stack([flat.planar, flat.out_of_plane]), math.radians(10.0))
+    bent = replace(flat, pose_angle_sd=0.0).with_planar(points[:, :2], points[:, 2])
+    noise = replace(data.noise, registration_mean=0.0, correlated_sd=0.0, point_sd=0.01)
+    assert bent.out_of_plane[-1] > 0.005 * bent.depth
+    assert not leaves_plane(bent, noise) and leaves_plane(replace(bent, roll_sd=math.radians(1.0)), noise)
+    with pytest.raises(ConfigError):
+        set_planes(replace(data, pose="free"), [flat], 2)
+
+
+def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
+    """The squares of whitened residuals at the truth are chi-squared: their number is the mean."""
+    planned = turned(pose_shift_sd=0.2, roll_sd=math.radians(3.0))
+    p = in_space([planned])
+    theta, rng = p.parameters.theta(TRUTH), np.random.default_rng(5)
+    data, squares, count = p.dataset, [], 60
+    for _ in range(count):
+        seen = simulate_measurement(data, planned, TRUTH, medium(), rng)
+        residuals = in_space([seen]).compute_misfits(theta)
+        squares.append(float(residuals @ residuals))
+    assert np.mean(squares) == pytest.approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
+
+
+def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
+    rng = np.random.default_rng(2)
+    points = np.array([[0, 0], [3, 1], [-2, 5]]) + rng.normal(size=(401, 3, 2))
+    turn = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    middle = find_geometric_median(points)
+    np.testing.assert_allclose(find_geometric_median(points @ turn), middle @ turn, atol=1e-6)
+    lines = np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[10.0, 0.0]]])
+    np.testing.assert_allclose(find_geometric_median(lines), [[1.0, 0.0]], atol=1e-6)
+    tips = rng.normal(size=(4000, 2))
+    for radius, expected in ((0.0, math.sqrt(math.pi / 2) - math.sqrt(math.pi) / 2), (3.0, None)):
+        found = _score_tip_in_space(tips, np.zeros(2), np.array([0.0, radius]))
+        assert found["tip_pit"] == pytest.approx(1 - math.exp(-(radius**2) / 2), abs=0.02)
+        assert expected is None or found["tip_crps_mm"] == pytest.approx(expected, abs=0.02)
+        assert found["tip_in_95"] == (radius < 2)
+    ends = found["tip_z_95_low_mm"], found["tip_z_95_high_mm"]
+    assert ends == pytest.approx(scipy.stats.norm.ppf([0.025, 0.975]), abs=0.1)
