@@ -67,8 +67,8 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
     exact = turned(turns=())
     points, quiet = np.column_stack([exact.planar, exact.out_of_plane]), {"pose_angle_sd": 0.0}
     theta = in_space([exact]).parameters.theta(TRUTH)
-    noise = replace(dataset([exact]).noise, registration_mean=0.0, point_sd=0.02, correlated_sd=0.0)
-    angle = 0.02
+    noise = replace(dataset([exact]).noise, registration_mean=0.0, point_sd=0.05, correlated_sd=0.0)
+    angle = 0.01
     rolled = turn_about_x(points, angle)
     tilted = points + np.column_stack([0 * points[:, :2], angle * points[:, 0]])
     for moved, sds in ((rolled, {"roll_sd": 0.05}), (tilted, {"pose_angle_sd": 0.05, "roll_sd": 1e-9})):

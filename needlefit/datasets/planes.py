@@ -30,6 +30,12 @@ def compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
     return math.hypot(pose, noise.point_sd, noise.correlated_sd)
 
 
+def compute_plane_sd(insertion: Insertion, noise: Noise) -> float:
+    """Return the standard deviation of a tip out of the plane of its bevel, by the roll too, mm."""
+    bent = float(np.abs(insertion.planar[:, 1]).max())
+    return math.hypot(compute_deflection_sd(insertion, noise), insertion.roll_sd * bent)
+
+
 def turns_out_of_plane(insertion: Insertion) -> bool:
     """Whether the bevel was turned on the way by anything but half turns."""
     return any(abs(math.sin(math.radians(roll))) > PLANAR_TURN_SINE for _, roll in insertion.turns)
@@ -39,8 +45,7 @@ def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
     """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too."""
     if turns_out_of_plane(insertion):
         return True
-    sd = math.hypot(compute_deflection_sd(insertion, noise), insertion.roll_sd * insertion.deflection)
-    away = abs(float(insertion.out_of_plane[-1]))
+    away, sd = abs(float(insertion.out_of_plane[-1])), compute_plane_sd(insertion, noise)
     return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
 
 
@@ -96,7 +101,9 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     for insertion, where in ((one.insertion, one.where) for one in listed):
         has_plane = insertion.pose_source != "none" and not turns_out_of_plane(insertion)
         away = abs(float(insertion.out_of_plane[-1])) if has_plane else 0.0
-        errors = SIGNIFICANT_SD * compute_deflection_sd(insertion, noise)
+        # of a needle that was turned the roll was stated, with its error
+        compute_sd = compute_plane_sd if insertion.turns else compute_deflection_sd
+        errors = SIGNIFICANT_SD * compute_sd(insertion, noise)
         if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
             across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
             tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
