@@ -17,7 +17,6 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.quantity_text import format_quantity
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.toml import add_key_context
@@ -216,21 +215,6 @@ class Prior:
         """Return the prior without its ties, which `add_ties` put last."""
         kept = len(self.centre) - len(self.ties)
         return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
-
-    def describe(self, name: str) -> str:
-        """Describe the prior of one parameter as the end of a sentence; empty if there is none."""
-        for tie in self.ties:
-            if tie.name == name:
-                source = tie.source if tie.factor == 1 else f"{tie.factor:g} * {tie.source}"
-                return f"; tied to {source} within a factor of {tie.spread:.3g}"
-        if name not in self.marginals:
-            return ""
-        mean, sd = self.marginals[name]
-        if is_shape_parameter(name):
-            known = f"{mean:.3g} +- {sd:.2g}"
-        else:
-            known = f"{format_quantity(name, math.exp(mean))}, within a factor of {math.exp(sd):.2g}"
-        return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 
 def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:

@@ -20,7 +20,6 @@ from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_
 from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
-    Assessment,
     FitProfiles,
     Identifiability,
     identify,
@@ -462,14 +461,13 @@ class _StudyRun:
             notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")
             verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
             verdict = replace(verdict, notes=notes) if invalid else verdict
-        judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
             found = identify_parameters(problem, profiles, verdict.sds, verdict, verdict.loosened)
             judged = [{"fold": fold.name, **row} for row in found.rows]
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
-            judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
-        fitted = _fitted_rows(job, fold, fit, verdict, judgements)
+            verdict = reconcile_verdict(verdict, found.by_profile)
+        fitted = _fitted_rows(job, fold, fit, verdict)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
@@ -518,9 +516,7 @@ _UNKNOWN: Row = {
 }
 
 
-def _fitted_rows(
-    job: Job, fold: Fold, fit: Fit, verdict: Identifiability, judgements: Mapping[str, Assessment]
-) -> list[Row]:
+def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> list[Row]:
     """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
     rows = []
     for name, value in fit.values.items():
@@ -540,9 +536,6 @@ def _fitted_rows(
         else:
             tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
             note = ["fixed" if status == "fixed" else tied]
-            if judged := judgements.get(name):  # it was freed for its profile
-                words = "the data do not determine it", f"if fitted: {judged.profile_verdict}"
-                note.append(words[not judged.flat])
             row["note"] = "; ".join([*note, *filter(None, [condition])])
         rows.append(row)
     return rows
