@@ -5,7 +5,6 @@ most; shape parameters of a law are searched as they are. A tie is a factor and 
 ("10 * mu1_pa"); one with a spread is a part of the stated prior, a Gaussian in theta within the flat bounds.
 """
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -558,13 +557,7 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
     if missing or extra:
         faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
-        # one that is missing may be one that is unknown, mistyped
-        remaining, fixes = [*missing, *(name for name in usual if name not in record.parameters)], []
-        for name in extra:
-            near = difflib.get_close_matches(name, remaining, n=1)
-            fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
-            remaining = [one for one in remaining if one not in near]
-        fixes += [f"add `{name}`" for name in remaining if name in missing]
+        fixes = [f"remove `{name}`" for name in extra] + [f"add `{name}`" for name in missing]
         raise ConfigError(
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",

@@ -283,11 +283,6 @@ class LikelihoodProfile:
     ends: tuple[End, End]
 
     @property
-    def flat(self) -> bool:
-        """Whether the 95 % interval reaches both bounds: the data determine nothing."""
-        return self.ends == ("bound", "bound")
-
-    @property
     def closed(self) -> bool:
         """Whether the 95 % interval ends on both sides before a bound."""
         return self.ends == ("closed", "closed")
