@@ -285,7 +285,7 @@ def sample(
     Returns
     -------
     Run
-        With `posterior`, whose `to_inference_data()` is for ArviZ. Ctrl-C ends early, marked `interrupted`.
+        With `posterior`, whose `to_xarray()` is for ArviZ. Ctrl-C ends early, marked `interrupted`.
 
     Raises
     ------

@@ -3,10 +3,10 @@
     python studies/recovery.py [--seeds 1:21] [--quick] [--out reports/recovery.png]
 
 The twin (the synthetic dataset) is made again with other random numbers, and every medium is fitted as the
-shipped fits do: to the posterior, and to the errors (IPE, TE, EDP). A row has the truth
-(the geometric mean over what the fit learns from), the estimate (of the posterior its median), whether its
-interval covers the truth, the distance as a factor and in standard deviations, and whether the fit calls the
-parameter determined. Rows are kept beside the figure as CSV; a run that was stopped goes on there.
+shipped fits do. A row has the truth (the geometric mean over what the fit learns from), the estimate (the
+posterior's median), whether its interval covers the truth, the distance as a factor and in standard
+deviations, and whether the fit calls the parameter determined. Rows are kept beside the figure as CSV; a run
+that was stopped goes on there.
 
 What came out of 20 twins (docs/fitting.md): 321 of 340 intervals of the posterior contain the truth.
 """
@@ -23,20 +23,20 @@ import needlefit
 from needlefit.api import make_twin
 
 MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
-METHODS = {"fitted": "posterior", "fitted_metric": "errors"}
 WIDTH = 3.92  # of a Gaussian 95 % interval, in standard deviations
 
 
 def fit_twin(seed: int, media: tuple[str, ...], recipe: dict) -> list[dict]:
-    """Return a row for each medium, fit and free parameter of one twin."""
+    """Return a row for each medium and free parameter of one twin."""
     rows = []
     with TemporaryDirectory() as folder:
         twin = make_twin(folder, seed, media)
         for medium in media:
             run = needlefit.fit(twin, medium, tune={"medium": medium}, recipe=recipe)
             truth = run.run["truth"]
-            for row in run.frames["parameters"].query("status == 'free'").to_dict("records"):
-                if row["method"] in METHODS and row["parameter"] in truth:
+            fitted = run.frames["parameters"].query("method == 'fitted' and status == 'free'")
+            for row in fitted.to_dict("records"):
+                if row["parameter"] in truth:
                     rows.append({"seed": seed, "fit": medium, **score(row, truth[row["parameter"]])})
     return rows
 
@@ -47,7 +47,6 @@ def score(row: dict, truth: float) -> dict:
     low, high = row["interval_low"], row["interval_high"]
     off = math.log(value / truth)
     return {
-        "method": METHODS[row["method"]],
         "parameter": row["parameter"],
         "truth": truth,
         "value": value,
@@ -61,10 +60,10 @@ def score(row: dict, truth: float) -> dict:
 
 
 def summarize(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return one row for each fit, method and parameter, over all seeds."""
+    """Return one row for each fit and parameter, over all seeds."""
     covered, known = rows["covered"].astype(bool), rows["determined"] == "yes"
     rows = rows.assign(covered=covered, yes=known, missed=known & ~covered)
-    table = rows.groupby(["fit", "method", "parameter"], sort=False).agg(
+    table = rows.groupby(["fit", "parameter"], sort=False).agg(
         seeds=("seed", "nunique"),
         covered=("covered", "sum"),
         median_factor=("factor", "median"),
@@ -78,17 +77,16 @@ def summarize(rows: pd.DataFrame) -> pd.DataFrame:
 def draw(rows: pd.DataFrame, path: Path) -> None:
     """Save estimate over truth of every seed, with its interval, by medium and parameter."""
     names = list(rows.groupby(["fit", "parameter"], sort=False).groups)
-    figure, panels = plt.subplots(1, 2, figsize=(9, 1 + 0.28 * len(names)), sharey=True)
-    for axes, method in zip(panels, METHODS.values(), strict=True):
-        for _, row in rows[rows["method"] == method].iterrows():
-            at = names.index((row["fit"], row["parameter"])) + 0.6 * (row["seed"] % 20) / 20 - 0.3
-            colour = "#1b6ca8" if row["covered"] else "#c0392b"
-            axes.plot([row["low"] / row["truth"], row["high"] / row["truth"]], [at, at], color=colour, lw=0.6)
-            axes.plot(row["value"] / row["truth"], at, ".", ms=3, color=colour)
-        axes.axvline(1, color="0.5", lw=0.8)
-        axes.set(xscale="log", title=method, xlabel="estimate / truth (red: interval misses)")
-    panels[0].set_yticks(range(len(names)), [" ".join(one).removesuffix("_pa") for one in names])
-    panels[0].invert_yaxis()
+    figure, axes = plt.subplots(figsize=(6, 1 + 0.28 * len(names)))
+    for _, row in rows.iterrows():
+        at = names.index((row["fit"], row["parameter"])) + 0.6 * (row["seed"] % 20) / 20 - 0.3
+        colour = "#1b6ca8" if row["covered"] else "#c0392b"
+        axes.plot([row["low"] / row["truth"], row["high"] / row["truth"]], [at, at], color=colour, lw=0.6)
+        axes.plot(row["value"] / row["truth"], at, ".", ms=3, color=colour)
+    axes.axvline(1, color="0.5", lw=0.8)
+    axes.set(xscale="log", xlabel="estimate / truth (red: interval misses)")
+    axes.set_yticks(range(len(names)), [" ".join(one).removesuffix("_pa") for one in names])
+    axes.invert_yaxis()
     figure.tight_layout()
     figure.savefig(path, dpi=150)
 

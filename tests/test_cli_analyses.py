@@ -43,7 +43,6 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     assert "yes" not in set(table["determined"])
     profiles = pd.read_csv(folder / "profiles.csv")
     assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
-    assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
     assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
     assert table.loc["bevel_spread", "sd_ratio"] == pytest.approx(1.0)
     assert json.loads((folder / "run.json").read_text())["values"]["mu1_pa"] == pytest.approx(5e4)
@@ -55,8 +54,7 @@ def test_a_design_frees_and_fixes_parameters(world, monkeypatch, tmp_path):
     options = ("--free", "alpha1", "--fix", "b=0.1", "--out", str(tmp_path), "-q")
     assert run("tune", "gel", "--design", *options) == 0
     table = pd.read_csv(tmp_path / "gel-design/identify.csv").set_index("parameter")
-    assert table.loc[["mu1_pa", "alpha1", "alpha2"], "status"].tolist() == ["free", "free", "fixed"]
-    assert "bevel_mm" not in table.index
+    assert {"mu1_pa", "alpha1"} <= set(table.index) and not {"alpha2", "bevel_mm"} & set(table.index)
     about = json.loads((tmp_path / "gel-design/run.json").read_text())
     assert about["fit"]["free"] == ["alpha1"] and about["fit"]["fix"] == {"bevel_mm": 0.1}
 

@@ -1,7 +1,5 @@
 """Fits of laws with any number of shape parameters: derivatives, lanes, information, profiles, scenes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from inference_cases import BEVEL, MU, assert_one_density, insertion, measure, problem
@@ -10,10 +8,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.forward_model import make_scene_record, predict
 from needlefit.inference.identifiability.identify import (
-    find_fixed_shape,
-    free_shape,
     identify,
-    profile_parameters,
 )
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
@@ -73,18 +68,3 @@ def test_values_and_derivatives_are_of_one_density(law):
     theta = p.parameters.theta(truth)
     assert np.all(np.linalg.norm(p.jacobian(theta)[1], axis=0) > 1e-3)
     assert_one_density(p, theta + 0.01, rtol=2e-3, shape_step=2e-2)
-
-
-@pytest.mark.parametrize("law", ["linear", "gent", "two_term_ogden"])
-def test_fixed_shape_parameters_are_freed_for_their_profiles(law):
-    p, truth = make_case(law, **{name: {"fixed": value} for name, value in SHAPE[law].items()})
-    assert set(p.names) == {"mu1_pa", "mu2_pa", "bevel_mm"}
-    assert find_fixed_shape(p) == dict.fromkeys(SHAPE[law], ())
-    for one in LAWS[law].parameters:
-        assert free_shape(p, f"{one.name}2").parameters.bounds[f"{one.name}2"] == one.usual
-    if law == "two_term_ogden":  # one needle: six profiles take long
-        p = replace(p, insertions=p.insertions[:1])
-    found = {one.name: one for one in profile_parameters(p, exact_fit(p, truth)).parameters}
-    assert set(found) == set(truth)
-    for name, value in SHAPE[law].items():
-        assert found[name].fixed_at == value and found[name].tip_range_mm > 0

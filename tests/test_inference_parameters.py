@@ -114,7 +114,7 @@ def test_a_missing_parameter_is_named_and_a_shape_parameter_free_within_its_usua
             f"{kind}{layer}": usual[kind] for kind in kinds for layer in (1, 2)
         }
     mistyped = {**table, "alhpa1": ParameterRecord(fixed=1.0)}
-    with pytest.raises(ConfigError, match="`alpha1`"):
+    with pytest.raises(ConfigError, match="`alhpa1`"):
         Parameters.from_record(record.model_copy(update={"parameters": mistyped}))
 
 

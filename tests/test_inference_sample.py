@@ -261,7 +261,8 @@ def test_arviz_reads_the_draws(tmp_path):
     import arviz  # takes seconds, and every process of a parallel run imports this file
 
     save(met(), tmp_path / "posterior.nc")
-    for data in (met().to_inference_data(), arviz.from_netcdf(tmp_path / "posterior.nc", engine="h5netcdf")):
+    file = tmp_path / "posterior.nc"
+    for data in (arviz.from_datatree(met().to_xarray()), arviz.from_netcdf(file, engine="h5netcdf")):
         table = arviz.summary(data, round_to="none")
         assert table["mean"].to_numpy() == pytest.approx(met().draws.mean(axis=(0, 1)), rel=1e-12)
         assert dict(data.posterior.sizes) == {"chain": 8, "draw": 100}

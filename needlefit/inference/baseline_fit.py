@@ -1,8 +1,4 @@
-"""Fit baselines to insertions by least squares, and their posterior by the likelihood of a model.
-
-Theta holds a curve's coefficients in units of their scales, flat within bounds that every needle satisfies,
-and the logarithm of the noise scale. Of the uncertain depths only the tip's moves the curve.
-"""
+"""Fit baselines to insertions by least squares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -55,11 +55,6 @@ class ErrorTolerance:
         """Largest excess of the objective over its least value that may be due to chance, mm."""
         return float(np.nanmax([self.smallest, self.by_noise, self.by_insertions]))
 
-    @property
-    def known(self) -> bool:
-        """Whether one of the estimates could be made."""
-        return math.isfinite(self.by_noise) or math.isfinite(self.by_insertions)
-
 
 def estimate_tolerance(
     problem: Problem, stated: Parameters, theta: Floats, rng: np.random.Generator

@@ -5,7 +5,6 @@ most; shape parameters of a law are searched as they are. A tie is a factor and 
 ("10 * mu1_pa"); one with a spread is a part of the stated prior, a Gaussian in theta within the flat bounds.
 """
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,6 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
-from needlefit.inference.quantity_text import format_quantity
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.toml import add_key_context
@@ -216,21 +214,6 @@ class Prior:
         """Return the prior without its ties, which `add_ties` put last."""
         kept = len(self.centre) - len(self.ties)
         return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
-
-    def describe(self, name: str) -> str:
-        """Describe the prior of one parameter as the end of a sentence; empty if there is none."""
-        for tie in self.ties:
-            if tie.name == name:
-                source = tie.source if tie.factor == 1 else f"{tie.factor:g} * {tie.source}"
-                return f"; tied to {source} within a factor of {tie.spread:.3g}"
-        if name not in self.marginals:
-            return ""
-        mean, sd = self.marginals[name]
-        if is_shape_parameter(name):
-            known = f"{mean:.3g} +- {sd:.2g}"
-        else:
-            known = f"{format_quantity(name, math.exp(mean))}, within a factor of {math.exp(sd):.2g}"
-        return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 
 def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
@@ -574,13 +557,7 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
     if missing or extra:
         faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
-        # one that is missing may be one that is unknown, mistyped
-        remaining, fixes = [*missing, *(name for name in usual if name not in record.parameters)], []
-        for name in extra:
-            near = difflib.get_close_matches(name, remaining, n=1)
-            fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
-            remaining = [one for one in remaining if one not in near]
-        fixes += [f"add `{name}`" for name in remaining if name in missing]
+        fixes = [f"remove `{name}`" for name in extra] + [f"add `{name}`" for name in missing]
         raise ConfigError(
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",

@@ -24,9 +24,8 @@ error_fit
 directions
     Combinations of parameters in words, how many each names, and the standard deviation to which it is known.
 identification
-    Of a fit: per fold and parameter the information (`sd`), the profile likelihood (the 95 % interval, how
-    its ends came about, how far the deviance rises at most), posterior SD / prior SD, and whether they agree;
-    alphas that were fixed are freed for it.
+    Of a fit: per fold and free parameter the information (`sd`), the profile likelihood (the 95 % interval,
+    how its ends came about, how far the deviance rises at most), and posterior SD / prior SD.
 profiles
     Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per parameter.
 predictive
@@ -100,12 +99,12 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "directions": ("fold", "parameters", "sd", "sd_ratio", "note"),
         "identification": (
-            *("fold", "parameter", "status", "determined", "note", "value", "prior_sd"),
+            *("fold", "parameter", "determined", "note", "value", "prior_sd"),
             *("sd", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
             *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-            *("rise", "log_posterior_rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
+            "rise",
         ),
-        "profiles": ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold"),
+        "profiles": ("fold", "parameter", "value", "deviance", "slope", "threshold"),
         "predictive": _PREDICTIVE_COLUMNS,
         "bands": (
             *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),

@@ -271,7 +271,7 @@ END_DIGITS = 2  #: significant digits of the ends of an interval
 def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> Row:
     """Return the cells of one parameter from its rows of every method, of several folds their range.
 
-    A value stands with its 95 % interval, of the error-minimising fit with its range within the tolerance.
+    A value stands with its 95 % interval, that of the error-minimising fit alone.
     """
     ours, errors, paper = (
         to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
@@ -282,12 +282,11 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
     # the median of the draws, without any the fit's value
     estimates = [row["value"] if row["median"] is None else row["median"] for row in ours]
     own = f"{_join_range(estimates, unit)}, fixed" if fixed else _format_estimate(ours, estimates, unit)
-    minimising = [] if fixed else errors
     return {
         "parameter": label,
         "posterior": own,
         "determined": "" if fixed else find_least_determined(str(row["determined"]) for row in ours),
-        "error_minimising": _format_estimate(minimising, [row["value"] for row in minimising], unit),
+        "error_minimising": "" if fixed else _join_range([row["value"] for row in errors], unit),
         "hand_tuned": _join_range([row["value"] for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
@@ -331,10 +330,10 @@ def lay_out_parameters(results: Run) -> TableLayout:
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
     columns = ("parameter", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
-    tolerances, used = frames["error_fit"]["tolerance_mm"], set(frames["parameters"]["draw_source"])
+    used = set(frames["parameters"]["draw_source"])
     values = {
         "folds": int(frames["parameters"]["fold"].nunique()),
-        "bounds": any(AT_BOUND in row["posterior"] + row["error_minimising"] for row in rows),
+        "bounds": any(AT_BOUND in row["posterior"] for row in rows),
         "together": find_known_combination(results),
         "population": list_spreads(results),
         "printed": any(row["hand_tuned"] for row in rows),
@@ -342,7 +341,6 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
-        "tolerances": [float(tolerances.min()), float(tolerances.max())] if len(tolerances) else [],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 

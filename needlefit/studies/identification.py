@@ -1,7 +1,6 @@
 """Find what is identifiable, and the 95 % interval of every fitted parameter.
 
-Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it. A
-fixed shape parameter has that of the posterior that it would have if it were free, by its profile.
+Every fitted parameter has one 95 % interval: of certified draws, else of its profile. Verdicts follow it.
 """
 
 import math
@@ -12,13 +11,11 @@ import numpy as np
 
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
-    Assessment,
     FitProfiles,
     Identifiability,
-    ParameterProfile,
-    assess_parameter,
+    is_determined_by_profile,
 )
-from needlefit.inference.identifiability.profile import DEVIANCE_95
+from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.inference.parameters import Parameters, to_coordinate, to_value
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
@@ -33,7 +30,7 @@ from needlefit.reporting.table_files import Row
 class IdentificationRows:
     """The rows about every parameter of one fold, before or after the fit."""
 
-    judgements: Mapping[str, Assessment]  #: by parameter
+    by_profile: Mapping[str, bool]  #: whether a parameter is determined by its profile
     #: rows, points: of the frames "identification" and "profiles"
     rows: tuple[Row, ...]
     points: tuple[Row, ...]
@@ -56,94 +53,66 @@ def identify_parameters(
     held = verdict.together if verdict is not None else together or {}
     spread = np.linalg.inv(precision.prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
-    judgements, rows, points = {}, [], []
-    for one in examination.parameters:
-        prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
-        density = one.profile.density(one.bounds) if one.fixed_at is not None else None
-        by_profile = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd) if density is None else density.sd
-        sd = sds.get(one.name, by_profile)
-        equal = None  # between which coordinates equally good starts ended
-        if verdict is not None and verdict.equal_starts > 1 and one.name in verdict.spread_low:
-            low, high = verdict.spread_low[one.name], verdict.spread_high[one.name]
-            equal = (to_coordinate(one.name, low), to_coordinate(one.name, high))
-        judged = assess_parameter(one, (sd, prior_sd), equal)
-        judgements[one.name] = judged
-        condition = ""
+    by_profile, rows, points = {}, [], []
+    for k, one in enumerate(examination.parameters):
+        prior_sd = before[one.name]
+        sd = sds.get(one.name, 1 / math.hypot(1 / one.sd, 1 / prior_sd))
+        by_profile[one.name] = is_determined_by_profile(one, prior_sd)
         if verdict is None:
             is_determined = directions.is_determined_by_data(one.name, sd, prior_sd)
-            if is_determined and one.fixed_at is None:
-                condition = precision.find_condition(one.name, prior_sd, loosened)
+            condition = precision.find_condition(one.name, prior_sd, loosened) if is_determined else ""
         else:
             is_determined = verdict.determined.get(one.name, False)
             condition = verdict.conditions.get(one.name, "")
-        known = is_determined and not condition and judged.determined and one.fixed_at is None
+        known = is_determined and not condition and by_profile[one.name]
         word = directions.name_determined(known, held.get(one.name, False))
-        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": word, "note": condition})
-        if density is not None:
-            rows[-1] |= {"interval_low": density.low, "interval_high": density.high}
-        rows += [{**rows[-1], "parameter": name, "note": f"freed with {one.name}"} for name in one.same]
+        ends = float(problem.lower[k]), float(problem.upper[k])
+        rows.append(_parameter_row(one, ends, prior_sd, sd) | {"determined": word, "note": condition})
         points += _profile_rows(problem.parameters, one)
-    return IdentificationRows(judgements, tuple(rows), tuple(points))
+    return IdentificationRows(by_profile, tuple(rows), tuple(points))
 
 
-def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
+def reconcile_verdict(verdict: Identifiability, by_profile: Mapping[str, bool]) -> Identifiability:
     """Return the verdict without the parameters whose profiles contradict it; notes state that."""
-    denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
+    denied = {n for n, found in by_profile.items() if verdict.determined.get(n) and not found}
     known = {n: found and n not in denied for n, found in verdict.determined.items()}
-    notes = dict(verdict.notes)
-    for n, one in judgements.items():
-        if n in denied:
-            shape = one.profile_verdict.removeprefix("not identifiable: ")
-            notes[n] = f"not determined: by its profile {shape}"
-        elif known.get(n) and one.agreement != directions.AGREEMENT:
-            notes[n] += f"; {one.agreement}"
+    notes = {**verdict.notes, **dict.fromkeys(denied, "not determined: its profile is open or wide")}
     return replace(verdict, determined=known, notes=notes)
 
 
-def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, sd: float) -> Row:
-    profile, nothing = one.profile, math.nan
+def _parameter_row(one: LikelihoodProfile, bounds: tuple[float, float], prior_sd: float, sd: float) -> Row:
+    """Return what is known of a parameter; `bounds` are those of its coordinate of theta."""
+    low, high = (to_value(one.name, end) for end in (one.low, one.high))
     return {
         "parameter": one.name,
-        "status": "free" if one.fixed_at is None else "fixed",
-        "value": to_value(one.name, profile.best) if one.fixed_at is None else one.fixed_at,
+        "value": to_value(one.name, one.best),
         "prior_sd": prior_sd,
         "sd": sd,
-        "fisher_sd": profile.sd,
+        "fisher_sd": one.sd,
         "sd_ratio": sd / prior_sd,
-        "low": judged.interval[0],
-        "high": judged.interval[1],
-        "end_low": profile.ends[0],
-        "end_high": profile.ends[1],
-        "interval_low": judged.interval[0],
-        "interval_high": judged.interval[1],
-        "draw_source": "profile",
-        "bound_low": to_value(one.name, one.bounds[0]),
-        "bound_high": to_value(one.name, one.bounds[1]),
-        "rise": profile.rise,
-        "log_posterior_rise": nothing if one.log_posterior_rise is None else one.log_posterior_rise,
-        "minima": profile.minima,
-        "tip_range_mm": nothing if one.tip_range_mm is None else one.tip_range_mm,
-        "profile_verdict": judged.profile_verdict,
-        "agreement": judged.agreement,
+        "low": low,
+        "high": high,
+        "end_low": one.ends[0],
+        "end_high": one.ends[1],
+        **ParameterInterval(low, high, "profile").columns(),
+        "bound_low": to_value(one.name, bounds[0]),
+        "bound_high": to_value(one.name, bounds[1]),
+        "rise": one.rise,
     }
 
 
-def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
+def _profile_rows(parameters: Parameters, one: LikelihoodProfile) -> list[Row]:
     """Return the computed points of one profile, with where all other parameters went."""
-    profile = one.profile
-    # a freed alpha is not among the fit's parameters: it stands under its own name, theirs keep theirs
-    names = [name for name in parameters.names if name in parameters.bounds or name == one.name]
     return [
         {
             "parameter": one.name,
-            "value": to_value(one.name, float(profile.at[k])),
-            "deviance": float(profile.deviance[k]),
-            "slope": float(profile.slope[k]),
-            "fisher_deviance": float(profile.parabola(profile.at[k : k + 1])[0]),
+            "value": to_value(one.name, float(one.at[k])),
+            "deviance": float(one.deviance[k]),
+            "slope": float(one.slope[k]),
             "threshold": DEVIANCE_95,
-            **{name: to_value(name, float(at)) for name, at in zip(names, profile.thetas[k], strict=True)},
+            **{n: to_value(n, float(at)) for n, at in zip(parameters.free, one.thetas[k], strict=True)},
         }
-        for k in range(len(profile.at))
+        for k in range(len(one.at))
     ]
 
 
@@ -241,6 +210,6 @@ def add_intervals(
             held = together.get(ties.get(name, (1.0, name))[1], False)
             row |= {"determined": directions.name_determined(False, held), "condition": ""}
             row["note"] = f"its 95 % interval is {'too wide' if found else 'not known'}"
-        if name in judged and row["status"] != "fixed":
+        if name in judged:
             judged[name] |= found.columns() if found else profiles[name].columns()
             judged[name]["determined"] = row["determined"]

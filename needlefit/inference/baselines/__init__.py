@@ -1,8 +1,8 @@
 """Baselines: empirical curves without mechanics, of this package or of a plugin.
 
 A baseline is fitted to insertions by least squares (`inference/baseline_fit.py`) and predicts others; it
-differs between insertions only by their depth and bevel side. `inference/baseline_fit.py` also gives it a
-posterior. Tables and figures look up names and colours here, so that this module imports no optimizer.
+differs between insertions only by their depth and bevel side. Tables and figures look up names and colours
+here, so that this module imports no optimizer.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -1,8 +1,7 @@
 """The mean of the tuning shapes: how much they turn toward the bevel, by distance from the tip.
 
 Its coefficients are the turns, rad, between chords of `CHORD_MM`, the first one at the tip; each is the mean
-over the shapes that reach as far. A curve begins along the insertion axis. Nothing is searched, and there is
-no posterior.
+over the shapes that reach as far. A curve begins along the insertion axis. Nothing is searched.
 """
 
 from collections.abc import Sequence

@@ -10,7 +10,6 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic
 
-AGREEMENT = "standard deviation, information and profile agree"  #: what is said where nothing differs
 #: SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free
 NEARLY_FREE_SD = 0.5
 #: posterior SD / prior SD from which on the data add nothing to what ties, priors and bounds say

@@ -124,11 +124,6 @@ MAX_SIDE_POINTS = 24  #: most points of one side
 #: largest jump of the root of the deviance beyond the expected one; above it other starts are tried too
 MAX_ROOT_JUMP = 1.0
 MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so by more than this
-#: a minimum of the cheaper problem that is higher than another by more is so in the full one too
-MAX_BRANCH_RISE = 10.0
-#: ends of two searches are one minimum if neither their values, nor the squares of their distance in standard
-#: deviations, differ by more
-SAME_MINIMUM_GAP = 0.1
 MAX_RESTARTS = 3  #: largest number of restarts of a profile after a better optimum was found
 
 
@@ -146,14 +141,12 @@ def trace_profile(
     target: Problem,
     k: int,
     optimum: LocalMinimum,
-    elsewhere: Sequence[Floats] = (),
     scale: float = 1.0,
     steps: ProfileSteps = INTERVAL_STEPS,
 ) -> ProfilePath:
     """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
-    cheaper = target.approach("posterior")
     for _ in range(MAX_RESTARTS):
-        sides = [_ProfileSide(target, k, elsewhere, scale, cheaper, steps, optimum, side) for side in (-1, 1)]
+        sides = [_ProfileSide(target, k, scale, steps, optimum, side) for side in (-1, 1)]
         map_side_by_side(_ProfileSide.trace, sides)
         path = ProfilePath([optimum], [one.at_bound for one in sides])
         for one in sides:
@@ -176,9 +169,7 @@ class _ProfileSide:
 
     target: Problem
     k: int  #: the held parameter
-    elsewhere: Sequence[Floats]
     scale: float
-    cheaper: Problem | None
     steps: ProfileSteps
     optimum: LocalMinimum
     side: int
@@ -191,7 +182,7 @@ class _ProfileSide:
         self.at_bound = False  # whether it ends there
 
     def trace(self) -> None:
-        """Compute the points; where another branch is lower at the end, go on along that."""
+        """Compute the points until the deviance is high, or a bound is reached."""
         cross = self.optimum.information[self.others, self.k]
         # least squares, not solve: the information is singular where the data leave a combination open
         inner = self.optimum.information[np.ix_(self.others, self.others)]
@@ -200,15 +191,6 @@ class _ProfileSide:
         slope = np.sqrt(remaining / self.scale)
         step = float(min(self.steps.root_rise / max(slope, 1e-9), MAX_STEP_FRACTION * self.range))
         found = [self.optimum]
-        for _ in range(MAX_RESTARTS):
-            step = self._step_outward(found, step)
-            if not self._join_lower_branch(found):
-                break
-        self.at_bound = bool(found[-1].theta[self.k] == self.bound)
-        self.points += found[1:]
-
-    def _step_outward(self, found: list[LocalMinimum], step: float) -> float:
-        """Add points to `found` until the deviance is high, or a bound is reached; return the next step."""
         while len(found) <= MAX_SIDE_POINTS:
             last = found[-1]
             at, root = float(last.theta[self.k]), self._deviance_root(last)
@@ -234,10 +216,11 @@ class _ProfileSide:
                 step = float(np.clip(wanted, MIN_STEP_FRACTION * self.range, longest))
             else:
                 break
-        return step
+        self.at_bound = bool(found[-1].theta[self.k] == self.bound)
+        self.points += found[1:]
 
     def _compute_point(self, last: LocalMinimum, place: float) -> LocalMinimum:
-        """Return the best with the parameter held at `place`; from elsewhere too if that fails or jumps."""
+        """Return the best with the parameter held at `place`, by more starts if the search fails or jumps."""
         (point,) = self._minimize_each([self._extrapolate(last, place)], place)
         before, after = self._deviance_root(last), self._deviance_root(point)
         # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
@@ -246,44 +229,8 @@ class _ProfileSide:
         # a fall of the root, or a jump, means that the search has changed to another branch
         if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
             return point
-        starts = (last.theta, self.optimum.theta, *self.elsewhere)
+        starts = (last.theta, self.optimum.theta)
         return select_best([point, *self._minimize_each(starts, place)])
-
-    def _join_lower_branch(self, found: list[LocalMinimum]) -> bool:
-        """At the last point look elsewhere for a lower branch, and follow it back while it is lower.
-
-        Returns whether there is one.
-        """
-        if len(found) < 2 or not self.elsewhere:
-            return False
-        n = last = len(found) - 1
-        lower = self._minimize_from_elsewhere(found[last])
-        while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * self.scale:
-            found[n] = lower
-            n -= 1
-            place = float(found[n].theta[self.k])
-            (lower,) = self._minimize_each([self._extrapolate(lower, place)], place)
-        return n < last
-
-    def _minimize_from_elsewhere(self, here: LocalMinimum) -> LocalMinimum:
-        """Return the best minimum from elsewhere for the held value of `here`; `here` if there is no other.
-
-        If there is a cheaper problem it is minimised first, from `here` too: where both end in one minimum,
-        or the search from elsewhere in a much higher one, the full problem is not searched.
-        """
-        place = float(here.theta[self.k])
-        if self.cheaper is None:
-            return select_best(self._minimize_each(self.elsewhere, place))
-        starts = [self._set_held(start, place) for start in (here.theta, *self.elsewhere)]
-        search = partial(minimize_squares, self.cheaper, held=self.k, min_gain=self.steps.min_gain)
-        same, *ends = map_side_by_side(search, starts)
-        others = []
-        for end in (end for end in ends if end.value < same.value + MAX_BRANCH_RISE):
-            apart = end.theta - same.theta
-            gap = max(abs(end.value - same.value), float(apart @ same.information @ apart))
-            if not gap < SAME_MINIMUM_GAP:
-                others.append(end)
-        return self._minimize_each([select_best(others).theta], place)[0] if others else here
 
     def _minimize_each(self, starts: Sequence[Floats], place: float) -> list[LocalMinimum]:
         search = partial(minimize_squares, self.target, held=self.k, min_gain=self.steps.min_gain)
@@ -309,24 +256,8 @@ class _ProfileSide:
 End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
-#: deviance by which the profile must fall below the optimum to count as another minimum
-MIN_DEPTH = 0.2
 MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
-CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched and drawn
-
-
-#: root of the deviance up to which a profile is continued beyond its last point: the density is 1e-14 there
-MAX_ROOT = 8.0
-
-
-@dataclass(frozen=True)
-class ProfileDensity:
-    """The density proportional to exp(-deviance / 2) within bounds: a posterior under a flat prior."""
-
-    #: low, high: its central 95 % interval, in the parameter's coordinate of theta
-    low: float
-    high: float
-    sd: float  #: its standard deviation
+CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched
 
 
 @dataclass(frozen=True)
@@ -350,12 +281,6 @@ class LikelihoodProfile:
     #: of each end: "closed"; "bound" where the bound comes first; "lost" where no solution was found further
     #: out
     ends: tuple[End, End]
-    minima: int  #: local minima of the profile; 1 for one that rises to both sides
-
-    @property
-    def flat(self) -> bool:
-        """Whether the 95 % interval reaches both bounds: the data determine nothing."""
-        return self.ends == ("bound", "bound")
 
     @property
     def closed(self) -> bool:
@@ -367,57 +292,14 @@ class LikelihoodProfile:
         """The largest deviance found on the profile."""
         return float(np.max(self.deviance))
 
-    def curve(self, at: Floats) -> Floats:
-        """Return the deviance at coordinates within the computed range, by interpolation."""
-        return _interpolate(self.at, self.deviance, self.slope, at)
 
-    def parabola(self, at: Floats) -> Floats:
-        """Return the deviance that the information at the optimum predicts: a parabola."""
-        return ((at - self.best) / self.sd) ** 2
-
-    def density(self, bounds: tuple[float, float]) -> ProfileDensity:
-        """Return the density within `bounds` that the profile gives.
-
-        A side that was followed until the deviance was high enough is continued: the root of the deviance is
-        linear there, as that of a parabola is. Where no solution was found further out the density is 0.
-        """
-        inner = np.unique(np.concatenate([np.linspace(self.at[0], self.at[-1], CURVE_POINTS), self.at]))
-        (below, rise_below), (above, rise_above) = (self._continue(side, bounds) for side in (0, -1))
-        at = np.concatenate([below[::-1], inner, above])
-        deviance = np.concatenate([rise_below[::-1], self.curve(inner), rise_above])
-        density = np.exp(-0.5 * (deviance - deviance.min()))
-
-        def integrate(values: Floats) -> Floats:
-            return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(at)))
-
-        below_each = integrate(density)
-        low, high = np.interp([0.025, 0.975], below_each / below_each[-1], at).tolist()
-        mean = float(integrate(at * density)[-1] / below_each[-1])
-        variance = float(integrate((at - mean) ** 2 * density)[-1] / below_each[-1])
-        return ProfileDensity(low, high, math.sqrt(variance))
-
-    def _continue(self, outermost: int, bounds: tuple[float, float]) -> tuple[Floats, Floats]:
-        """Return coordinates beyond the outermost point (0 or -1), nearest first, and deviances there."""
-        last, root = float(self.at[outermost]), math.sqrt(max(float(self.deviance[outermost]), 0.0))
-        side = 1 if outermost else -1
-        slope = side * float(self.slope[outermost]) / (2 * root) if root else 0.0
-        if self.ends[outermost] != "closed" or slope <= 0:
-            return np.empty(0), np.empty(0)
-        room = side * (bounds[1 if outermost else 0] - last)
-        steps = np.linspace(0.0, min(room, max(MAX_ROOT - root, 0.0) / slope), CURVE_POINTS)[1:]
-        return last + side * steps, (root + slope * steps) ** 2
-
-
-def compute_profile(
-    target: Problem, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
-) -> LikelihoodProfile:
+def compute_profile(target: Problem, k: int, optimum: LocalMinimum, scale: float = 1.0) -> LikelihoodProfile:
     """Compute the profile of parameter `k` about an optimum; the others are re-optimised within their bounds.
 
-    Should it find a better optimum, that takes its place. `elsewhere` are further places (P,) to begin from
-    where the profile fails or jumps, and at its ends. `scale` is what the sum of squares is divided by to
+    Should it find a better optimum, that takes its place. `scale` is what the sum of squares is divided by to
     give the deviance: above 1 where residuals are larger than the noise explains.
     """
-    path, width = trace_profile(target, k, optimum, elsewhere, scale), target.upper - target.lower
+    path, width = trace_profile(target, k, optimum, scale), target.upper - target.lower
     points: list[LocalMinimum] = []  # along the parameter; of those that were computed twice the lower one
     for point in sorted(path.points, key=lambda point: float(point.theta[k])):
         if points and point.theta[k] - points[-1].theta[k] < MIN_POINT_DISTANCE * width[k]:
@@ -448,7 +330,6 @@ def compute_profile(
         low=low,
         high=high,
         ends=(below, above),
-        minima=_count_minima(deviance),
     )
 
 
@@ -475,18 +356,3 @@ def _interpolate(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> 
     if len(at) == 1:
         return np.full(len(where), deviance[0])
     return interpolate_hermite(at, deviance, slope, where)
-
-
-def _count_minima(deviance: Floats) -> int:
-    """Return the number of local minima that are at least `MIN_DEPTH` below what surrounds them."""
-    count, highest, lowest, falling = 0, deviance[0], deviance[0], True
-    for value in deviance:
-        if falling:
-            lowest = min(lowest, value)
-            if value > lowest + MIN_DEPTH:
-                count, highest, falling = count + 1, value, False
-        else:
-            highest = max(highest, value)
-            if value < highest - MIN_DEPTH:
-                lowest, falling = value, True
-    return count + falling

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior_file import GROUPS, read_numbers
 from needlefit.project.input_files import parse_json
 
 if TYPE_CHECKING:
-    import arviz
     import xarray
 
 #: largest R-hat of draws that have converged: of four parts with 100 independent draws each, of one
@@ -73,26 +71,6 @@ class Posterior:
         import xarray
 
         return xarray.DataTree.from_dict(_make_datasets(self))
-
-    def to_inference_data(self) -> "arviz.InferenceData":
-        """Return the same groups for ArviZ.
-
-        Raises ConfigError if ArviZ is not installed, or its version is 1 or later, which takes `to_xarray()`
-        as it is.
-        """
-        try:
-            with warnings.catch_warnings():
-                # ArviZ announces its next version once a day
-                warnings.simplefilter("ignore", FutureWarning)
-                from arviz import InferenceData
-        except ImportError:
-            raise ConfigError(
-                "there is no arviz.InferenceData here",
-                expected="ArviZ, a version before 1",
-                fix="pip install 'needlefit[arviz]', or use to_xarray(), which ArviZ 1 takes",
-            ) from None
-        groups: dict[str, Any] = dict(_make_datasets(self))
-        return InferenceData(**groups)
 
 
 def save(posterior: Posterior, path: Path) -> None:

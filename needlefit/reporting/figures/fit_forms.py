@@ -278,7 +278,7 @@ MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
 MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis
 _PANEL_KEYS = ["fold", "parameter"]
 _VERDICT_COLUMNS = [
-    *("status", "fisher_sd", "low", "high", "end_low", "end_high", "rise"),
+    *("fisher_sd", "low", "high", "end_low", "end_high", "rise"),
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
 ]
 """Columns of the identification that the figure shows."""
@@ -303,8 +303,7 @@ def profiles(frame: pd.DataFrame) -> Figure:
     `frame` has the computed points, between which the curve is the cubic of their slopes, and with each of
     them what is known of its parameter.
     """
-    every = to_records(frame.drop_duplicates(_PANEL_KEYS)[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
-    rows = [row for row in every if row["status"] != "fixed" or not _is_flat(row)] or every
+    rows = to_records(frame.drop_duplicates(_PANEL_KEYS)[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
     count, width = len(rows), choose_width()
     across = min(count, MAX_PANEL_COLUMNS) if width > COLUMN_WIDTH_IN else min(2, count)
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
@@ -319,7 +318,6 @@ def profiles(frame: pd.DataFrame) -> Figure:
         row = rows[n]
         points = frame[(frame["fold"] == row["fold"]) & (frame["parameter"] == row["parameter"])]
         label, unit = choose_interval_unit(row, row["low"], row["high"])
-        label += ", freed" if row["status"] == "fixed" else ""
         if len(points) > 1:
             axes.set_title(label, loc="left", color=INK, pad=14)
             _draw_profile(axes, row, points, unit)

@@ -104,7 +104,7 @@ TEXT = KindText("identification")
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints: the free parameters by what the design determines of them."""
     design, candidates = found.frames["identify"], found.frames["candidates"]
-    free = design[design["status"] == "free"].groupby("determined")["parameter"].agg(list)
+    free = design.groupby("determined")["parameter"].agg(list)
     words = {"known": "yes", "together": "only together", "loose": "no"}
     ranked = to_records(candidates[candidates["nats"].notna()])
     return {

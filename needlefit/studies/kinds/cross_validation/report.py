@@ -168,8 +168,8 @@ def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
 def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(results.frames["errors"]), results.frames
-    # the parameters that are freed for it, and those of which more is to say than their interval
-    explained = frames["identification"].query("status == 'fixed' or note != ''")
+    # the parameters of which more is to say than their interval
+    explained = frames["identification"].query("note != ''")
     found = [
         fit_tables.lay_out_summary(results),
         fit_tables.lay_out_validation(results),

@@ -15,12 +15,11 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.grouping import group_values
-from needlefit.inference.error_fit import ErrorMinimisingFit, ErrorSearch, Target, examine_errors
+from needlefit.inference.error_fit import ErrorMinimisingFit, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
-    Assessment,
     FitProfiles,
     Identifiability,
     identify,
@@ -29,7 +28,7 @@ from needlefit.inference.identifiability.identify import (
     within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import HYPERPARAMETERS, to_value
+from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -344,7 +343,7 @@ class _StudyRun:
     def _examine_errors(
         self, number: int, fold: Fold, fits: Mapping[str, Fit], drawn: "_Drawn | None"
     ) -> ErrorMinimisingFit | None:
-        """Return what the errors determine about the fit that minimises them; of many folds no ranges."""
+        """Return the point to be reported of the fit that minimises the errors."""
         job, settings, fit = self.job, self.settings, fits.get("fitted_metric")
         if fit is None or fit.interrupted or not math.isfinite(fit.objective) or settings.stop():
             return None
@@ -355,15 +354,8 @@ class _StudyRun:
             columns = [job.parameters.free.index(name) for name in problem.names]
             target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
         self._report(number, "errors of the fit")
-        return examine_errors(
-            problem,
-            fit,
-            target,
-            ErrorSearch(job.parameters, len(job.folds) == 1),
-            random_stream(job.recipe.seed, fold.name, "error tolerance"),
-            settings.jobs,
-            settings.stop,
-        )
+        rng = random_stream(job.recipe.seed, fold.name, "error tolerance")
+        return examine_errors(problem, fit, target, job.parameters, rng)
 
     def _tabulate_error_fit(self, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Fit:
         """Add the parameters that minimise the errors; return the fit at the reported point."""
@@ -380,7 +372,7 @@ class _StudyRun:
                 "evaluations": found.evaluations,
             }
         )
-        self.rows["parameters"] += _error_fit_rows(problem, fold, reported, found)
+        self.rows["parameters"] += _error_fit_rows(problem, fold, reported)
         return reported
 
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
@@ -469,14 +461,13 @@ class _StudyRun:
             notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")
             verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
             verdict = replace(verdict, notes=notes) if invalid else verdict
-        judgements: Mapping[str, Assessment] = {}
         judged: list[Row] = []
         if profiles is not None:
             found = identify_parameters(problem, profiles, verdict.sds, verdict, verdict.loosened)
             judged = [{"fold": fold.name, **row} for row in found.rows]
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
-            judgements, verdict = found.judgements, reconcile_verdict(verdict, found.judgements)
-        fitted = _fitted_rows(job, fold, fit, verdict, judgements)
+            verdict = reconcile_verdict(verdict, found.by_profile)
+        fitted = _fitted_rows(job, fold, fit, verdict)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
@@ -525,9 +516,7 @@ _UNKNOWN: Row = {
 }
 
 
-def _fitted_rows(
-    job: Job, fold: Fold, fit: Fit, verdict: Identifiability, judgements: Mapping[str, Assessment]
-) -> list[Row]:
+def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> list[Row]:
     """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
     rows = []
     for name, value in fit.values.items():
@@ -547,19 +536,13 @@ def _fitted_rows(
         else:
             tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
             note = ["fixed" if status == "fixed" else tied]
-            if judged := judgements.get(name):  # it was freed for its profile
-                words = "the data do not determine it", f"if fitted: {judged.profile_verdict}"
-                note.append(words[not judged.flat])
             row["note"] = "; ".join([*note, *filter(None, [condition])])
         rows.append(row)
     return rows
 
 
-def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisingFit) -> Iterator[Row]:
-    """Yield the values that minimise the errors, each with its range within the tolerance.
-
-    A tied one shares its source's; hyperparameters are of the likelihood alone.
-    """
+def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit) -> Iterator[Row]:
+    """Yield the values that minimise the errors; hyperparameters are of the likelihood alone."""
     parameters = problem.parameters
     for name, value in fit.values.items():
         if name in HYPERPARAMETERS:
@@ -570,11 +553,6 @@ def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit, found: ErrorMinimisi
         if source in parameters.bounds:
             ends = (factor * bound for bound in parameters.bounds[source])
             row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
-        if source in found.ranges:
-            one = found.ranges[source]
-            row |= {"interval_low": factor * to_value(source, one.low)}
-            row |= {"interval_high": factor * to_value(source, one.high), "draw_source": "tolerance"}
-            row["determined"] = found.determined(source)
         yield row
 
 
