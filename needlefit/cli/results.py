@@ -74,7 +74,7 @@ def diff(
     """
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
-    from needlefit.studies.run_differences import RUN_JSON, compare_runs, lay_out_differences
+    from needlefit.studies.run_differences import RUN_JSON, compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b))
     if context.find_root().obj.json:
@@ -84,8 +84,7 @@ def diff(
     keys = len(found) - len(tables)
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
     if len(found):
-        screen.print_line()
-        screen.show_display(lay_out_differences(found))
+        screen.show_frame(found, "\nThe greatest change of each column, from RUN_A to RUN_B")
 
 
 def explain(
