@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def report(
     context: typer.Context,
     run: options.RunName,
-    out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
+    out: options.Out = None,
     paper: Annotated[
         Path | None,
         option("Also write figures 3.5 and 7.16 in wide, and the LaTeX files, to a new folder.", "DIR"),
@@ -32,7 +32,7 @@ def report(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Write tables, figures and report of a RUN again.
+    """Write tables, figures and report of a RUN again, to its own folder or to OUT.
 
     Nothing is fitted: all is made of the stored results, exact to the last digit, as after an update that
     draws figures differently, or where files were lost. Files that do not agree with the manifest are named,

@@ -18,7 +18,7 @@ from needlefit.cli.execution import (
     show_json_of,
     show_runs,
 )
-from needlefit.cli.options import REPORTS, argument, option, scene_record, split_pair
+from needlefit.cli.options import argument, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def tune(
     ] = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -65,9 +65,10 @@ def tune(
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
-    Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
-    measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so
-    far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
+    Results go to OUT/TARGET/ (default: ./reports); of a study only the fit is run, to OUT/STUDY-tune/. The
+    folder slicer/ holds every needle, measured and fitted with the 95 % band of the parameters, for 3D
+    Slicer. Ctrl-C writes the best result so far, marked as interrupted, and prints the command that
+    continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
         from needlefit.project.toml import add_file_context
@@ -133,7 +134,7 @@ def calibrate(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -151,8 +152,8 @@ def calibrate(
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
 
-    Results go to OUT/calibrate-TARGET/ (or -synthetic). Exit code 6: ranks are not uniform. Exit code 5: a
-    posterior has not converged, or there are too few replicates for a verdict.
+    Results go to OUT/calibrate-TARGET/ (or -synthetic; default: ./reports). Exit code 6: ranks are not
+    uniform. Exit code 5: a posterior has not converged, or there are too few replicates for a verdict.
     """
     with begin(context) as execution:
         from needlefit.studies.study_files import load_target
@@ -183,7 +184,7 @@ def validate(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -194,7 +195,8 @@ def validate(
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
-    `all` runs the paper's five studies and the fits of its tuning tables.
+    `all` runs the paper's five studies and the fits of its tuning tables. Results go to OUT/STUDY/
+    (default: ./reports).
 
     Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
@@ -238,20 +240,12 @@ def predict(
         option("The planned insertion: a name or a path.", "SCENE"),
     ],
     run: Annotated[Path | None, option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR")] = None,
-    specimen: Annotated[
-        str | None,
-        option(
-            "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
-            "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
-            "between specimens unless its `specimens` leaves it out).",
-            "new|same|NAME",
-        ),
-    ] = None,
+    specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -265,7 +259,7 @@ def predict(
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
     new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
     agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
-    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/.
+    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports).
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
