@@ -37,7 +37,7 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
         what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
         raise DataError(what, where=str(after), expected=expected, fix="compare runs of the same command")
     first, second = ({f"{name}.csv": one for name, one in list_files(run).items()} for run in runs)
-    first[RUN_JSON], second[RUN_JSON] = (pd.json_normalize(run.run_json).copy() for run in runs)
+    first[RUN_JSON], second[RUN_JSON] = (pd.json_normalize(run.run_json) for run in runs)
     joined = []
     for table, one in first.items():
         other = second.get(table)
@@ -61,6 +61,6 @@ def _melt(frame: pd.DataFrame, keys: list[str], value: str) -> pd.DataFrame:
     words = frame[keys].astype(object).fillna("").astype(str)
     rows = pd.Series([", ".join(filter(None, one)) for one in words.itertuples(index=False)], frame.index)
     units = words[[key for key in keys if key in UNIT_KEYS]].agg(" ".join, axis=1) if keys else ""
-    named = frame.drop(columns=keys).astype(object).assign(row=rows, unit=units)
-    named["repeat"] = named.groupby("row").cumcount()
+    names = pd.DataFrame({"row": rows, "unit": units, "repeat": rows.groupby(rows).cumcount()})
+    named = pd.concat([frame.drop(columns=keys).astype(object), names], axis=1)
     return named.melt(["row", "unit", "repeat"], var_name="column", value_name=value)
