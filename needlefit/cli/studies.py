@@ -1,7 +1,5 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
-import math
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -36,14 +34,6 @@ def tune(
         bool,
         option("Intervals by importance sampling alone, without MCMC and posterior.nc.", None, "--no-sample"),
     ] = False,
-    free: Annotated[
-        list[str] | None,
-        option("Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME"),
-    ] = None,
-    fix: Annotated[
-        list[str] | None,
-        option("Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE"),
-    ] = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = None,
@@ -59,9 +49,6 @@ def tune(
     Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
     sampled by MCMC (emcee), from draws by importance sampling.
 
-    --free and --fix change what the tissue model says of single parameters. Names are those of tables
-    (alpha1, mu1, b) or keys (mu1_pa). In the file of a fit `free` and `fix` do the same.
-
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
@@ -72,12 +59,10 @@ def tune(
     """
     with begin(context) as execution:
         from needlefit.project.toml import add_file_context
-        from needlefit.studies.job import Inputs, change_fit
+        from needlefit.studies.job import Inputs
         from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
-        if free or fix:
-            record = change_fit(record, free or (), _parse_values(fix or ()), "--free and --fix")
         if design:
             about = f"{name.removesuffix('-tune')}-design"
             execution.prepare([about])
@@ -97,24 +82,6 @@ def tune(
             raise execution.interrupted()
         execution.remove_checkpoint(name)
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
-
-
-def _parse_values(texts: Iterable[str]) -> dict[str, float]:
-    """Return the values of --fix by parameter."""
-    values = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        if name.strip() in values:
-            raise typer.BadParameter(f"`{name.strip()}` has two values", param_hint="--fix")
-        try:
-            values[name.strip()] = float(value)
-            if not math.isfinite(values[name.strip()]):
-                raise ValueError
-        except ValueError:
-            raise typer.BadParameter(
-                f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"
-            ) from None
-    return values
 
 
 def calibrate(

@@ -15,14 +15,6 @@ from needlefit.project.processes import count_cores
 def build(
     context: typer.Context,
     seed: Seed = None,
-    population: Annotated[
-        bool,
-        option(
-            "Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.",
-            None,
-            "--population",
-        ),
-    ] = False,
     out: Out = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
@@ -38,7 +30,6 @@ def build(
     """
     from needlefit.project.folders import replace_folder
     from needlefit.synthetic.build import build_dataset
-    from needlefit.synthetic.design import POPULATION
     from needlefit.synthetic.insertion import TWIN_SEED
 
     seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
@@ -48,8 +39,7 @@ def build(
         show_progress(invocation.quiet) as report,
         open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
     ):
-        drawn = POPULATION if population else None
-        build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
+        build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
