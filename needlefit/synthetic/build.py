@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.grouping import group_values
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, derive_reconstruction, reconstruct
@@ -133,7 +132,6 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
             "pose_angle_sd_deg": design.POSE_ANGLE_SD_DEG,
         },
         "markers": {"places_mm": WHOLE_BOX_SETUP.markers.tolist(), "stated_sd_mm": WHOLE_BOX_SETUP.known_sd},
-        "groups": _group_deflections(built),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(dumps(tables).encode("utf-8"))
@@ -176,13 +174,6 @@ def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
             for name in ("psf_mm", "noise_hu", "bloom", "streaks", "cupping_hu")
         },
     }
-
-
-def _group_deflections(built: Sequence[ReconstructedInsertion]) -> dict[str, float]:
-    """Return the mean deflection (mm) of each medium and number of layers."""
-    pairs = ((one.insertion.planned, one.insertion.true_insertion.deflection) for one in built)
-    members = group_values((f"{plan.medium}_layers{plan.layers}", deflection) for plan, deflection in pairs)
-    return {f"{key}_mean_deflection_mm": _round(float(np.mean(values))) for key, values in members.items()}
 
 
 def _round(value: float) -> float:
