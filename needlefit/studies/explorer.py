@@ -106,8 +106,8 @@ def choose_specimen(results: Run, specimen: str, tuned: set[str], chosen: str = 
     """
     names = {*results.frames["draws"]["specimen"]} - {NEW_SPECIMEN, TUNED_SPECIMENS}
     if chosen not in ("shown", "planned", "new", "same"):
-        if chosen not in names:
-            raise unknown_name_error("specimen", chosen, ["new", "same", *names], "")
+        if chosen not in names & tuned:
+            raise unknown_name_error("specimen", chosen, ["new", "same", *(names & tuned)], "")
         return chosen
     differ = results.record.specimens == "others"
     if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
