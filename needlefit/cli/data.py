@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def new_project(
-    folder: Annotated[Path, argument("DIR", "A folder; it is made if it is missing.")],
+    folder: Annotated[Path, argument("DIR", "A new or empty folder.")],
 ) -> None:
     """Write an editable copy of the project to DIR.
 
@@ -60,30 +60,18 @@ def new_workbook(
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'import', path, '--out', file.stem))}")
 
 
-MAX_LISTED_NAMES = 5  # files that a message names
-_IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
-
-
 def copy_project(folder: Path) -> list[Path]:
-    """Copy the shipped `data/ configs/ studies/` into `folder`, which is made if it is missing.
+    """Copy the shipped `data/ configs/ studies/` into `folder`, which is missing or empty; return theirs.
 
-    Hidden entries of `folder`, such as `.git`, stay beside them. ConfigError if it is a file, or holds
-    anything that is not hidden.
+    ConfigError if it is neither.
     """
-    from needlefit.project.folders import create_folder, require_writable
+    from needlefit.project.folders import create_folder
 
-    require_writable(folder)
-    held = sorted(folder.iterdir()) if folder.is_dir() else []
-    shown = [str(path) for path in held if not path.name.startswith(".")]
-    if shown or folder.is_file():
-        what = "exists already" + (f", and holds {join_names(shown, MAX_LISTED_NAMES)}" if shown else "")
-        fix = "choose another folder: nothing is overwritten"
-        raise ConfigError(what, where=str(folder), expected="a new folder, or an empty one", fix=fix)
-    targets = [folder / part for part in PROJECT_FOLDERS]
-    for part, target in zip(PROJECT_FOLDERS, targets, strict=True):
-        with create_folder(target) as fresh:
-            shutil.copytree(shipped_folder() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
-    return targets
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
+    with create_folder(folder) as fresh:
+        for part in PROJECT_FOLDERS:
+            shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
+    return [folder / part for part in PROJECT_FOLDERS]
 
 
 # ---- import
