@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.project.reader_process import allow_memory
 
 
@@ -63,16 +63,8 @@ def raises_data_error(arrays):
     raise DataError("what", where="where", expected="expected", fix="fix")
 
 
-def raises_config_error(arrays):
-    raise ConfigError("what")
-
-
 def raises_another(arrays):
     raise ValueError("content of the file")
-
-
-def lacks_a_package(arrays):
-    import no_such_package  # noqa: F401
 
 
 def prints(arrays):

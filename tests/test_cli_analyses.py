@@ -51,8 +51,11 @@ def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
 @pytest.mark.usefixtures("blank_figures")
 def test_a_design_frees_and_fixes_parameters(world, monkeypatch, tmp_path):
     monkeypatch.chdir(world.folder)
-    options = ("--free", "alpha1", "--fix", "b=0.1", "--out", str(tmp_path), "-q")
-    assert run("tune", "gel", "--design", *options) == 0
+    text = Path("configs/fits/gel.toml").read_text()
+    table = text.index("\n[") if "\n[" in text else len(text)
+    changes = '\nfree = ["alpha1"]\nfix = { b = 0.1 }\n'
+    (tmp_path / "gel.toml").write_text(text[:table] + changes + text[table:])
+    assert run("tune", str(tmp_path / "gel.toml"), "--design", "--out", str(tmp_path), "-q") == 0
     table = pd.read_csv(tmp_path / "gel-design/identify.csv").set_index("parameter")
     assert {"mu1_pa", "alpha1"} <= set(table.index) and not {"alpha2", "bevel_mm"} & set(table.index)
     about = json.loads((tmp_path / "gel-design/run.json").read_text())

@@ -75,7 +75,7 @@ CASES = {
     "report": Case("report ./out/run --out out/again", "again"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
-    "new project": Case("new project out/project", "project/data project/configs project/studies"),
+    "new project": Case("new project out/project", "project"),
     "twin build": Case("twin build --out out/twin -q", "twin"),
     "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
     "new workbook": Case("new workbook out/own.xlsx"),

@@ -621,7 +621,7 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
     assert made["observable"] == ("tracks", "guess") and plan.pose == "tracker"
     unused = unused_of(tmp_path / "em.csv")
     assert {"row 15.0, MISSING, MISSING, MISSING", "column base_x", "column qw"} < unused
-    assert run("import", tmp_path / "em.csv", "--out", out, "--bevel", "0,1,0", "--set", "medium=gel") == 0
+    assert run("import", tmp_path / "em.csv", "--out", out, "--bevel", "0,1,0", "--setup", "medium=gel") == 0
     dataset = read(out)
     (track,) = dataset.insertions
     assert (dataset.pose, track.id, track.medium) == ("tracker", "em", "gel")
@@ -653,7 +653,7 @@ def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
     (tmp_path / "a.csv").write_text("\n".join([";".join(["run", *names]), *rows]))
     _, made = planned([tmp_path])
     assert made["observable"] == ("tracks", "guess")
-    assert run("import", tmp_path, "--out", tmp_path / "t", "--set", "specimen=one") == 0
+    assert run("import", tmp_path, "--out", tmp_path / "t", "--setup", "specimen=one") == 0
     tracks = read(tmp_path / "t").insertions
     assert [(one.id, one.specimen) for one in tracks] == [("p", "one"), ("q", "one")]
     for k, one in enumerate(tracks, 1):
@@ -767,7 +767,7 @@ def test_a_bad_cell_of_a_sheet_stops_the_import_at_its_cell(tmp_path):
 def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     import_cases.write_european_csv(tmp_path / "six.csv", NEEDLES)
     assert (
-        run("import", tmp_path / "six.csv", "--out", tmp_path / "gel", "--set", "modulus=steel", "--json")
+        run("import", tmp_path / "six.csv", "--out", tmp_path / "gel", "--setup", "modulus=steel", "--json")
         == 0
     )
     shown = json.loads(capsys.readouterr().out)
@@ -777,7 +777,7 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     assert (tmp_path / "gel" / "import.png").stat().st_size > 10_000
     stored = read_toml(tmp_path / "gel" / "dataset.toml")["import"]
     assert stored["decisions"] == shown["decisions"] and list(stored["files"]) == ["six.csv"]
-    assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--set", "modulus=steel") == 0
+    assert run("import", tmp_path / "six.csv", "--out", tmp_path / "again", "--setup", "modulus=steel") == 0
     one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
     assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
 

@@ -71,7 +71,7 @@ def test_the_wheel_is_used_from_an_empty_folder(built, installed, tmp_path):
         return call(sys.executable, "-m", "needlefit", *words, env=installed, cwd=tmp_path)
 
     assert json.loads(run("simulate", "phantom1", "--json"))["converged"] is True
-    keys = {*read_sections(), "study.toml", "scans.csv", "stretch", "te_mm"}
+    keys = {*read_sections(), "stretch", "te_mm"}
     assert {one["key"] for one in json.loads(run("explain", "--json"))} >= keys
     assert list(tmp_path.iterdir()) == []
     run("new", "project", "mine")

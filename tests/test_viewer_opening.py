@@ -222,6 +222,8 @@ def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
     new, same = (open_target("small", specimen=one).spread for one in ("new", "same"))
     assert_new(new, same, row["between_sd_ln_mu"])
     assert set(new.mu[:, 1]) == set(same.mu[:, 1])  # fixed in the medium
+    with pytest.raises(ConfigError, match="nobody"):
+        open_target("small", specimen="nobody")
 
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):

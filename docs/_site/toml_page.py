@@ -11,10 +11,7 @@ from typing import Any
 from pages import keep
 from pydantic import BaseModel
 from sphinx.application import Sphinx
-
-from needlefit.project.locate import shipped_folder
-from needlefit.project.toml import dumps, read_toml
-from needlefit.reporting.toml_reference import (
+from toml_reference import (
     FileKind,
     KeyDescription,
     TableDescription,
@@ -24,6 +21,9 @@ from needlefit.reporting.toml_reference import (
     format_value,
     list_files,
 )
+
+from needlefit.project.locate import shipped_folder
+from needlefit.project.toml import dumps, read_toml
 from needlefit.studies.kind import list_records
 
 PAGE = "reference/toml.md"
@@ -45,8 +45,7 @@ MAX_EXAMPLE_LINES = 45
 OPENING = """\
 # TOML reference
 
-Every key of every file that you may write. `needlefit explain study.toml` prints those of a study, and so on.
-The examples are from files that load.
+Every key of every file that you may write. The examples are from files that load.
 
 - Every file begins with `schema`, the version of its layout. Unknown keys are errors.
 - A key's ending is its unit: `_mm`, `_deg`, `_pa`, `_gpa`, `_hu`.

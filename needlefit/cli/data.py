@@ -12,6 +12,7 @@ from needlefit.cli import screen
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import (
     Json,
+    Out,
     Plugins,
     Strict,
     argument,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def new_project(
-    folder: Annotated[Path, argument("DIR", "A folder; it is made if it is missing.")],
+    folder: Annotated[Path, argument("DIR", "A new or empty folder.")],
 ) -> None:
     """Write an editable copy of the project to DIR.
 
@@ -59,30 +60,18 @@ def new_workbook(
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'import', path, '--out', file.stem))}")
 
 
-MAX_LISTED_NAMES = 5  # files that a message names
-_IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
-
-
 def copy_project(folder: Path) -> list[Path]:
-    """Copy the shipped `data/ configs/ studies/` into `folder`, which is made if it is missing.
+    """Copy the shipped `data/ configs/ studies/` into `folder`, which is missing or empty; return theirs.
 
-    Hidden entries of `folder`, such as `.git`, stay beside them. ConfigError if it is a file, or holds
-    anything that is not hidden.
+    ConfigError if it is neither.
     """
-    from needlefit.project.folders import create_folder, require_writable
+    from needlefit.project.folders import create_folder
 
-    require_writable(folder)
-    held = sorted(folder.iterdir()) if folder.is_dir() else []
-    shown = [str(path) for path in held if not path.name.startswith(".")]
-    if shown or folder.is_file():
-        what = "exists already" + (f", and holds {join_names(shown, MAX_LISTED_NAMES)}" if shown else "")
-        fix = "choose another folder: nothing is overwritten"
-        raise ConfigError(what, where=str(folder), expected="a new folder, or an empty one", fix=fix)
-    targets = [folder / part for part in PROJECT_FOLDERS]
-    for part, target in zip(PROJECT_FOLDERS, targets, strict=True):
-        with create_folder(target) as fresh:
-            shutil.copytree(shipped_folder() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
-    return targets
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
+    with create_folder(folder) as fresh:
+        for part in PROJECT_FOLDERS:
+            shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
+    return [folder / part for part in PROJECT_FOLDERS]
 
 
 # ---- import
@@ -102,7 +91,7 @@ def import_data(
             "(.mrk.json .fcsv), surfaces (.stl .ply .obj .vtk).",
         ),
     ],
-    out: Annotated[Path, option("Folder of the dataset; it must not exist yet.", "DIR")],
+    out: Out = None,
     columns: Annotated[
         str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
     ] = "",
@@ -115,9 +104,9 @@ def import_data(
     bevel_side: Annotated[str, _ask_by_option("bevel side")] = "",
     boundaries: Annotated[str, _ask_by_option("boundaries")] = "",
     point_sd: Annotated[str, _ask_by_option("point sd")] = "",
-    others: Annotated[
+    setup: Annotated[
         list[str] | None,
-        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE", "--set"),
+        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
     ] = None,
     yes: Annotated[
         bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
@@ -129,9 +118,9 @@ def import_data(
     """Make a dataset from files of other programs.
 
     Columns are known by their names in five languages; others are named with --columns. In a terminal it asks
-    for whatever the files do not state, one question at a time; options answer beforehand. DIR/dataset.toml
-    lists every decision under [import], with all columns, rows, fields and sheets that are not used. DIR also
-    gets a picture, a first study and a scene.
+    for whatever the files do not state, one question at a time; options answer beforehand. OUT/dataset.toml
+    lists every decision under [import], with all columns, rows, fields and sheets that are not used. OUT also
+    gets a picture, a first study and a scene. It must not exist yet; the default is ./FILE-dataset.
     """
     from needlefit.datasets.first_study import SCENE_FILE, name_study_file
     from needlefit.datasets.importing.answers import Answers
@@ -148,14 +137,15 @@ def import_data(
     )
     from needlefit.schemas.names import require_file_name
 
+    out = out or Path(f"{files[0].resolve().name.partition('.')[0]}-dataset")
     require_new(out)
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
     options = {what: context.params[what.replace(" ", "_")] for what in OPTIONS}
-    options |= (stated := dict(map(split_pair, others or ())))
+    options |= (stated := dict(split_pair(text, "--setup") for text in setup or ()))
     if unknown := [name for name in stated if name not in QUESTIONS]:
-        raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--set")
+        raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup")
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
     try:
         content = read_content(files, columns)

@@ -1,7 +1,7 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -25,7 +25,8 @@ def argument(metavar: str, text: str, **more: Any) -> Any:  # noqa: ANN401 - typ
 
 
 def _keep(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:  # noqa: ANN401
-    setattr(context.find_root().obj, str(parameter.name), value)
+    if value is not None:  # else the invocation's own default
+        setattr(context.find_root().obj, str(parameter.name), value)
     return value
 
 
@@ -56,7 +57,12 @@ Resume = Annotated[bool, _flag("Continue an interrupted run.", "--resume")]
 Strict = Annotated[bool, _flag("Exit code 5 after a warning; results are written.", "--strict")]
 Seed = Annotated[
     int | None,
-    option("Seed of all randomness (default: the recipe's).", min=0, max=MAX_SEED, callback=_keep),
+    option(
+        "Seed of all randomness (default: that of the recipe, or of the shipped twin).",
+        min=0,
+        max=MAX_SEED,
+        callback=_keep,
+    ),
 ]
 Jobs = Annotated[
     int | None,
@@ -68,7 +74,7 @@ Scheduler = Annotated[
         "Run tasks on a Dask cluster: tls://HOST:PORT (docs/developers/scale.md).", "ADDRESS", callback=_keep
     ),
 ]
-Out = Annotated[Path, option("Folder of all results; each run has a folder in it.", callback=_keep)]
+Out = Annotated[Path | None, option("Folder to write to (default: as stated above).", "OUT", callback=_keep)]
 Plugins = Annotated[
     list[str] | None,
     option(
@@ -78,8 +84,6 @@ Plugins = Annotated[
         is_eager=True,
     ),
 ]
-
-REPORTS = Path("reports")  # where results go by default
 
 # ---- other parameters of several commands
 
@@ -92,10 +96,11 @@ Recording = Annotated[
     Path | None, option("Replay what `needlefit view` recorded, a CSV; it replaces SCENE.", "LOG")
 ]
 Specimen = Annotated[
-    Literal["new", "same"] | None,
+    str | None,
     option(
-        "Draws of a run: for a new specimen, or for the specimens fitted (default: as the run predicted the "
-        "insertion; to plan: new, or as its study states)."
+        "Specimen of a prediction: new; same: as fitted; or, of several that differ, its NAME (default: "
+        "that of the insertion; of a planned one what the study states, else new).",
+        "new|same|NAME",
     ),
 ]
 Depth = Annotated[
@@ -135,9 +140,9 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     return where, check(override(read_toml(path), pairs, file_label(path)), SceneRecord, where)
 
 
-def split_pair(text: str) -> tuple[str, str]:
-    """Return key and value of a word of --set; an empty value removes the key."""
+def split_pair(text: str, words: str = "--set") -> tuple[str, str]:
+    """Return key and value of a word of --set or --setup; an empty value removes the key."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
-        raise typer.BadParameter(f"`{text}` is not KEY=VALUE, e.g. bevel.offset_mm=0.1", param_hint="--set")
+        raise typer.BadParameter(f"`{text}` is not KEY=VALUE", param_hint=words)
     return key.strip(), value.strip()

@@ -41,7 +41,7 @@ def reconstruct(
             "DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
         ),
     ],
-    out: Annotated[Path | None, option("Folder of the dataset (default: ./SCAN-dataset).", "DATASET")] = None,
+    out: options.Out = None,
     markers: Annotated[
         Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
     ] = None,
@@ -93,8 +93,9 @@ def reconstruct(
     """Reconstruct the needles in SCANs into a dataset.
 
     Finds needle, markers and tissue in each scan, and registers it to world coordinates with its markers.
-    DATASET takes the dataset, its tables, and for every scan a quality page (quality/) and files for 3D
-    Slicer (slicer/). A scan that fails is reported with its fix (exit code 3); the others are written.
+    OUT, by default ./SCAN-dataset, takes the dataset, its tables, and for every scan a quality page
+    (quality/) and files for 3D Slicer (slicer/). A scan that fails is reported with its fix (exit code 3);
+    the others are written.
     """
     stated: dict[str, Any] = {
         "markers": markers,

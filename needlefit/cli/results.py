@@ -3,25 +3,21 @@
 import difflib
 import re
 from dataclasses import asdict
-from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.execution import show_json_of, show_run, show_warnings
 from needlefit.cli.options import argument, option
-from needlefit.project.help_pages import Topic, read_input_columns, read_sections, read_terms
-
-if TYPE_CHECKING:
-    from needlefit.reporting.toml_reference import FileKind
+from needlefit.project.help_pages import Topic, read_sections, read_terms
 
 
 def report(
     context: typer.Context,
     run: options.RunName,
-    out: Annotated[Path | None, option("Write to this folder; the run's own by default.", "DIR")] = None,
+    out: options.Out = None,
     paper: Annotated[
         Path | None,
         option("Also write figures 3.5 and 7.16 in wide, and the LaTeX files, to a new folder.", "DIR"),
@@ -32,7 +28,7 @@ def report(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Write tables, figures and report of a RUN again.
+    """Write tables, figures and report of a RUN again, to its own folder or to OUT.
 
     Nothing is fitted: all is made of the stored results, exact to the last digit, as after an update that
     draws figures differently, or where files were lost. Files that do not agree with the manifest are named,
@@ -74,7 +70,7 @@ def diff(
     """
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
-    from needlefit.studies.run_differences import RUN_JSON, compare_runs, lay_out_differences
+    from needlefit.studies.run_differences import RUN_JSON, compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b))
     if context.find_root().obj.json:
@@ -84,20 +80,19 @@ def diff(
     keys = len(found) - len(tables)
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
     if len(found):
-        screen.print_line()
-        screen.show_display(lay_out_differences(found))
+        screen.show_frame(found, "\nThe greatest change of each column, from RUN_A to RUN_B")
 
 
 def explain(
     context: typer.Context,
     key: Annotated[
         list[str] | None,
-        argument("NAME", "A warning as printed (coverage), a term, a law, a file, or a column (te_mm)."),
+        argument("NAME", "A warning as printed (coverage), a term, or a column (te_mm)."),
     ] = None,
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Explain a warning, term, file, law or column.
+    """Explain a warning, term or column.
 
     Without a NAME all are listed.
     """
@@ -111,7 +106,7 @@ def explain(
     if not found:
         near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
         raise typer.BadParameter(
-            f"`{name}` is no warning, file, term, tissue law or column"
+            f"`{name}` is no warning, term or column"
             + (f"; did you mean {' or '.join(near)}?" if near else "")
         )
     if context.find_root().obj.json:
@@ -132,53 +127,16 @@ def _fold(name: str) -> str:
 
 
 def _list_topics() -> dict[str, list[Topic]]:
-    from needlefit.mechanics.laws import LAWS
     from needlefit.reporting.columns import list_columns
-    from needlefit.reporting.toml_reference import list_files
-    from needlefit.studies.kind import list_records
 
-    laws = []
-    for law in LAWS.values():
-        shape = [
-            f"{one.name} ({one.symbol}{one.unit and f', {one.unit}'}): {one.explanation}; "
-            f"{one.bounds[0]:g} to {one.bounds[1]:g}, usually {one.usual[0]:g} to {one.usual[1]:g}"
-            for one in law.parameters
-        ]
-        laws.append(Topic(law.name, law.label, tuple(shape) or ("No shape parameters.",)))
-    tables = [
-        Topic(
-            table,
-            f"Columns of {table}",
-            tuple(f"{one.column}: {one.meaning} ({one.default})" for one in columns),
-        )
-        for table, columns in groupby(read_input_columns(), lambda one: one.table)
-    ]
     return {
         "Warnings": [*read_sections().values()],
-        "Files": [
-            *(Topic(f"{one.name}.toml", one.title, _list_keys(one)) for one in list_files(list_records())),
-            *tables,
-        ],
         "Terms": read_terms(),
-        "Tissue laws": laws,
         "Columns of tables": [
             Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
             for one in list_columns().values()
         ],
     }
-
-
-def _list_keys(file: "FileKind") -> tuple[str, ...]:
-    """Return the paragraphs about a file: its tables, and their keys."""
-    from needlefit.reporting.toml_reference import describe_files
-
-    lines: list[str] = []
-    for number, table in enumerate(describe_files([file])[0][1]):
-        lines.append(f"\n{table.title}\n{table.summary}" if number else table.summary)
-        for one in table.keys:
-            lines.append(f"\n  {one.key}: {one.value.replace('**', '').replace('`', '')}")
-            lines.append(f"      {one.meaning}" + (f" Keys: {one.described_in}." if one.described_in else ""))
-    return tuple(lines)
 
 
 def paper(context: typer.Context, json: options.Json = False) -> None:

@@ -1,7 +1,5 @@
 """Commands that run studies: tune, calibrate, validate, predict."""
 
-import math
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,7 +16,7 @@ from needlefit.cli.execution import (
     show_json_of,
     show_runs,
 )
-from needlefit.cli.options import REPORTS, argument, option, scene_record, split_pair
+from needlefit.cli.options import argument, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 if TYPE_CHECKING:
@@ -36,17 +34,9 @@ def tune(
         bool,
         option("Intervals by importance sampling alone, without MCMC and posterior.nc.", None, "--no-sample"),
     ] = False,
-    free: Annotated[
-        list[str] | None,
-        option("Estimate a parameter that the tissue model fixes or ties: alpha1. May be repeated.", "NAME"),
-    ] = None,
-    fix: Annotated[
-        list[str] | None,
-        option("Hold a parameter at a value, in Pa, mm or degrees: b=0.1. May be repeated.", "NAME=VALUE"),
-    ] = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -59,24 +49,20 @@ def tune(
     Prints each parameter with its 95 % interval, and which ones the data do not determine. The posterior is
     sampled by MCMC (emcee), from draws by importance sampling.
 
-    --free and --fix change what the tissue model says of single parameters. Names are those of tables
-    (alpha1, mu1, b) or keys (mu1_pa). In the file of a fit `free` and `fix` do the same.
-
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
-    Of a study only the fit is run; results go to OUT/STUDY-tune/. The folder slicer/ holds every needle,
-    measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best result so
-    far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at once.
+    Results go to OUT/TARGET/ (default: ./reports); of a study only the fit is run, to OUT/STUDY-tune/. The
+    folder slicer/ holds every needle, measured and fitted with the 95 % band of the parameters, for 3D
+    Slicer. Ctrl-C writes the best result so far, marked as interrupted, and prints the command that
+    continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
         from needlefit.project.toml import add_file_context
-        from needlefit.studies.job import Inputs, change_fit
+        from needlefit.studies.job import Inputs
         from needlefit.studies.study_files import load_target
 
         name, record, file = load_target(target)
-        if free or fix:
-            record = change_fit(record, free or (), _parse_values(fix or ()), "--free and --fix")
         if design:
             about = f"{name.removesuffix('-tune')}-design"
             execution.prepare([about])
@@ -98,24 +84,6 @@ def tune(
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
-def _parse_values(texts: Iterable[str]) -> dict[str, float]:
-    """Return the values of --fix by parameter."""
-    values = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        if name.strip() in values:
-            raise typer.BadParameter(f"`{name.strip()}` has two values", param_hint="--fix")
-        try:
-            values[name.strip()] = float(value)
-            if not math.isfinite(values[name.strip()]):
-                raise ValueError
-        except ValueError:
-            raise typer.BadParameter(
-                f"`{text}` is not NAME=VALUE with a number, e.g. b=0.1", param_hint="--fix"
-            ) from None
-    return values
-
-
 def calibrate(
     context: typer.Context,
     target: options.Target,
@@ -133,7 +101,7 @@ def calibrate(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -151,8 +119,8 @@ def calibrate(
     With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
     does not have, and held-out tips are predicted. This tests the model.
 
-    Results go to OUT/calibrate-TARGET/ (or -synthetic). Exit code 6: ranks are not uniform. Exit code 5: a
-    posterior has not converged, or there are too few replicates for a verdict.
+    Results go to OUT/calibrate-TARGET/ (or -synthetic; default: ./reports). Exit code 6: ranks are not
+    uniform. Exit code 5: a posterior has not converged, or there are too few replicates for a verdict.
     """
     with begin(context) as execution:
         from needlefit.studies.study_files import load_target
@@ -183,7 +151,7 @@ def validate(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,
     strict: options.Strict = False,
@@ -194,7 +162,8 @@ def validate(
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
-    `all` runs the paper's five studies and the fits of its tuning tables.
+    `all` runs the paper's five studies and the fits of its tuning tables. Results go to OUT/STUDY/
+    (default: ./reports).
 
     Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
@@ -238,20 +207,12 @@ def predict(
         option("The planned insertion: a name or a path.", "SCENE"),
     ],
     run: Annotated[Path | None, option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR")] = None,
-    specimen: Annotated[
-        str | None,
-        option(
-            "new: into a specimen that was not fitted to; same: into the one that was, or, of several that "
-            "differ, its NAME (default: same if the TARGET states `same_specimen`; else new, with the spread "
-            "between specimens unless its `specimens` leaves it out).",
-            "new|same|NAME",
-        ),
-    ] = None,
+    specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     resume: options.Resume = False,
     strict: options.Strict = False,
     explain: options.Explain = False,
@@ -265,7 +226,7 @@ def predict(
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
     new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
     agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
-    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/.
+    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports).
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file

@@ -7,25 +7,15 @@ import typer
 
 from needlefit.cli import screen
 from needlefit.cli.execution import open_pool
-from needlefit.cli.options import Insecure, Jobs, Quiet, Scheduler, argument, option
+from needlefit.cli.options import Insecure, Jobs, Out, Quiet, Scheduler, Seed, argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.project.processes import count_cores
-
-TwinSeed = Annotated[int | None, option("Seed (default: the shipped twin's).", min=0)]
 
 
 def build(
     context: typer.Context,
-    seed: TwinSeed = None,
-    population: Annotated[
-        bool,
-        option(
-            "Draw moduli, bevel offsets and friction as `calibrate --truth synthetic` does.",
-            None,
-            "--population",
-        ),
-    ] = False,
-    out: Annotated[Path, option("Folder of the dataset.", "DIR")] = Path("data/twin"),
+    seed: Seed = None,
+    out: Out = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     insecure: Insecure = False,
@@ -36,30 +26,29 @@ def build(
     It has as many insertions as the paper, 47, to the same depths. Each is simulated, rendered as a CT volume
     and reconstructed from it. The same seed gives the same bytes.
 
-    DIR is replaced if it holds nothing but a synthetic dataset.
+    OUT, by default data/twin, is replaced if it holds nothing but a synthetic dataset.
     """
     from needlefit.project.folders import replace_folder
     from needlefit.synthetic.build import build_dataset
-    from needlefit.synthetic.design import POPULATION
     from needlefit.synthetic.insertion import TWIN_SEED
 
     seed, invocation = TWIN_SEED if seed is None else seed, context.find_root().obj
+    out = out or Path("data/twin")
     with (
         replace_folder(out) as fresh,
         show_progress(invocation.quiet) as report,
         open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
     ):
-        drawn = POPULATION if population else None
-        build_dataset(fresh, seed, pool=pool, progress=report, population=drawn)
+        build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
 def render_ct(
     context: typer.Context,
     ids: Annotated[list[str] | None, argument("ID", "Insertions, or `sample` (default: all 47).")] = None,
-    seed: TwinSeed = None,
+    seed: Seed = None,
     form: Annotated[Literal["nrrd", "dicom"], option("A file, or a series.", None, "--format")] = "nrrd",
-    out: Annotated[Path, option("Folder of the scans.", "DIR")] = Path("twin_ct"),
+    out: Out = None,
     jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
@@ -68,7 +57,7 @@ def render_ct(
     Writes volumes/ (20 MB each), markers/, layers/ and scans.csv, the input of `needlefit reconstruct`. The
     same seed gives the same bytes.
 
-    DIR is replaced if it holds nothing but such scans.
+    OUT, by default twin_ct, is replaced if it holds nothing but such scans.
     """
     from needlefit.project.folders import replace_folder
     from needlefit.project.tasks import LocalPool
@@ -77,6 +66,7 @@ def render_ct(
     from needlefit.synthetic.scans import write_scans
 
     seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
+    out = out or Path("twin_ct")
     with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
         write_scans(fresh, plan, seed, form, LocalPool(jobs or count_cores()), report)
     screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

@@ -10,12 +10,11 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import REPORTS, argument, option
+from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
 
 if TYPE_CHECKING:
-    from needlefit.project.locate import SpecimenChoice
     from needlefit.viewer.server import AccessControl
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
@@ -37,23 +36,24 @@ def view(
     browser: Annotated[
         bool, option("Open the page, or only print its address.", None, "--browser/--no-browser")
     ] = True,
-    out: options.Out = REPORTS,
+    out: options.Out = None,
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
     """Steer a needle by hand in the browser.
 
-    Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/;
+    Only this machine can open the page. Each needle is recorded to a CSV in OUT/view/ (default: ./reports);
     `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
     """
     if recording is not None and target is not None:
         raise typer.BadParameter("the recording names its target: leave it out", param_hint="TARGET")
-    require_writable(out / "view")
+    folder = context.find_root().obj.out / "view"
+    require_writable(folder)
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
     from needlefit.viewer.steering_page import SteeringPage
 
-    trials = _trials(context.find_root().obj, target, recording, out / "view", specimen or "shown")
+    trials = _trials(context.find_root().obj, target, recording, folder, specimen or "shown")
     _serve(SteeringPage(trials), port, browser)
     for path in trials.written():
         screen.print_line(f"recorded: {path}")
@@ -84,7 +84,7 @@ def _trials(
     target: str | None,
     recording: Path | None,
     folder: Path,
-    specimen: "SpecimenChoice",
+    specimen: str,
 ) -> "TrialRegistry":
     from needlefit.viewer.opening import open_recording, open_target, reopen
     from needlefit.viewer.recording import read_recording

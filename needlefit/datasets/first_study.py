@@ -12,7 +12,7 @@ from needlefit.schemas.study import StudyRecord
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
 MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
 SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
-_START_NOTE = "# A start, made by `needlefit import`: {what} `needlefit explain {kind}` lists every key.\n"
+_START_NOTE = "# A start, made by `needlefit import`: {what}\n"
 
 
 def name_study_file(name: str) -> str:
@@ -38,11 +38,11 @@ def write_scene(folder: Path, dataset: Dataset) -> None:
         ],
     }
     check(scene, SceneRecord, SCENE_FILE)
-    _write_start(folder / SCENE_FILE, scene, "scene.toml", "needle, depth, layers and bevel.")
+    _write_start(folder / SCENE_FILE, scene, "needle, depth, layers and bevel.")
 
 
-def _write_start(file: Path, tables: dict[str, object], kind: str, what: str) -> None:
-    file.write_bytes((_START_NOTE.format(what=what, kind=kind) + dumps(tables)).encode("utf-8"))
+def _write_start(file: Path, tables: dict[str, object], what: str) -> None:
+    file.write_bytes((_START_NOTE.format(what=what) + dumps(tables)).encode("utf-8"))
 
 
 def write_starter_study(folder: Path, dataset: Dataset) -> bool:
@@ -82,6 +82,6 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
     study_file = name_study_file(dataset.name)
     check(tissue, MediumRecord, TISSUE_FILE)
     check(study, StudyRecord, study_file)
-    _write_start(folder / TISSUE_FILE, tissue, "medium.toml", "the layers, and which parameters are fitted.")
-    _write_start(folder / study_file, study, "study.toml", "what is fitted, and what is predicted.")
+    _write_start(folder / TISSUE_FILE, tissue, "the layers, and which parameters are fitted.")
+    _write_start(folder / study_file, study, "what is fitted, and what is predicted.")
     return True

@@ -1,11 +1,9 @@
-"""Texts that ship with the package: what each warning means, terms, and columns of tables that are read."""
+"""Texts that ship with the package: what each warning means, and terms."""
 
-import csv
 import posixpath
 import re
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 from needlefit.project.input_files import read_text
 from needlefit.project.locate import shipped_folder
@@ -16,23 +14,6 @@ _SECTION_PATTERN = re.compile(
     r"^\((?P<key>[\w-]+)\)=\n#+ (?P<title>.+)\n(?P<body>(?:(?!\([\w-]+\)=|#).*\n)*)", re.MULTILINE
 )
 _LINK_PATTERN = re.compile(r"\[([^\]]+)\]\(([^)#]*)(?:#[^)]*)?\)")
-
-
-@dataclass(frozen=True)
-class InputColumn:
-    """Columns of a table that a user writes, such as `insertions.csv`; `default`: of an empty cell."""
-
-    table: str
-    column: str
-    meaning: str
-    default: str
-
-
-@cache
-def read_input_columns() -> tuple[InputColumn, ...]:
-    """Return all columns of the tables that a user writes, table by table."""
-    text = files("needlefit.schemas").joinpath("input_tables.csv").read_text(encoding="utf-8")
-    return tuple(InputColumn(**row) for row in csv.DictReader(text.splitlines()))
 
 
 @dataclass(frozen=True)

@@ -226,9 +226,6 @@ def join_names(names: Sequence[str], most: int = MAX_LISTED_NAMES) -> str:
 # --- what a name of the viewer means ---------------------------------------------------------------------
 
 TargetKind = Literal["scene", "run", "dataset"]
-SpecimenChoice = Literal["shown", "planned", "new", "same"]
-"""Specimen that a run's draws are for: the shown insertion's, as the run predicted it; a planned one's, which
-is new unless the run's study leaves out the spread between specimens; a new one; one that was fitted."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +236,9 @@ class ViewTarget:
     name: str  # what it is called, without an insertion
     path: Path  # the scene's file, the run's folder, or the `dataset.toml`
     insertion: str | None = None  # the insertion that was named with a run or a dataset
-    specimen: SpecimenChoice = "shown"  # of the draws of a run
+    # that a run's draws are for: "shown": the insertion's, as the run predicted it; "planned": of a planned
+    # one, new unless the study leaves out the spread between specimens; "new", "same" (as fitted), or a name
+    specimen: str = "shown"
 
 
 def find_view_target(name: str) -> ViewTarget:

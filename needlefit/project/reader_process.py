@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -51,6 +50,8 @@ _ENVIRONMENT = {
     **dict.fromkeys((*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS"), "1"),
     "MALLOC_ARENA_MAX": "1",  # each thread's arena would reserve address space
 }
+_WHOLE = "a whole file, as its program wrote it"
+_DAMAGED = "the file may be damaged: copy it or export it again"
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -61,17 +62,14 @@ def stated_memory_bytes() -> int | None:
     ConfigError if it is not a number of GiB.
     """
     text = os.environ.get(MEMORY_VARIABLE, "")
-    if not text:
-        return None
-    with suppress(ValueError, OverflowError):
-        if (stated := int(float(text) * 2**30)) > 0:
-            return stated
-    raise ConfigError(
-        f"is {text[:40]!r}",
-        where=MEMORY_VARIABLE,
-        expected="GiB, such as 16",
-        fix="set a number, or unset it",
-    )
+    try:
+        stated = int(float(text or 1) * 2**30)
+    except (ValueError, OverflowError):
+        stated = 0
+    if stated <= 0:
+        what, fix = f"is {text[:40]!r}", "set a number, or unset it"
+        raise ConfigError(what, where=MEMORY_VARIABLE, expected="GiB, such as 16", fix=fix)
+    return stated if text else None
 
 
 def read_in_process(
@@ -83,65 +81,51 @@ def read_in_process(
     `arguments`; these and its value are JSON. Its module is imported before the limits are set: memory of
     `READER_BYTES` and `memory_bytes`, processor time of `READER_SECONDS` and `seconds`. Messages name `file`.
 
-    Raised is what the reader raised, a NeedlefitError; DataError if it crashed, or needed more memory or
-    time; ModuleNotFoundError if the child lacks a package.
+    DataError if the reader refused the file, crashed, or needed more memory or time.
     """
     request = {
         **{"reader": reader, "arguments": arguments, "file": str(file), "parent": os.getpid()},
         **{"memory": READER_BYTES + memory_bytes, "seconds": READER_SECONDS + math.ceil(seconds)},
     }
     answer, arrays = _run(request, file)
-    if "missing" in answer:
-        raise ModuleNotFoundError(f"No module named {answer['missing']!r}", name=answer["missing"])
     if "error" in answer:
-        raise (ConfigError if answer["is_config"] else DataError)(**answer["error"])
+        raise DataError(**answer["error"])
     return answer["value"], arrays
 
 
 def _run(request: Mapping[str, Any], file: Path) -> tuple[dict[str, Any], Arrays]:
     """Return what the child answers, and its arrays; DataError if it ended without an answer."""
-    here, cpu = str(Path(errors.__file__).parents[1]), request["seconds"]
+    here, most = str(Path(errors.__file__).parents[1]), WALL_SECONDS + 4 * request["seconds"]
     # the child finds modules where this process does, but not in the working folder
     search_path = [here] * (here not in sys.path) + [entry for entry in sys.path if entry]
     python = [sys.executable, "-I", "-X", f"utf8={sys.flags.utf8_mode}", "-c", _CHILD]
-    what = f"its reader was ended: {cpu} s of processor time, or {WALL_SECONDS + 4 * cpu:g} s"
-    slow = _error(file, what, "a file that is read in the time that its size warrants")
     with tempfile.TemporaryFile(buffering=0) as written:
+        ending = "ended without an answer"
         try:
-            done = subprocess.run(
+            code = subprocess.run(
                 [*python, json.dumps(search_path), json.dumps(request)],
                 stdin=subprocess.DEVNULL,
                 stdout=written,
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, **_ENVIRONMENT},
-                timeout=WALL_SECONDS + 4 * cpu,
+                timeout=most,
                 check=False,
                 start_new_session=True,  # Ctrl-C is for the parent, which ends the child
-            )
-        except subprocess.TimeoutExpired:
-            raise slow from None
-        if done.returncode == -getattr(signal, "SIGXCPU", 0):
-            raise slow
-        if done.returncode == -getattr(signal, "SIGKILL", 0):
-            what = "its reader was ended from outside, as the system does when memory runs out"
-            raise _error(file, what, fix="free memory, or run fewer at once with --jobs")
-        if done.returncode < 0:
-            raise _error(file, f"its reader crashed ({signal.Signals(-done.returncode).name})")
-        written.seek(0)
-        with os.fdopen(written.fileno(), "rb", closefd=False) as stored:
-            try:
+            ).returncode
+            ending = f"crashed ({signal.Signals(-code).name})" if code < 0 else ending
+            written.seek(0)
+            with os.fdopen(written.fileno(), "rb", closefd=False) as stored:
                 answer = json.loads(stored.readline(MAX_ANSWER_BYTES))
                 return answer, {name: np.load(stored, allow_pickle=False) for name in answer["arrays"]}
-            except (KeyError, TypeError, ValueError, EOFError):
-                raise _error(file, "its reader ended without an answer") from None
-
-
-_DAMAGED = "the file may be damaged: copy it or export it again"
-
-
-def _error(file: Path, what: str, expected: str = "", fix: str = "") -> DataError:
-    expected = expected or "a whole file, as its program wrote it"
-    return DataError(what, where=str(file), expected=expected, fix=fix or _DAMAGED)
+        except subprocess.TimeoutExpired:
+            ending = "crashed (SIGXCPU)"
+        except (KeyError, TypeError, ValueError, EOFError):
+            pass
+    more = {
+        "crashed (SIGXCPU)": f"was ended: {request['seconds']} s of processor time, or {most:g} s",
+        "crashed (SIGKILL)": "was ended from outside, as the system does when memory runs out",
+    }
+    raise DataError(f"its reader {more.get(ending, ending)}", where=str(file), expected=_WHOLE, fix=_DAMAGED)
 
 
 # ---- in the child
@@ -161,33 +145,25 @@ def serve(request: Mapping[str, Any]) -> None:
 
 
 def _attempt(request: Mapping[str, Any], arrays: Arrays) -> dict[str, Any]:
-    fault: NeedlefitError
+    parts = {"where": request["file"], "expected": _WHOLE, "fix": _DAMAGED}
     try:
         module, _, name = request["reader"].partition(":")
         reader = getattr(import_module(module), name)
-        _set_limits(request["memory"], request["seconds"])
+        if resource is not None:
+            _set_limits(request["memory"], request["seconds"])
         return {"value": reader(arrays, **request["arguments"])}
-    except ModuleNotFoundError as error:
-        return {"missing": error.name}
     except NeedlefitError as error:
-        fault = error
+        parts = {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}
     except Exception as error:  # whatever the bytes provoke; its text may quote them
-        fault = _error(Path(request["file"]), f"cannot be read ({type(error).__name__})")
+        parts["what"] = f"cannot be read ({type(error).__name__})"
         if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
-            fault = _error(
-                Path(request["file"]),
-                f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB",
-                "a file that takes no more memory than its header promises",
-                f"{_DAMAGED}; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB",
-            )
+            parts["what"] = f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB"
+            parts["fix"] += f"; if you trust it and have the memory, set {MEMORY_VARIABLE} to more GiB"
     arrays.clear()
-    parts = {key: getattr(fault, key) for key in ("what", "where", "expected", "fix")}
-    return {"error": parts, "is_config": isinstance(fault, ConfigError)}
+    return {"error": parts}
 
 
 def _set_limits(memory: int, seconds: int) -> None:
-    if resource is None:
-        return
     used = resource.getrusage(resource.RUSAGE_SELF)
     _limit(resource.RLIMIT_CPU, math.ceil(used.ru_utime + used.ru_stime) + seconds)
     _limit(resource.RLIMIT_CORE, 0)
@@ -199,10 +175,8 @@ def _set_limits(memory: int, seconds: int) -> None:
 
 def allow_memory(size: int) -> None:
     """Grant the reader so many more bytes, once the header that promises them is checked."""
-    if resource is not None:
-        soft = resource.getrlimit(resource.RLIMIT_AS)[0]
-        if soft != resource.RLIM_INFINITY:
-            _limit(resource.RLIMIT_AS, soft + size)
+    if resource is not None and (soft := resource.getrlimit(resource.RLIMIT_AS)[0]) >= 0:  # -1: no limit
+        _limit(resource.RLIMIT_AS, soft + size)
 
 
 def _limit(kind: int, wanted: int) -> None:

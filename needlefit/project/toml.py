@@ -138,7 +138,7 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
         known = [one.alias or name for name, one in table.model_fields.items()] if table else []
         near = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5)
         what = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
-        expected = _show_forms(table) or (f"one of {', '.join(known)}" if known else "")
+        expected = f"one of {', '.join(known)}" if known else ""
         return _Fault(key, what, expected, f"correct or remove `{key}`")
     messages = list(
         dict.fromkeys(one["msg"].removeprefix("Value error, ").replace("Tuple", "List") for one in errors)
@@ -148,12 +148,7 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
         expected = " or ".join(one.removeprefix(_INPUT).replace("'", '"') for one in messages)
         return _Fault(key, f"key `{key}` is {json.dumps(value)}", expected, f"correct `{key}`")
     text, fix = "; ".join(messages), f"correct `{key}`" if key else "correct the keys named"
-    return _Fault(key, f"key `{key}`: {text}" if key else text, _show_forms(_find_record(kind, place)), fix)
-
-
-def _show_forms(record: type[BaseModel] | None) -> str:
-    """Return the ways to write the table of a record; empty where it states none."""
-    return str(getattr(record, "FORMS", ""))
+    return _Fault(key, f"key `{key}`: {text}" if key else text, "", fix)
 
 
 def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | None:

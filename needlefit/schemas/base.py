@@ -28,9 +28,6 @@ class Record(BaseModel):
         _require_bounded(value)
         return value
 
-    FORMS: ClassVar[str] = ""
-    """The ways to write the table where its keys exclude or need each other; messages show them."""
-
 
 def _require_bounded(value: object) -> None:
     """Raise ValueError for a number, alone or in a list or table, whose products may overflow."""

@@ -1,7 +1,7 @@
 """Datasets: the files and columns of measured needle shapes or of tip tracks."""
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -67,11 +67,6 @@ class MeasurementRecord(Record):
     """Smoothing of the shapes before their points were stored (docs/inference.md). Each operator needs its
     own keys.
     """
-
-    FORMS: ClassVar[str] = (
-        'operator = "none"; "spline" with sections = "sections/{id}.toml" or knot_spacing_mm; "gaussian" '
-        'with width_mm; or "unknown" with bias_sd_mm and bias_length_mm'
-    )
 
     operator: Operator = "none"
     """What was done to the shape before its points were stored: nothing, a smoothing spline, a Gaussian

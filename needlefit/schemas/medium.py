@@ -1,7 +1,7 @@
 """A medium: its layers, which of their parameters are free, their bounds and their priors."""
 
 import re
-from typing import ClassVar, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
@@ -52,8 +52,6 @@ class MaterialRecord(FileRecord):
 
 class ParameterRecord(Record):
     """One parameter: exactly one of `bounds` (free), `fixed` and `tie`."""
-
-    FORMS: ClassVar[str] = '{ bounds = [1e3, 1e9] }, { fixed = 1.0 } or { tie = "mu1_pa", spread = 1.2 }'
 
     bounds: tuple[float, float] | None = None
     """Bounds of a free parameter, `[low, high]`, in the unit of its name."""

@@ -23,7 +23,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
-from needlefit.project.locate import SpecimenChoice
+from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import PageData, encode_scene, kernel_exists
@@ -100,15 +100,21 @@ def _find_bevel_sd(job: "Job", fold: "Fold") -> float:
     return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
 
 
-def choose_specimen(results: Run, specimen: str, tuned: set[str], chosen: SpecimenChoice = "shown") -> str:
+def choose_specimen(results: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
     """Return in which specimen the draws for an insertion are, by its name in the table of draws.
 
-    `specimen` is that of the insertion, `tuned` are those that were fitted to.
+    `specimen` is that of the insertion, `tuned` are those that were fitted to; `chosen`: of a `ViewTarget`.
+    ConfigError if there is no specimen of that name.
     """
+    names = {*results.frames["draws"]["specimen"]} - {NEW_SPECIMEN, TUNED_SPECIMENS}
+    if chosen not in ("shown", "planned", "new", "same"):
+        if chosen not in names & tuned:
+            raise unknown_name_error("specimen", chosen, ["new", "same", *(names & tuned)], "")
+        return chosen
     differ = results.record.specimens == "others"
     if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
         return NEW_SPECIMEN if chosen != "same" else TUNED_SPECIMENS
-    return specimen if specimen in set(results.frames["draws"]["specimen"]) else TUNED_SPECIMENS
+    return specimen if specimen in names else TUNED_SPECIMENS
 
 
 def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, sd: float) -> pd.DataFrame:

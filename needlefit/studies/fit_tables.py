@@ -102,8 +102,8 @@ def lay_out_summary(results: Run) -> TableLayout:
     blocks = []
     for group in groups:
         curve = find_closest_curve(group)
-        name = "closest curve" if several or curve is None else f"closest curve: {method_name(curve)}"
-        blocks.append((group, (ours, *([_RowKind(name, curve)] if curve else []), *paper)))
+        closest = [_RowKind(f"closest curve: {method_name(curve)}", curve)] if curve else []
+        blocks.append((group, (ours, *closest, *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
     found = _lay_out_groups("summary", blocks, heads, short=True)
     if several or not groups:

@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.grouping import group_values
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, derive_reconstruction, reconstruct
@@ -29,7 +28,6 @@ from needlefit.synthetic import design
 from needlefit.synthetic.design import (
     NOMINAL_NEEDLE,
     TRUE_MEDIA,
-    MediumTruth,
     PlannedInsertion,
     Population,
     TrueSpecimen,
@@ -91,22 +89,17 @@ TRUTH_NOTE = (
 )
 
 
-def write_truth(
-    path: Path, seed: int, built: Sequence[ReconstructedInsertion], population: Population | None = None
-) -> None:
+def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) -> None:
     """Write the truth of the insertions `built` to the TOML file `path`."""
     needle = design.draw_needle(seed)
     specimens = {one.insertion.specimen.name: one.insertion.specimen for one in built}
-    media = {name: design.draw_medium(seed, name, population) for name in TRUE_MEDIA}
+    media = {name: design.draw_medium(seed, name) for name in TRUE_MEDIA}
     tables = {
         "schema": 1,
         "origin": "synthetic",
         "seed": seed,
         "note": TRUTH_NOTE,
-        "specimens": [
-            _describe_specimen(one) | ({"bevel_mm": _round(one.bevel)} if population else {})
-            for one in specimens.values()
-        ],
+        "specimens": [_describe_specimen(one) for one in specimens.values()],
         "insertions": [_describe_insertion(one) for one in built],
         "needle": {
             "length_mm": needle.length,
@@ -125,7 +118,7 @@ def write_truth(
                 "bevel_mm": _round(medium.bevel),
                 "friction": _round(medium.friction),
                 "hu": medium.hu,
-                **(_describe_variation(medium) if population else {"specimen_sd_of_ln_mu": medium.layer_sd}),
+                "specimen_sd_of_ln_mu": medium.layer_sd,
             }
             for name, medium in media.items()
         },
@@ -139,21 +132,9 @@ def write_truth(
             "pose_angle_sd_deg": design.POSE_ANGLE_SD_DEG,
         },
         "markers": {"places_mm": WHOLE_BOX_SETUP.markers.tolist(), "stated_sd_mm": WHOLE_BOX_SETUP.known_sd},
-        "groups": _group_deflections(built),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(dumps(tables).encode("utf-8"))
-
-
-def _describe_variation(medium: MediumTruth) -> dict[str, float]:
-    return {
-        "layer_sd_of_ln_mu": medium.layer_sd,
-        "specimen_sd_of_ln_mu": _round(medium.modulus_sd),
-        "specimen_sd_of_ln_bevel": _round(medium.bevel_sd),
-        "specimen_correlation": _round(medium.correlation),
-        "insertion_sd_of_ln_bevel": _round(medium.insertion_bevel_sd),
-        "fibre_dependence": _round(medium.fibre_dependence),
-    }
 
 
 def _describe_specimen(specimen: TrueSpecimen) -> dict[str, Any]:
@@ -195,13 +176,6 @@ def _describe_insertion(built: ReconstructedInsertion) -> dict[str, Any]:
     }
 
 
-def _group_deflections(built: Sequence[ReconstructedInsertion]) -> dict[str, float]:
-    """Return the mean deflection (mm) of each medium and number of layers."""
-    pairs = ((one.insertion.planned, one.insertion.true_insertion.deflection) for one in built)
-    members = group_values((f"{plan.medium}_layers{plan.layers}", deflection) for plan, deflection in pairs)
-    return {f"{key}_mean_deflection_mm": _round(float(np.mean(values))) for key, values in members.items()}
-
-
 def _round(value: float) -> float:
     """Return `value` to `SIGNIFICANT_DIGITS` significant digits; never -0."""
     return float(f"{float(value):.{SIGNIFICANT_DIGITS}g}") + 0.0
@@ -238,7 +212,7 @@ def describe_dataset(seed: int, more: str = "", population: Population | None = 
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
-        source=f"needlefit twin build --seed {seed}" + (" --population" if population else ""),
+        source=f"needlefit twin build --seed {seed}",
         # of a population the truth does not follow from the seed alone
         truth_seed=None if population else seed,
         notes=DATASET_NOTES + more,
@@ -253,32 +227,30 @@ def build_dataset(
     plan: Sequence[PlannedInsertion] = list_planned_insertions(),
     pool: TaskPool = THIS_PROCESS,
     progress: Progress = no_progress,
-    population: Population | None = None,
 ) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
 
     `plan`: the insertions; each comes out the same whatever the others are.
     `pool`: where insertions are made; changes no byte.
     `progress`: told what is being done, how many insertions are done, and of how many.
-    `population`: of the media; without one they are those of the shipped dataset.
     """
     recipe, built = make_recipe([WHOLE_BOX_SETUP]), list[ReconstructedInsertion]()
     progress("reconstructing", 0, len(plan))
-    for one in run_in_order(partial(_build_insertion, seed, population, recipe), plan, pool):
+    for one in run_in_order(partial(_build_insertion, seed, recipe), plan, pool):
         built.append(one)
         progress(f"reconstructed {one.insertion.planned.id}", len(built), len(plan))
-    write_truth(folder / "truth.toml", seed, built, population)
-    about = describe_dataset(seed, population=population)
-    return assemble_dataset(folder, [one.reconstruction for one in built], recipe, about)
+    write_truth(folder / "truth.toml", seed, built)
+    ones = [one.reconstruction for one in built]
+    return assemble_dataset(folder, ones, recipe, describe_dataset(seed))
 
 
 def _build_insertion(
-    seed: int, population: Population | None, recipe: ReconstructionRecord, planned: PlannedInsertion
+    seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
 ) -> ReconstructedInsertion:
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), [planned])
-        scanned = render_insertion(Path(scratch), planned, seed, population=population)
+        scanned = render_insertion(Path(scratch), planned, seed)
         reconstruction = reconstruct(scanned.scan, recipe)
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
 

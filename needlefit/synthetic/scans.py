@@ -34,7 +34,6 @@ from needlefit.synthetic.design import (
     POSE_SHIFT_SD_MM,
     TRUE_MEDIA,
     PlannedInsertion,
-    Population,
     make_surfaces,
     surface_file_name,
 )
@@ -257,15 +256,11 @@ def write_layers(folder: Path, plan: Sequence[PlannedInsertion]) -> None:
 
 
 def render_insertion(
-    folder: Path,
-    planned: PlannedInsertion,
-    seed: int,
-    form: VolumeFormat = "nrrd",
-    population: Population | None = None,
+    folder: Path, planned: PlannedInsertion, seed: int, form: VolumeFormat = "nrrd"
 ) -> RenderedInsertion:
     """Simulate an insertion and write its volume and its markers into `folder`."""
     name, setup = planned.id, choose_setup(planned)
-    insertion = simulate_insertion(planned, seed, population)
+    insertion = simulate_insertion(planned, seed)
     exposure = expose(insertion, setup, seed)
     markers = folder / "markers" / f"{name}.csv"
     markers.parent.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.project.input_files import is_file, read_text
-from needlefit.project.locate import SpecimenChoice, file_label, find_view_target
+from needlefit.project.locate import file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import Recording
@@ -27,9 +27,7 @@ DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is n
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
 
 
-def open_target(
-    name: str | None, insertion: str | None = None, specimen: SpecimenChoice = "shown"
-) -> ViewedScene:
+def open_target(name: str | None, insertion: str | None = None, specimen: str = "shown") -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID; `DEFAULT_SCENE` where there is no name.
 
     `insertion` is one of the run or dataset; by default the one in `name`, else the first: of a run the first
@@ -53,7 +51,7 @@ def open_target(
     return measured.open_dataset(view_target)
 
 
-def reopen(viewed_scene: ViewedScene, choice: str, specimen: SpecimenChoice = "shown") -> ViewedScene:
+def reopen(viewed_scene: ViewedScene, choice: str, specimen: str = "shown") -> ViewedScene:
     """Return one of the `choices` of a scene; errors as of `open_target`."""
     return open_target(viewed_scene.name, choice, specimen)
 

@@ -46,7 +46,7 @@ QUESTIONS = MappingProxyType(
         "specimen": Question(
             "Specimen of all insertions (`each`: every insertion has its own)",
             guess="each",
-            reason="predictions are then wide; --set specimen=NAME if all needles went into one block",
+            reason="predictions are then wide; --setup specimen=NAME if all needles went into one block",
         ),
         "needle length": Question("Length of the needle, mm", "mm", "", "at least 50 mm more than the depth"),
         "diameter": Question("Outer diameter, mm or gauge (18G)", "mm", "18G", "a common gauge"),
@@ -59,9 +59,9 @@ QUESTIONS = MappingProxyType(
         "license": Question("Terms of use", is_asked=False),
     }
 )
-OPTIONS = (*[*QUESTIONS][:8], "point sd")  # with an option of their own; `--set` states the others
+OPTIONS = (*[*QUESTIONS][:8], "point sd")  # with an option of their own; `--setup` states the others
 
 
 def name_option(what: str) -> str:
     """Return the option that states something."""
-    return f"--{what.replace(' ', '-')}" if what in OPTIONS else f'--set "{what}=VALUE"'
+    return f"--{what.replace(' ', '-')}" if what in OPTIONS else f'--setup "{what}=VALUE"'
