@@ -86,22 +86,6 @@ def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
     assert found["value"].tolist() == known["value"].tolist()
 
 
-@pytest.mark.sweep
-def test_a_posterior_goes_to_xarray_and_arviz(sampled):
-    tree, data = sampled.posterior.to_xarray(), sampled.posterior.to_inference_data()
-    assert set(tree.children) == {"posterior", "sample_stats", "convergence"} == set(data.groups())
-    for k, name in enumerate(sampled.posterior.names):
-        np.testing.assert_array_equal(data.posterior[name], sampled.posterior.draws[:, :, k])
-    assert data.posterior.sizes == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
-
-
-def test_without_arviz_the_error_names_the_extra(sampled, monkeypatch):
-    monkeypatch.setitem(sys.modules, "arviz", None)
-    with pytest.raises(ConfigError) as error:
-        sampled.posterior.to_inference_data()
-    assert "needlefit[arviz]" in error.value.fix
-
-
 @pytest.mark.usefixtures("few_draws", "blank_figures")
 def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path):
     monkeypatch.chdir(world.folder)
