@@ -1,7 +1,6 @@
 """Checkpoints: what is whole is used, what is damaged is set aside, one process at a time; no code is run."""
 
 import dataclasses
-import errno
 import json
 import os
 import pickle
@@ -39,7 +38,6 @@ from needlefit.project.folders import (
 )
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
-FLIPS = 300
 
 
 def kept(folder: Path) -> Path:
@@ -53,15 +51,6 @@ def kept(folder: Path) -> Path:
 def resumed(folder: Path) -> tuple[list[int], list[str]]:
     lines: list[str] = []
     return sorted(read_starts(open_checkpoint(folder, True, {"n": 1}, lines.append), "fold/fit")), lines
-
-
-def test_a_torn_row_is_no_start(tmp_path):
-    file, lines = kept(tmp_path / "c"), []
-    with file.open("a") as stream:
-        stream.write('{"index": 1, "theta0": [0.')
-    checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1}, lines.append)
-    keep_start(checkpoint, "fold/fit", dataclasses.replace(START, index=5))
-    assert sorted(read_starts(checkpoint, "fold/fit")) == [0, 1, 2, 5] and len(lines) == 1
 
 
 def test_a_row_is_whole_or_none(tmp_path):
@@ -171,15 +160,6 @@ def test_one_process_at_a_time(tmp_path):
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)
     open_checkpoint(tmp_path / "c", True, {"n": 1})
-
-
-def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "open", full)
-    with pytest.raises(ConfigError, match=os.strerror(errno.ENOSPC)):
-        open_checkpoint(tmp_path / "c", False, {"n": 1})
 
 
 def test_a_lock_is_free_again_once_it_is_released(tmp_path):
