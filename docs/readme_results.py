@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
 HEAD = """\
-| study | held out | n | our IPE | our TE | noise floor | curve's TE | verdict | paper's IPE | paper's TE |
+| study | held out | n | verdict | our TE | curve's TE | noise floor | our IPE | paper's TE | paper's IPE |
 |---|---|---|---|---|---|---|---|---|---|
 """
 
@@ -32,21 +32,24 @@ def write_table() -> str:
         curves = group[group["method"].isin(BASELINES.names()) & (group["metric"] == "te_mm")]
         curve = curves.loc[curves["value"].idxmin()]
         medium = re.sub(r"(?<=phantom)(?=\d)", " ", str(medium))
-        numbers = [
-            by["value"]["ipe_mean_mm"], by["value"]["te_mm"], by["floor"]["te_mm"],
-        ]  # fmt: skip
+        ours = by["value"]
         held_out = f"{medium}, {layers} layer{'' if layers == 1 else 's'}"
         best = f"{curve['value']:.2f} ({BASELINES[curve['method']].label})"
-        papers = (f"{by['paper'][name]:.2f}" for name in ("ipe_mean_mm", "te_mm"))
-        count = by["insertions"]["te_mm"]
+        numbers = (
+            by["floor"]["te_mm"],
+            ours["ipe_mean_mm"],
+            by["paper"]["te_mm"],
+            by["paper"]["ipe_mean_mm"],
+        )
+        count, verdict = by["insertions"]["te_mm"], describe_study(study)
         row = [
             study,
             held_out,
             count,
-            *(f"{one:.2f}" for one in numbers),
+            verdict,
+            f"{ours['te_mm']:.2f}",
             best,
-            describe_study(study),
-            *papers,
+            *(f"{one:.2f}" for one in numbers),
         ]
         lines.append(f"| {' | '.join(map(str, row))} |\n")
     return HEAD + "".join(lines)

@@ -86,15 +86,6 @@ def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
     assert found["value"].tolist() == known["value"].tolist()
 
 
-@pytest.mark.sweep
-def test_a_posterior_goes_to_xarray(sampled):
-    tree = sampled.posterior.to_xarray()
-    assert set(tree.children) == {"posterior", "sample_stats", "convergence"}
-    for k, name in enumerate(sampled.posterior.names):
-        np.testing.assert_array_equal(tree["posterior"][name], sampled.posterior.draws[:, :, k])
-    assert tree["posterior"].sizes == {"chain": 8, "draw": sampled.posterior.draws.shape[1]}
-
-
 @pytest.mark.usefixtures("few_draws", "blank_figures")
 def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path):
     monkeypatch.chdir(world.folder)

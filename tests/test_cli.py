@@ -15,7 +15,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from needlefit import __version__
 from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import STOP_SIGNALS, Invocation, catch_interrupts, report_error
 from needlefit.cli.progress import report_lines, show_progress
@@ -152,11 +151,6 @@ def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
 
 
-def test_the_version_is_printed(capsys):
-    assert run("--version") == 0
-    assert capsys.readouterr().out == f"needlefit {__version__}\n"
-
-
 def test_paper_prints_the_published_tables(capsys):
     assert run("paper") == 0
     out = capsys.readouterr().out
@@ -207,15 +201,6 @@ def test_a_stream_that_is_lost_changes_no_exit_code(line, code, in_out, in_err):
     done = shell(line)
     assert done.returncode == code
     assert re.search(in_out, done.stdout.decode()) and re.search(in_err, done.stderr.decode())
-
-
-@posix
-def test_characters_unknown_to_the_terminal_are_replaced(tmp_path):
-    (tmp_path / "scène.toml").write_text("schema = 1\nµ = 1\n", encoding="utf-8")
-    done = shell(f"needlefit simulate {tmp_path}/scène.toml", PYTHONIOENCODING="ascii")
-    assert done.returncode == 3 and b"unexpected" not in done.stderr
-    done = shell("needlefit explain mu1_pa --json", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
-    assert done.stdout.isascii() and not json.dumps(json.loads(done.stdout), ensure_ascii=False).isascii()
 
 
 def test_json_has_no_nan_and_a_table_in_a_pipe_is_never_cut(capsys):

@@ -156,15 +156,6 @@ def test_dicom_is_read_alike(tmp_path, capsys):
 
 
 @pytest.mark.sweep
-@pytest.mark.usefixtures("searched_once")
-def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
-    assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
-    (insertion,) = read_dataset(tmp_path / "out").insertions
-    assert np.array_equal(insertion.patient.rotation, np.eye(3))
-    assert "shaft" in warnings_of(tmp_path / "out")
-
-
-@pytest.mark.sweep
 def test_one_failure_loses_nothing_and_resumed_results_equal_those_of_one_run(tmp_path):
     """Of two scans one is truncated at first."""
     cut, out = tmp_path / "truncated.nrrd", tmp_path / "out"

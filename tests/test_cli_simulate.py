@@ -185,16 +185,6 @@ def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
     assert run("simulate", "phantom2", "--strict") == 0
 
 
-def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
-    for name in ("a.png", "b.png"):
-        assert run("simulate", "phantom1", "--plot", str(tmp_path / name)) == 0
-    first = (tmp_path / "a.png").read_bytes()
-    assert first.startswith(b"\x89PNG") and first == (tmp_path / "b.png").read_bytes()
-    capsys.readouterr()
-    assert run("simulate", "phantom1", "--plot", str(tmp_path / "a.jpeg")) == 3
-    assert capsys.readouterr().out == ""  # it fails before it prints
-
-
 def test_a_needle_outside_the_model_is_named(capsys):
     inside = answer(capsys, "phantom1", "--strict")
     assert inside["valid"] and inside["validity"]["ok"] and inside["validity"]["faults"] == []

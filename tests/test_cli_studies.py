@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -167,25 +165,6 @@ def test_unfinished_work_of_a_killed_run_is_kept_and_the_next_start_prints_how_t
         assert made.written == [] and list(Path("reports/gel.partial").glob("*.jsonl"))
         assert run("tune", "gel", "--resume") == 0
     assert made.written and not Path("reports/gel.partial").exists()
-
-
-def test_a_second_run_is_refused_until_the_results_of_the_first_are_in_place(stub, monkeypatch):
-    made, second = stub(study(1)), []
-
-    def run_with_checkpoint(name, record, settings):
-        open_checkpoint(settings.checkpoint, settings.resume, {"n": 1}).keep_row("a", {"b": 0})
-        return made.run(name, record, settings)
-
-    def write_while_another_begins(results, folder):
-        words = (sys.executable, "-m", "needlefit", "tune", "gel", "-q")
-        second.append(subprocess.run(words, capture_output=True, text=True, check=False))
-        return made.write(results, folder)
-
-    monkeypatch.setattr("needlefit.studies.kinds.cross_validation.run.run", run_with_checkpoint)
-    monkeypatch.setattr("needlefit.studies.report.write_run", write_while_another_begins)
-    assert run("tune", "gel") == 0
-    assert second[0].returncode == 3 and "another run" in second[0].stderr
-    assert len(made.written) == 1 and not Path("reports/gel.partial").exists()
 
 
 def test_tune_of_a_study_tunes_only(stub, capsys):

@@ -12,7 +12,6 @@ from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, wri
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.studies.job import Settings, prepare
 from needlefit.studies.study_files import load_target
 
 STUDY = """
@@ -162,13 +161,6 @@ def test_guided_runs_are_tuned_and_identified_like_shapes(project):
     assert (before.loc["mu1_pa", "determined"], before.loc["alpha1", "determined"]) == ("yes", "no")
 
 
-@pytest.mark.usefixtures("blank_figures")
-def test_a_design_of_runs_is_identified(project):
-    assert run("tune", "mine", "--design", "--jobs", "1", "-q") == 0
-    before = pd.read_csv(project / "reports/mine-gel-design/identify.csv").set_index("parameter")
-    assert "yes" not in set(before["determined"])  # a guide at rest tells one combination of mu and b alone
-
-
 @pytest.mark.usefixtures("few_draws")
 def test_a_planned_needle_is_predicted_from_runs(project):
     assert run("predict", "mine", "--scene", "plan", "--jobs", "1", "-q") in (0, 5)  # of a short recipe
@@ -176,26 +168,6 @@ def test_a_planned_needle_is_predicted_from_runs(project):
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     truth = simulate(NEEDLE, gel, Bevel(0.03), 50.0, Controls(guides=(Guide(-20.0),))).tip_lateral
     assert forecast["low_mm"].iloc[-1] < truth < forecast["high_mm"].iloc[-1]
-
-
-def test_a_compression_test_gives_runs_a_prior(project):
-    (project / "prior.toml").write_text(
-        "schema = 1\nalpha = { mean = 2.0, sd = 0.5 }\nmu_pa = { median = 3e4, factor = 1.5 }\n"
-    )
-    study = STUDY.replace("tune =", 'priors = { 1 = "../prior.toml" }\ntune =')
-    (project / "studies/mine.toml").write_text(study)
-    (project / "configs/fits/moved.toml").write_text(FIT + 'priors = { 1 = "../../prior.toml" }\n')
-    for target in ("mine", "moved"):
-        _, fit, _ = load_target(target)
-        job = prepare(target, fit, Settings())
-        assert {"mu1_pa", "alpha1"} <= set(job.parameters.prior.names)
-        problem = job.problem(job.folds[0])
-        at = problem.parameters.theta({**TRUTH, "noise_scale": 1.0})
-        differences = [
-            (problem.log_posterior(at + d) - problem.log_posterior(at - d)) / 2e-3
-            for d in 1e-3 * np.eye(len(at))
-        ]
-        assert problem.gradient(at)[1] == pytest.approx(differences, rel=1e-3, abs=0.05)
 
 
 @pytest.mark.sweep

@@ -367,25 +367,6 @@ def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):
     np.testing.assert_array_equal(curves["run"].values, 3 * CURVE)
 
 
-@pytest.mark.sweep
-def test_matlab_faults(tmp_path):
-    file = write_dataset(
-        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
-    )
-    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
-    path, broken = tmp_path / "centerlines" / "a.mat", CURVE.copy()
-    broken[4, 1] = np.nan
-    cases = [(None, "no such file"), (b"nothing of MATLAB" * 99, "cannot be read"),
-             ({"x": CURVE[:, :2]}, " x"), ({"x": CURVE, "y": CURVE}, "holds 2 curves: x, y"),
-             ({"x": broken}, "NaN")]  # fmt: skip
-    for content, words in cases:
-        if content is not None:
-            path.write_bytes(content) if isinstance(content, bytes) else savemat(path, content)
-        [fault] = check(file)
-        assert fault.where.startswith(str(path)) and words in fault.what
-    assert fault.where.endswith("point 5")
-
-
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
 def test_the_public_stereo_shapes():
     dataset = read(SHIPPED / "stereo_shapes")

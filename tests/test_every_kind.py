@@ -12,11 +12,9 @@ import pytest
 from made_again import assert_made_again, read_files
 from world import COMMANDS, find_words
 
-import needlefit
 from needlefit.studies.kind import KINDS
 from needlefit.studies.run_differences import compare_runs
 from needlefit.studies.store import read_run
-from needlefit.viewer.opening import open_target
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
@@ -51,27 +49,6 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
     with chdir(world.folder):
         again = assert_made_again(folder, has_data=kind == "reconstruction")
     assert compare_runs(folder, again).empty
-
-
-@EVERY
-def test_python_loads_a_run(world, kind):
-    found = needlefit.load_run(world.find(kind))
-    assert (found.kind, found.run) == (kind, world.restore(kind).run)
-
-
-@pytest.mark.parametrize(("kind", "insertion"), [("cross_validation", "needle-3"), ("fit", "needle-1")])
-def test_a_needle_of_a_run_is_viewed(world, kind, insertion):
-    with chdir(world.folder):
-        measured = open_target(str(world.find(kind))).measured
-    assert measured is not None and measured.id == insertion
-
-
-@EVERY
-def test_the_command_prints_its_result(world, kind):
-    printed = world.read_printed(kind)
-    assert "Traceback" not in printed and len(printed.splitlines()) > 1
-    if world.restore(kind).origin == "synthetic":
-        assert "synthetic data" in printed.lower()
 
 
 @pytest.mark.sweep

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 
 import numpy as np
 import pandas as pd
@@ -10,7 +9,6 @@ import pytest
 from PIL import Image
 from test_viewer_recording import recorded
 
-from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
@@ -21,7 +19,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation
 from needlefit.reporting.figures.needles import (
     StateFigure,
-    paint_steps,
 )
 from needlefit.reporting.shape_table import tabulate_shape
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
@@ -123,13 +120,6 @@ def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, m
     assert sum(times) == pytest.approx(1e3 * lasts, abs=101)
 
 
-def test_an_animation_needs_a_known_ending(tmp_path) -> None:
-    moments = list(iterate_states(scene(), 20.0))
-    for name, fault in (("a.mp4", "`.mp4`"), ("a", "no ending"), ("none/a.gif", "no such folder")):
-        with pytest.raises(ConfigError, match=fault):
-            animation.animate("Held", scene(), moments, 1.0, tmp_path / name)
-
-
 # ---- of a recording ----
 
 
@@ -148,30 +138,3 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path) -> None:
     for name in ("a.svg", "b.svg"):
         write_picture(done, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes() != b""
-
-
-def two_layers(*more: Step, entry: Entry = Entry()) -> Scene:
-    needle = Needle.from_tube(150.0, 1.27, 80e3)
-    tissue = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
-    return Scene(needle, tissue, (Step(25.0, Bevel(0.085)), *more), entry=entry)
-
-
-MOVED = Step(40.0, Bevel(0.085, -1), Controls(2.0, guides=(Guide(-10.0, 1.0),)))
-PULLED = Step(15.0, Bevel(0.085, -1), Controls(2.0))
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, -2.3])
-def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
-    one = two_layers(MOVED, PULLED, entry=Entry(30.0, -7.0, angle))
-    shapes = simulate_scene(one)
-    panels = paint_steps("Three steps", one, shapes).axes
-    assert len(panels) == 3
-    for axes, step, shape in zip(panels, one.steps, shapes, strict=True):
-        drawn = np.concatenate([line.get_xydata() for line in axes.lines])
-        ends = one.entry.to_world(compute_positions(shape, shape.x[[0, -1]]))
-        guides = [one.entry.to_world([[guide.x, guide.y]])[0] for guide in step.controls.guides]
-        for point in (*ends, *guides):
-            assert np.abs(drawn - point).max(axis=1).min() < 1e-9
-            assert axes.get_xlim()[0] < point[0] < axes.get_xlim()[1]
-            assert axes.get_ylim()[0] < point[1] < axes.get_ylim()[1]
-        assert angle == 0 or axes.get_aspect() == 1  # true angles where the entry is tilted

@@ -8,10 +8,8 @@ import pytest
 import trimesh
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from refusals import refusal, refused_file
+from refusals import refused_file
 
-from needlefit.errors import DataError
-from needlefit.geometry import surfaces
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import (
@@ -229,12 +227,3 @@ def test_files_without_a_mesh_are_refused(tmp_path, name, content, numbers):
     assert "x:0" not in str(error) and "Error" not in error.what
     assert name != "words.stl" or all(form in error.expected for form in ("STL", "PLY", "OBJ"))
     assert all(number in error.what for number in numbers)
-
-
-def test_a_mesh_is_a_regular_file_of_bounded_size(tmp_path, monkeypatch):
-    (tmp_path / "device.stl").symlink_to("/dev/zero")
-    (tmp_path / "folder.stl").mkdir()
-    (tmp_path / "large.stl").write_bytes(bytes(100))
-    monkeypatch.setattr(surfaces, "MAX_MESH_BYTES", 99)
-    for name in ("device.stl", "folder.stl", "large.stl", "gone.stl"):
-        refusal(DataError, name, read_surface, tmp_path / name, "sheet", 2)

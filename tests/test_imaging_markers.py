@@ -1,6 +1,5 @@
 """Balls at known places in small synthetic scans, and the files that say where markers are."""
 
-import json
 import re
 
 import numpy as np
@@ -15,11 +14,9 @@ from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     find_markers,
     make_fiducials,
-    read_markers,
     refine_fiducials,
 )
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
@@ -118,49 +115,6 @@ def test_derivatives_of_the_model_are_those_of_the_model():
 
 
 # files
-
-
-def slicer_list(path, points, system):
-    listed = [{"position": p, "positionStatus": "defined"} for p in np.asarray(points).tolist()]
-    one = {"type": "Fiducial", "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": listed}
-    schema = "https://example.org/markups-schema-v1.0.3.json#"
-    path.write_text(json.dumps({"@schema": schema, "markups": [one]}))
-    return path
-
-
-def table(path, points):
-    rows = [f"m{n},{x},{y},{z}" for n, (x, y, z) in enumerate(np.asarray(points).tolist())]
-    path.write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n")
-    return path
-
-
-RAS = np.array([-1.0, -1.0, 1.0])
-
-
-def test_points_from_every_kind_of_file_are_lps(tmp_path):
-    np.testing.assert_allclose(read_markers(table(tmp_path / "a.csv", PLACES)), PLACES)
-    np.testing.assert_allclose(read_markers(slicer_list(tmp_path / "a.mrk.json", PLACES, "LPS")), PLACES)
-    np.testing.assert_allclose(
-        read_markers(slicer_list(tmp_path / "b.mrk.json", PLACES * RAS, "RAS")), PLACES
-    )
-    lines = [f"m{n},{x},{y},{z}" for n, (x, y, z) in enumerate((PLACES * RAS).tolist())]
-    old = tmp_path / "a.fcsv"
-    old.write_text("\n".join(["# CoordinateSystem = RAS", "# columns = label,x,y,z", *lines]) + "\n")
-    np.testing.assert_allclose(read_markers(old), PLACES)
-    short = tmp_path / "b.csv"
-    short.write_text("x_mm,y_mm\n1,2\n")
-    caught = refusal(DataError, "z_mm", read_markers, short)
-    assert "first line" in caught.fix and "dataset.toml" not in caught.fix
-    bad = tmp_path / "c.csv"
-    bad.write_text("x_mm,y_mm,z_mm\n1,2,three\n")
-    refusal(DataError, "three", read_markers, bad)
-    refusal(DataError, r"\.txt", read_markers, tmp_path / "c.txt")
-    refusal(DataError, "", read_markers, tmp_path / "missing.csv")
-    dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    given = make_fiducials(np.array([[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
-    same = refine_fiducials(given, dull, RECIPE, MarkerResult(np.empty((0, 3)), np.empty(0), "volume"))
-    np.testing.assert_array_equal(same.centers, given.centers)
-    np.testing.assert_array_equal(same.sd, given.sd)
 
 
 @pytest.mark.sweep

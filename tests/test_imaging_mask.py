@@ -14,7 +14,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points
-from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume import to_patient
 from needlefit.imaging.volume_files import write_volume
 from needlefit.synthetic.render import Needle3D
 
@@ -42,51 +42,12 @@ def saved(folder, mask):
     return folder / "mask.nrrd"
 
 
-def flipped(mask, axis):
-    """The same voxels, counted from the other end of an axis (0: i)."""
-    last = np.zeros(3)
-    last[axis] = mask.grid.size[axis] - 1
-    direction = mask.direction.copy()
-    direction[:, axis] *= -1
-    origin = mask.origin + mask.direction @ (mask.spacing * last)
-    return Volume(np.flip(mask.values, 2 - axis).copy(), origin, mask.spacing, direction)
-
-
-def permuted(mask):
-    """The same voxels, i for k."""
-    turned = [2, 1, 0]
-    values = np.ascontiguousarray(mask.values.transpose(2, 1, 0))
-    return Volume(values, mask.origin, mask.spacing[turned], mask.direction[:, turned])
-
-
-def cropped(mask):
-    origin = mask.origin + mask.direction @ (mask.spacing * [4, 6, 0])
-    return replace(mask, values=mask.values[:, 6:, 4:].copy(), origin=origin)
-
-
 @pytest.mark.sweep
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     refusal(DataError, "2 needles", segmentation.select_needle, volume, cases.RECIPE)
     points = read_mask_points(volume, saved(tmp_path, mask))
     line = trace_needle(volume, follow_points(volume, points, cases.RECIPE), cases.RECIPE)
     assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
-
-
-@pytest.mark.parametrize(
-    "stored",
-    [
-        lambda mask: flipped(mask, 0),
-        lambda mask: flipped(flipped(mask, 1), 2),
-        permuted,
-        lambda mask: flipped(permuted(mask), 2),
-        cropped,
-    ],
-)
-def test_the_order_in_which_a_mask_is_stored_changes_nothing(stored, volume, mask, tmp_path):
-    plain = read_mask_points(volume, saved(tmp_path, mask))
-    other = read_mask_points(volume, saved(tmp_path, stored(mask)))
-    apart = np.linalg.norm(plain[:, None] - other[None], axis=2).min(axis=1)
-    assert len(other) == len(plain) and apart.max() < 1e-6
 
 
 @pytest.mark.parametrize("moved", [{"origin": (0.0, 0, 200.0)}, {"origin": (-4.0, -3.0, 0)}])

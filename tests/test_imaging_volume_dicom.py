@@ -5,24 +5,20 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, packed_as, save, series
+from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, save, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydicom import dcmread
 from pydicom.uid import (
     BasicTextSRStorage,
-    DeflatedExplicitVRLittleEndian,
-    ExplicitVRBigEndian,
     HTJ2KLossless,
-    ImplicitVRLittleEndian,
     RLELossless,
     SecondaryCaptureImageStorage,
     generate_uid,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401
-from refusals import refusal, refused_file
+from refusals import refused_file
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import DataError
 from needlefit.imaging.dicom.series import find_series
 from needlefit.imaging.dicom.stack import stack_slices
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -121,26 +117,6 @@ def test_signs_of_padding_and_of_twelve_bits(tmp_path):
     values = NUMBERS % 2000 - 100  # the sign stands in bit 11
     slices = [a_slice(k, values[k] & 0x0FFF, BitsStored=12, HighBit=11) for k in range(COUNT)]
     assert np.array_equal(read_volume(save(tmp_path, slices)).values, values)
-
-
-@pytest.mark.parametrize(
-    "syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian, RLELossless, ExplicitVRBigEndian]
-)
-def test_transfer_syntaxes(tmp_path, syntax):
-    form = ">i2" if syntax == ExplicitVRBigEndian else "<i2"
-    slices = [a_slice(k, NUMBERS[k].astype(form)) for k in range(COUNT)]
-    for data in slices:
-        if syntax == RLELossless:
-            data.compress(syntax)
-        data.file_meta.TransferSyntaxUID = syntax
-    assert np.array_equal(read_volume(save(tmp_path, slices)).values, NUMBERS)
-
-
-@pytest.mark.parametrize("compressor", ["JPEG", "JPEG2000"])
-@pytest.mark.usefixtures("child_process_reader")
-def test_lossless_jpeg(tmp_path, compressor):
-    slices = [packed_as(data, compressor, tmp_path) for data in series()]
-    assert np.array_equal(read_volume(save(tmp_path / "scan", slices)).values, NUMBERS)
 
 
 # Which files and which series
@@ -350,31 +326,3 @@ def test_written_and_read_every_voxel_keeps_its_position(tmp_path_factory, seed,
     there = to_index(again, to_patient(volume, here))
     assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == pytest.approx(volume.values.ravel())
     assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-6
-
-
-def test_the_same_volume_gives_the_same_bytes(tmp_path):
-    for name in ("one", "two"):
-        write_volume(turned(5), tmp_path / name, "synthetic")
-    files = sorted(file.name for file in (tmp_path / "one").iterdir())
-    assert files == [f"{k:05d}.dcm" for k in (1, 2, 3, 4)]
-    for name in files:
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-    headers = [dcmread(tmp_path / "one" / name) for name in files]
-    assert {header.SeriesDescription for header in headers} == {"synthetic"}
-    assert len({header.SOPInstanceUID for header in headers}) == 4
-    assert all(header.SOPInstanceUID.is_valid and not header.StudyDate for header in headers)
-    write_volume(turned(6), tmp_path / "three", "synthetic")
-    assert dcmread(tmp_path / "three" / files[0]).SeriesInstanceUID != headers[0].SeriesInstanceUID
-
-
-def test_nothing_is_written_over_others_or_by_halves(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("all of it")
-    refusal(ConfigError, "exists already", lambda: write_volume(turned(1), tmp_path))
-    refusal(ConfigError, "", lambda: write_volume(turned(1), tmp_path / "file" / "scan"))
-
-    def full(*_args, **_kwargs):
-        raise OSError("no space left")
-
-    monkeypatch.setattr("pydicom.dataset.FileDataset.save_as", full)
-    refusal(OSError, "no space", lambda: write_volume(turned(1), tmp_path / "scan"))
-    assert [file.name for file in tmp_path.iterdir()] == ["file"]

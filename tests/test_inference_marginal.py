@@ -130,15 +130,6 @@ def exact_covariance(parts, scale, rows=6):
     return total.reshape(3 * rows, 3 * rows)
 
 
-def test_what_insertions_share_and_what_each_has_are_the_gaussian_of_their_covariance():
-    made, whites, parts = linear_case(seed=7)
-    groups = group_nodes(made)
-    assert [members for members, _ in groups] == [(0, 1), (2,)]
-    got = sum(log_marginals([whites[k][None] for k in members], group, *AT)[0] for members, group in groups)
-    exact = multivariate_normal(cov=exact_covariance(parts, 1.3)).logpdf(parts[0].ravel())
-    assert got - 9 * math.log(2 * math.pi) == pytest.approx(exact, abs=1e-9)
-
-
 def shared_case(bevels, centred, seed=7):
     """The three insertions with the named bevels, which may sum to zero, and the exact covariance."""
     made, whites, parts = linear_case(seed)

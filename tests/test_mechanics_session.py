@@ -188,18 +188,6 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
         assert_near(retold.go(step), under_way.go(step))
 
 
-def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
-    """The ray is anchored again at the tip, though the course has the same inputs on both sides."""
-    under_way = Session(NEEDLE, SOFT, MILD, 0.7)
-    under_way.step(insert=10.2)
-    under_way.step(bevel=MILD_TURNED)
-    under_way.step(insert=5.3, bevel=MILD)
-    again = simulate_steps(NEEDLE, SOFT, under_way.input_path(), lattice=Lattice(0.7, 1.0))
-    straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, MILD),), lattice=Lattice(0.7, 1.0))
-    assert_near(again, under_way.now.shape)
-    assert abs(straight.tip_lateral - again.tip_lateral) > 1e-4
-
-
 def test_a_path_is_simulated_in_another_tissue() -> None:
     guided = Controls(guides=(Guide(-20.0),))
     steps = (Step(10.0, MILD), Step(18.4, MILD_TURNED, guided), Step(25.0, MILD, guided))

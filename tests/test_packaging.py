@@ -230,11 +230,3 @@ def test_versions_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == needlefit.__version__
     assert f"\nversion: {needlefit.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-
-
-def test_public_names_resolve():
-    for name in needlefit.__all__:
-        assert getattr(needlefit, name) is not None
-    assert set(needlefit.__all__) <= set(dir(needlefit))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = needlefit.nothing  # type: ignore[attr-defined]

@@ -222,19 +222,6 @@ def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry
         del sys.modules[name]
 
 
-def test_built_in_entries_are_files_imported_when_used(fruits: Registry[Fruit]) -> None:
-    assert fruits.names() == ("apple", "pear")
-    assert "orchard.apple" not in sys.modules
-    assert fruits["apple"] == Fruit("apple") and fruits.plugin_of("apple") is None
-    assert "apple" in fruits and "fig" not in fruits
-    with pytest.raises(ConfigError) as unknown:
-        fruits["aple"]
-    assert "apple, pear" in unknown.value.expected and "apple" in unknown.value.fix
-    with pytest.raises(ConfigError) as misnamed:
-        fruits["pear"]
-    assert misnamed.value.where.endswith("pear.py")
-
-
 @pytest.mark.parametrize("entry_point", [True, False])
 def test_a_plugin_adds_every_entry_it_holds(
     fruits: Registry[Fruit], tmp_path: Path, entry_point: bool

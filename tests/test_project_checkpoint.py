@@ -1,7 +1,6 @@
 """Checkpoints: what is whole is used, what is damaged is set aside, one process at a time; no code is run."""
 
 import dataclasses
-import errno
 import json
 import os
 import pickle
@@ -22,7 +21,6 @@ from needlefit.inference.fit import Start, keep_start, read_starts
 from needlefit.project.checkpoint import (
     ARRAYS_KEY,
     open_checkpoint,
-    release_checkpoint,
     remove_checkpoint,
     require_own_checkpoint,
 )
@@ -39,7 +37,6 @@ from needlefit.project.folders import (
 )
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
-FLIPS = 300
 
 
 def kept(folder: Path) -> Path:
@@ -53,15 +50,6 @@ def kept(folder: Path) -> Path:
 def resumed(folder: Path) -> tuple[list[int], list[str]]:
     lines: list[str] = []
     return sorted(read_starts(open_checkpoint(folder, True, {"n": 1}, lines.append), "fold/fit")), lines
-
-
-def test_a_torn_row_is_no_start(tmp_path):
-    file, lines = kept(tmp_path / "c"), []
-    with file.open("a") as stream:
-        stream.write('{"index": 1, "theta0": [0.')
-    checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1}, lines.append)
-    keep_start(checkpoint, "fold/fit", dataclasses.replace(START, index=5))
-    assert sorted(read_starts(checkpoint, "fold/fit")) == [0, 1, 2, 5] and len(lines) == 1
 
 
 def test_a_row_is_whole_or_none(tmp_path):
@@ -101,25 +89,6 @@ def test_a_checkpoint_with_a_damaged_stamp_is_begun_afresh(tmp_path, stamp, resu
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
     assert read_starts(checkpoint, "fold/fit") == {} and len(lines) == 1
     assert not file.exists()
-
-
-@pytest.mark.parametrize(
-    "text", [b"mine", b"\xff\xfe", b"[]", b'{"program": "needlefit", "format": 2, "work": "0"}']
-)
-def test_a_folder_with_a_foreign_stamp_is_kept(tmp_path, text):
-    folder, lines = tmp_path / "c", []
-    folder.mkdir()
-    (folder / MANIFEST).write_bytes(text)
-    (folder / "thesis.checkpoint").write_text("mine")
-    for resume in (True, False):
-        with pytest.raises(ConfigError, match=r"thesis\.checkpoint"):
-            open_checkpoint(folder, resume, {"n": 1})
-    remove_checkpoint(folder, lines.append)
-    assert len(lines) == 1
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
-        MANIFEST: text,
-        "thesis.checkpoint": b"mine",
-    }
 
 
 def test_a_checkpoint_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
@@ -171,25 +140,6 @@ def test_one_process_at_a_time(tmp_path):
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)
     open_checkpoint(tmp_path / "c", True, {"n": 1})
-
-
-def test_a_full_disk_is_the_reason_why_a_checkpoint_cannot_be_opened(tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "open", full)
-    with pytest.raises(ConfigError, match=os.strerror(errno.ENOSPC)):
-        open_checkpoint(tmp_path / "c", False, {"n": 1})
-
-
-def test_a_lock_is_free_again_once_it_is_released(tmp_path):
-    words = [sys.executable, "-c", HOLDS, str(tmp_path / "c")]
-    open_checkpoint(tmp_path / "c", False, {"n": 1})
-    open_checkpoint(tmp_path / "c", True, {"n": 1})  # the same process has it
-    refused = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    assert refused.returncode and "another run" in refused.stderr
-    release_checkpoint(tmp_path / "c")
-    subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, check=True)
 
 
 def test_a_checkpoint_that_ended_before_its_manifest_is_begun_again(tmp_path):
@@ -384,19 +334,6 @@ def test_a_manifest_without_a_digest_owns_nothing(files, tmp_path):
     assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
 
 
-def test_a_file_put_there_meanwhile_is_kept(tmp_path):
-    folder = tmp_path / "out"
-    write(folder)
-    with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
-        (fresh / "new.csv").write_text("new")
-        (folder / "notes.txt").write_text("mine")
-    assert {path.name for path in folder.iterdir()} == {"part", "timing.json", MANIFEST, "notes.txt"}
-    (folder / "notes.txt").unlink()
-    write(folder, "two")
-    assert (folder / "part" / "a.csv").read_text() == "two"
-    assert {path.name for path in tmp_path.iterdir()} == {"out"}
-
-
 def test_what_cannot_be_put_in_place_leaves_the_result_before(tmp_path, monkeypatch):
     folder, real = tmp_path / "out", Path.rename
 
@@ -422,15 +359,6 @@ def test_files_without_a_place_are_foreign(tmp_path):
             check(tmp_path / "file" / "out")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "file"):
-        pytest.fail("began")
-
-
-def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # as of a disk mounted read-only
-    for check in (require_replaceable, require_own_checkpoint):
-        with pytest.raises(ConfigError, match="written"):
-            check(tmp_path / "deep" / "out")
-    with pytest.raises(ConfigError, match="written"), replace_folder(tmp_path / "out"):
         pytest.fail("began")
 
 

@@ -23,8 +23,6 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
 
-SECRET = "root:x:0:0:secret"
-
 
 def refused(read, *arguments, error=DataError):
     with pytest.raises(error) as found:
@@ -77,14 +75,6 @@ def test_a_file_without_a_size_is_limited_too():
     whole = read_bytes(Path("/proc/self/status"))
     assert len(whole) > 100
     refused(read_bytes, Path("/proc/self/status"), 100)
-
-
-def test_text_ends_its_lines_as_python_does(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc")
-    assert read_text(path) == "a\nb\nc"
-    path.write_bytes(SECRET.encode() + b"\xff")
-    assert str(len(SECRET)) in refused(read_text, path).what
 
 
 @pytest.mark.parametrize("levels", [10_000, 100_000])
@@ -184,17 +174,6 @@ def test_the_working_folder_comes_first(project):
     assert "mine" in locate.list_names("study") and "phantom2" in locate.list_names("scene")
 
 
-def test_messages_call_a_shipped_file_by_its_name_and_the_user_s_own_by_its_path(project, monkeypatch):
-    own = project / "configs/scenes/phantom1.toml"
-    own.write_text("schema = 1\n")
-    assert locate.file_label(locate.find_file("scene", "phantom1")) == str(own)
-    assert locate.file_label(locate.find_file("scene", "phantom2")) == "scene phantom2 (shipped)"
-    assert locate.file_label(locate.find_file("dataset", "twin")) == "dataset twin (shipped)"
-    assert locate.file_label(locate.find_file("study", "study3")) == "study study3 (shipped)"
-    monkeypatch.chdir(locate.shipped_folder())  # then the shipped files are what the user works on
-    assert locate.file_label(locate.find_file("scene", "phantom2")).endswith("configs/scenes/phantom2.toml")
-
-
 def test_targets_are_studies_or_fits(project):
     assert locate.find_study_or_fit("mine") == ("study", project / "studies/mine.toml")
     assert locate.find_study_or_fit("gel") == ("fit", project / "configs/fits/gel.toml")
@@ -221,10 +200,6 @@ def test_a_dataset_may_be_named_by_its_folder(project):
     (project / "gel/dataset.toml").write_text("")
     assert locate.find_file("dataset", "./gel") == Path("gel/dataset.toml")
     assert all(map(locate.is_path, (".", "..", "mine.toml"))) and not locate.is_path("mine")
-
-
-def test_all_means_the_five_of_the_paper():
-    assert [name for name, _ in locate.find_studies("all")] == [f"study{n}" for n in (1, 2, 3, 4, 5)]
 
 
 def test_a_fit_is_no_study_and_the_command_for_it_is_named(project):

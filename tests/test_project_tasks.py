@@ -11,12 +11,11 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from threadpoolctl import threadpool_info, threadpool_limits
 
 from needlefit.errors import ConfigError
 from needlefit.project import cluster, tasks
 from needlefit.project.cluster import connect, require_secured
-from needlefit.project.processes import THREAD_VARIABLES, one_thread
+from needlefit.project.processes import THREAD_VARIABLES
 from needlefit.project.tasks import LocalPool, compute_beside, run_in_order
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square, wait_for_stop
@@ -158,20 +157,6 @@ def test_a_process_with_threads_is_not_copied():
 
 
 @on_linux
-def test_the_copy_works_while_this_process_does_other_things(copied, tmp_path):
-    def work():
-        (tmp_path / "begun").touch()
-        return tell_process(0)
-
-    with compute_beside([work] * 2) as end:
-        until = time.monotonic() + 30.0
-        while not (tmp_path / "begun").exists() and time.monotonic() < until:
-            time.sleep(0.01)
-        found = end()
-    assert tell_process(0) not in found[:1]
-
-
-@on_linux
 def test_after_an_error_the_copy_ends(copied):
     with pytest.raises(ZeroDivisionError), compute_beside([lambda: tell_process(0)] * 9):
         raise ZeroDivisionError
@@ -201,17 +186,6 @@ import scipy.linalg
 from threadpoolctl import threadpool_info
 print(*[found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"])
 """
-
-
-def count_blas_threads():
-    return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
-
-
-def test_a_run_from_a_program_has_one_thread_and_restores_the_setting():
-    with threadpool_limits(2, user_api="blas"):
-        before = count_blas_threads()
-        assert one_thread(count_blas_threads)() == {1}
-        assert count_blas_threads() == before == {2}
 
 
 def test_the_command_line_has_one_thread_whatever_the_environment():

@@ -64,10 +64,3 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     lists = [one for file in (tmp_path / "sample/Data").glob("*.mrk.json") for one in read_mrk_json(file)]
     (curve,) = [one for one in lists if " inserted" in one.name]
     np.testing.assert_allclose(curve.points, insertion.patient.to_local(insertion.centerline), atol=1e-3)
-
-
-def test_the_same_scan_gives_the_same_bytes(exported):
-    again = exported / "two"
-    assert run("reconstruct", str(exported / "scans/scans.csv"), "--out", str(again), *SCENE) == 0
-    first, second = (folder / "slicer/sample.mrb" for folder in (exported / "one", again))
-    assert first.read_bytes() == second.read_bytes()

@@ -5,7 +5,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from needlefit.errors import ConfigError
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.toml import load
@@ -69,8 +68,3 @@ def test_every_table_is_read_with_its_rows():
         "parameters": 10,
     }
     assert paper.read_published_table("insertions")["insertions"].sum() == 47
-
-
-def test_unknown_hand_tuned_set_lists_the_known_ones():
-    with pytest.raises(ConfigError, match="study5"):
-        paper.read_hand_tuned("study6")

@@ -4,12 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import reconstruction_cases as cases
-import trimesh
 from numpy.testing import assert_allclose
 
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.geometry.curves import arc_length
-from needlefit.reporting.scan_pages import list_facts
 from needlefit.studies.kinds.reconstruction import KIND
 from needlefit.studies.kinds.reconstruction.report import tabulate_batch
 from needlefit.studies.report import write_files
@@ -18,21 +16,7 @@ from needlefit.studies.slicer import write_scan
 ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
 
 
-def facts(reconstruction):
-    return {name: words for group in list_facts(reconstruction) for name, words in group if name}
-
-
 # the page
-
-
-def test_the_facts_are_those_of_the_rendered_needle():
-    words = facts(cases.small())
-    length, _, sd, unit = words["inserted length"].split()
-    assert float(length) == pytest.approx(28.22, abs=0.15) and float(sd) < 0.15 and unit == "mm"
-    assert float(words["tip's deflection"].split()[0]) == pytest.approx(3.0, abs=0.1)
-    assert words["markers"].startswith("5 of 6;")
-    assert words["layers"].startswith("1 → 2 at ")
-    assert float(words["layers"].split()[4]) == pytest.approx(14.0, abs=0.05)
 
 
 # Slicer
@@ -65,16 +49,6 @@ def test_slicer_gets_the_needle_where_it_lies_in_the_scan(tmp_path):
     markers = lists["markers (synthetic)"]
     assert markers.labels == tuple(f"marker {n}" for n in range(5))
     assert_allclose(markers.points, cases.MARKERS[:-1], atol=0.4)
-
-
-def test_the_body_lies_in_the_scan(tmp_path):
-    one = cases.small()
-    _, needle = write_scan(one, tmp_path, 1.27)
-    assert b"SPACE=LPS" in needle.read_bytes() and b"(synthetic)" in needle.read_bytes()
-    body = trimesh.load_mesh(needle)
-    assert body.bounds[1, 2] == pytest.approx(40.0, abs=0.3)
-    length = arc_length(one.needle_axis.points)[-1]
-    assert body.volume == pytest.approx(3.0 * 0.635**2 * length, rel=0.01)  # of a twelve-sided prism
 
 
 # tables

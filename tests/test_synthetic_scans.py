@@ -6,22 +6,18 @@ from pathlib import Path
 import ct_cases as cases
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
-from refusals import refusal
+from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 
-from needlefit.errors import ConfigError
-from needlefit.imaging.registration.register import register
 from needlefit.imaging.volume import to_index, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import THIS_PROCESS
 from needlefit.synthetic import design, render, scans
-from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
+from needlefit.synthetic.design import select_planned_insertions
 from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
 
 SHIPPED = shipped_folder() / "data" / "sample_scan"
-PLAN = {planned.id: planned for planned in list_planned_insertions()}
 
 
 def quiet(_what, _done, _of):
@@ -129,34 +125,7 @@ def test_the_shipped_sample_is_a_rebuild(tmp_path):
             assert (SHIPPED / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
-@pytest.mark.sweep
-def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
-    nrrd, dicom = (
-        read_volume(scans.render_insertion(tmp_path, design.SAMPLE_INSERTION, 1, form).scan.volume)
-        for form in ("nrrd", "dicom")
-    )
-    assert_array_equal(nrrd.values, dicom.values)
-    assert_allclose(nrrd.origin, dicom.origin, atol=1e-6)
-    assert_allclose(nrrd.direction, dicom.direction, atol=1e-9)
-    header = (tmp_path / "volumes" / "sample.nrrd").read_bytes()[:2000]
-    assert b"Synthetic: needlefit twin ct sample --seed 1" in header
-
-
 # ---- markers
-
-
-def test_the_layout_of_the_markers_has_no_symmetry_and_keeps_off_every_needle():
-    for setup in [scans.WHOLE_BOX_SETUP, scans.SAMPLE_SETUP]:
-        found = register(setup.markers, setup.markers, 0.05, 2 * setup.known_sd)
-        assert found.pairs[:, 0].tolist() == found.pairs[:, 1].tolist()
-    for planned in PLAN.values():
-        line = planned.origin + np.linspace(-60, planned.depth, 300)[:, None] * planned.direction
-        assert np.linalg.norm(line[:, None] - scans.WHOLE_BOX_SETUP.markers, axis=2).min() > 20
-    refusal(ConfigError, r"phantom2-9`\n.*phantom2-09, ", select_planned_insertions, ["phantom2-9"])
-    assert (
-        select_planned_insertions(()) == list_planned_insertions()
-        and len(select_planned_insertions(["sample", "sample"])) == 1
-    )
 
 
 # ---- the command

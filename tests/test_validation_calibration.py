@@ -26,7 +26,6 @@ from needlefit.studies.kinds.calibration import (
     is_inside_bounds,
     plan_synthetic,
     replicate,
-    simulate_experiment,
 )
 from needlefit.studies.rank_statistics import (
     HELD_OUT_TIP,
@@ -155,14 +154,6 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     rng = np.random.default_rng(5)
     ends = [simulate_measurement(quiet, sure, SEEN, job.medium, rng).planar[0, 0] for _ in range(300)]
     assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
-
-
-@pytest.mark.sweep
-def test_a_replicate_is_its_number_s():
-    job = small_job()
-    thetas = [simulate_experiment(job, np.random.default_rng(4))[0] for _ in range(2)]
-    assert np.array_equal(*thetas)
-    assert replicate(3, job, STIFF) == replicate(3, job, STIFF)
 
 
 def test_tip_tracks_are_refused():

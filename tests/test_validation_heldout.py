@@ -74,11 +74,6 @@ def known(job):
     return draw_fold_parameters(job, job.folds[0], fit, Settings()).draws
 
 
-@pytest.fixture(scope="module")
-def few_draws(known):
-    return replace(known, thetas=known.thetas[:25])
-
-
 def predict_alone(values, medium, needle, insertion, s, wrong, deep):
     """One needle through the layers that it meets itself, with errors of depths, mm."""
     met = with_planned_layers(insertion, values, medium, needle)
@@ -153,14 +148,6 @@ def test_the_measured_shape_is_only_compared(job, known):
     assert moved["tip_pit"] > 0.99 and not moved["tip_in_95"]
     assert not moved["shape_in_95"] and moved["shape_pit"] > 0.99
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
-
-
-def test_threads_predict_the_same(job, few_draws):
-    few = of(job, *(replace(one, specimen="another") for one in job.folds[0].validate[:3]))
-    new = [Specimens(job, few, few_draws, jobs=jobs) for jobs in (1, 2)]
-    alone, two = (list(predict_held_out(one)) for one in new)
-    assert len(alone) == 3 and repr(alone) == repr(two)  # repr: NaN equals itself
-    assert np.array_equal(new[0].population.new, new[1].population.new)
 
 
 def test_the_noise_scale_is_that_of_the_prediction(job, known):

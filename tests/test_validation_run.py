@@ -16,22 +16,15 @@ from scipy.optimize import brentq
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
-from needlefit.datasets.select import count_layers
 from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
-from needlefit.project.locate import find_file
-from needlefit.project.toml import load
-from needlefit.schemas.limits import MAX_LAYERS
-from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import RecipeRecord, SampleRecord
-from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.job import make_folds, prepare
+from needlefit.studies.job import make_folds
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
@@ -114,15 +107,6 @@ def test_truth_is_recovered_and_scored_with_no_error(clean: Run) -> None:
     assert results.origin == "synthetic"
 
 
-def test_measured_and_planned_crossings_agree_on_a_flat_interface(clean: Run) -> None:
-    """The interface is normal to the needle: where it bends to does not matter."""
-    errors = clean.frames["errors"]
-    wide = errors[errors["method"] == "fitted"].pivot_table(
-        index=["role", "insertion"], columns="boundaries", values="te_mm"
-    )
-    np.testing.assert_allclose(wide["planned"], wide["measured"], atol=2e-3)
-
-
 def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Run) -> None:
     errors = clean.frames["errors"]
     held_out = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
@@ -167,22 +151,6 @@ def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Pa
         run("guide", study(), Settings())
 
 
-@pytest.mark.parametrize(
-    ("study", "counts"),
-    [  # role, layers, insertions: the paper's 9, 8 + 6 and 10
-        ("study1", [("tune", 4, 9)]),
-        ("study2", [("validate", 4, 8), ("validate", 3, 6)]),
-        ("study3", [("validate", 3, 10)]),
-    ],
-)
-def test_insertions_are_counted_as_the_study_counts_layers(study, counts):
-    job = prepare(study, load(find_file("study", study), StudyRecord), Settings())
-    for role, layers, insertions in counts:
-        members = job.folds[0].tune if role == "tune" else job.folds[0].validate
-        found = [count_layers(one, job.record.layer_count_rule) for one in members]
-        assert found.count(layers) == insertions
-
-
 STEEP = {**TRUTH, "bevel_mm": 0.9}
 
 
@@ -217,27 +185,6 @@ def test_scored_simulations_are_counted_and_named():
 
 
 BASE = {"schema": 1, "layers": 1, "parameters": {}}
-
-
-@pytest.mark.parametrize(
-    ("record", "key", "tables"),
-    [
-        (MediumRecord, "layers", BASE | {"layers": MAX_LAYERS + 1}),
-        (MediumRecord, "constraint_spacing_mm", BASE | {"constraint_spacing_mm": 0.001}),
-        (MediumRecord, "constraint_spacing_mm", BASE | {"constraint_spacing_mm": 1e7}),
-        (RecipeRecord, "starts", {"schema": 1, "starts": 10**9}),
-        (RecipeRecord, "evaluations", {"schema": 1, "evaluations": 10**12}),
-        (SampleRecord, "walkers", {"walkers": 10**7}),
-        (SampleRecord, "densities", {"densities": 10**9}),
-        (SceneRecord, "depth_mm", {"schema": 1, "depth_mm": 9e8}),
-    ],
-)
-def test_one_key_cannot_ask_for_gigabytes(record, key, tables):
-    from needlefit.project.toml import check
-
-    with pytest.raises(ConfigError) as caught:
-        check(tables, record, "a file")
-    assert key in caught.value.what
 
 
 __all__ = ["project"]  # a fixture
@@ -409,14 +356,6 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
     assert pairs == [(f"without {id_}", id_) for id_ in ids]
     tuned = results.frames["errors"].query("role == 'tune' and method == 'straight'")
     assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
-
-
-@pytest.mark.usefixtures("few_draws")
-def test_nothing_is_determined_where_most_draws_are_outside_the_model(project: Path, monkeypatch) -> None:
-    where = "needlefit.studies.kinds.cross_validation.run.find_outside_validity"
-    monkeypatch.setattr(where, lambda problem, thetas: np.ones(len(thetas), dtype=bool))
-    rows = run("outside", study(), Settings()).frames["parameters"].query("status == 'free'")
-    assert set(rows["determined"]) == {"no"}
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -110,11 +110,6 @@ class World:
         """Return the run of a kind as it was stored."""
         return restore_run(self.find(kind))
 
-    def read_printed(self, kind: str) -> str:
-        """Return what the command of a kind printed."""
-        self.find(kind)
-        return json.loads(self._outcome(kind).read_text(encoding="utf-8"))["printed"]
-
     def _result(self, command: Command) -> Path:
         return self.folder / "reports" / command.folder
 
