@@ -7,7 +7,9 @@ error nor errors of measurement. Draws that are not certified have no bands.
 What is known of the fit, by a run of it, stands first: its verdict and failed checks.
 """
 
+import itertools
 import json
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,12 +23,14 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     Draws,
+    find_geometric_median,
     thin_posterior,
 )
 from needlefit.mechanics.scene import Scene
@@ -128,7 +132,8 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
             expected="needle, depth, depths of layers, bevel side, controls",
             fix="leave it out; `needlefit simulate` takes all values from the scene",
         )
-    scene, options, stated = Scene.from_record(record, where), make_options(medium), record.rules
+    scene = Scene.from_record(record, where, in_space=not record.torsional_friction_n)
+    options, stated = make_options(medium), record.rules
     if "element_mm" in stated.model_fields_set:
         options = replace(options, element=stated.element)
     if "first_cell_mm" in stated.model_fields_set:
@@ -169,21 +174,22 @@ class Forecast:
 
     s: Floats  #: (K,), arc length from the entry, mm
     x: Floats  #: (K,), depth of these points along the entry axis, median over draws, mm
-    y: Floats  #: (B, K), of each draw that has a solution, mm
+    across: Floats  #: (B, K, 1), in space (B, K, 2): y, and z, of each draw that has a solution, mm
     failed: int  #: draws of which the solve failed; they are left out
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
-    """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
-    columns = {
-        "s_mm": forecast.s,
-        "x_mm": forecast.x,
-        "needle_median_mm": np.quantile(forecast.y, 0.5, axis=0),
-    }
-    for level in INTERVAL_PROBABILITIES:
-        low, high = np.quantile(forecast.y, [(1 - level) / 2, (1 + level) / 2], axis=0)
-        columns |= {f"needle_{100 * level:.0f}_low_mm": low, f"needle_{100 * level:.0f}_high_mm": high}
+    """Return one row per station: s and x, then median and ends of the bands of y, in space of z, all mm."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
+    planes = forecast.across.shape[2]
+    middle = find_geometric_median(forecast.across) if planes == 2 else np.median(forecast.across, axis=0)
+    for plane, name in enumerate(("needle", "needle_z")[:planes]):
+        columns[f"{name}_median_mm"] = middle[:, plane]
+        for level in INTERVAL_PROBABILITIES:
+            ends = (1 - level) / 2, (1 + level) / 2
+            low, high = np.quantile(forecast.across[..., plane], ends, axis=0)
+            columns |= {f"{name}_{100 * level:.0f}_low_mm": low, f"{name}_{100 * level:.0f}_high_mm": high}
     return pd.DataFrame(columns)
 
 
@@ -192,9 +198,9 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
 
     The scene is under the rules of the fit (`make_scene`); draws replace its moduli and bevel offset: layer n
     of the scene is layer n of the medium. With each draw a bevel of this insertion and the depths of layers
-    and tip are drawn too, as they err in a typical insertion of the dataset. The specimen is that of the
-    insertion `into`, or, with None, one that is not in the dataset. Where it has no draws of its own, those
-    of all insertions together stand in.
+    and tip are drawn too, in space also the roll, as they err in a typical insertion of the dataset. The
+    specimen is that of the insertion `into`, or, with None, one that is not in the dataset. Where it has no
+    draws of its own, those of all insertions together stand in.
 
     Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
     ModelError if no draw can be solved.
@@ -210,7 +216,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
     found = simulate_scene(sets, job.medium, scene, s, deep, wrong)
-    points = found.points[found.solved]  # (B, K, 2)
+    points = found.points[found.solved]  # (B, K, 2 or 3)
     if not len(points):
         raise ModelError(
             f"none of {len(thetas)} draws of the parameters can be solved for this scene",
@@ -218,7 +224,10 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
-    return Forecast(s, x, points[:, :, 1], len(thetas) - len(points), outside)
+    if points.shape[2] == 3:
+        roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
+        points = turn_about_x(points, roll_sd * rng.standard_normal(len(points)))
+    return Forecast(s, x, points[:, :, 1:], len(thetas) - len(points), outside)
 
 
 def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
@@ -330,7 +339,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)
     warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
     if found.outside:
-        share = f"{found.outside} of {len(found.y)} predicted needles"
+        share = f"{found.outside} of {len(found.across)} predicted needles"
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
@@ -352,7 +361,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "draw_source": draws.source,
             "pareto_k": draws.pareto_k,
             "ess": draws.effective_sample_size,
-            "draws": len(found.y),
+            "draws": len(found.across),
             "specimen": "others" if into is None else where,
             "fit_verdict": None if judged is None else recall(judged),
             "failed_solves": found.failed,
@@ -394,7 +403,7 @@ def find_tip(found: Run) -> Row:
 def find_answer(found: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     values = describe(found)
-    keys = ("s_mm", "needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
+    keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(median|95_low|95_high)_mm", name)]
     verdict = Verdict(
         TEXT.sentence("answer", values),
         "fail" if found.faults else "none",
@@ -412,7 +421,8 @@ def tabulate(found: Run) -> list[Table]:
         {key.removeprefix("needle_"): value for key, value in row.items()}
         for row in to_records(frame.iloc[places])
     ]
-    columns = ("s_mm", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES))
+    columns = ["s_mm", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES)]
+    columns += ["z_median_mm", "z_range_95_mm"] if "needle_z_median_mm" in frame else []
     return [Table("forecast", rows, columns)]
 
 
@@ -426,19 +436,27 @@ def draw(found: Run) -> dict[str, Drawing]:
     names["median"] = Look("median", METHOD_COLOURS["fitted"], marker="", width=1.4)
     if found.faults:  # whose bands are left out
         names = {"median": names["median"]}
-    options = {
+    options: dict[str, Any] = {
         **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},
         "x_label": "x along the entry (mm)",
-        "panels": (Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True),),
+        "panels": [Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True)],
     }
+    if in_space := "needle_z_median_mm" in table:
+        columns = {"line": "z_median_mm", "low": "z_low_mm", "high": "z_high_mm"}
+        options |= {
+            "panels": [*options["panels"], Panel("z (mm)", **columns, zero=True)],
+            "size": (7.16, 4.2),
+        }
 
     def list_bands(table: pd.DataFrame) -> pd.DataFrame:
         """Return a row for each band and point, and for the median."""
-        middle = table.assign(median_mm=table["needle_median_mm"], low_mm=np.nan, high_mm=np.nan)
-        parts = [middle.assign(band="median")]
+        starts = {"": "needle", "z_": "needle_z"} if in_space else {"": "needle"}
+        medians = {f"{new}median_mm": table[f"{old}_median_mm"] for new, old in starts.items()}
+        parts = [table.assign(band="median", **medians)]
         for band in bands:
-            ends = {f"{end}_mm": table[f"{band}_{end}_mm"] for end in ("low", "high")}
-            parts.append(table.assign(band=band, median_mm=np.nan, **ends))
+            level, ends = band.removeprefix("needle_"), itertools.product(starts.items(), ("low", "high"))
+            named = {f"{new}{end}_mm": table[f"{old}_{level}_{end}_mm"] for (new, old), end in ends}
+            parts.append(table.assign(band=band, **named))
         return pd.concat(parts, ignore_index=True)
 
     return {"forecast": Drawing("curves", table, options, list_bands)}
