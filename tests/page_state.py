@@ -9,7 +9,7 @@ from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.inference.compared_points import SimulatedCurve, align_points
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
-from needlefit.metrics import compute_metrics
+from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.overlays import MeasuredOverlay
@@ -37,7 +37,9 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
         errors = compare_curves(compute_positions(shape, s), seen)
     else:
         return None
-    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
+    planar = [metric for metric in list_metrics() if not metric.in_space]
+    found = compute_metrics(errors, planar).items()
+    values = {name: v if math.isfinite(v) else None for name, v in found}
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 

@@ -31,7 +31,7 @@ EXAMPLES = {
     "study": ("studies/study3.toml", "studies/stereo_insertions.toml"),
     "fit": ("configs/fits/phantom1.toml",),
     "medium": ("configs/media/phantom2.toml",),
-    "dataset": ("data/twin/dataset.toml",),
+    "dataset": ("data/twin/dataset.toml", "data/twin_turned/dataset.toml"),
     "tracks_dataset": ("data/guided_tips/dataset.toml",),
     "scene": ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml"),
     "tracks_study": ("studies/guided_tip.toml",),

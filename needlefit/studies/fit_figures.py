@@ -26,18 +26,26 @@ MAX_LARGE_PANELS = 24  #: insertions at most whose panels are large
 _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
 
-def collect_curves(results: Run, role: str, shown: Iterable[str], every: int = 1) -> pd.DataFrame:
-    """Return one row per drawn point of a role's insertions; y is toward the bevel, mm.
+def collect_curves(
+    results: Run, role: str, shown: Iterable[str], every: int = 1, *, from_above: bool = False
+) -> pd.DataFrame:
+    """Return one row per drawn point of a role's insertions; y is toward the bevel, mm, `from_above` it is z.
 
     `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
     where = "role == @role and boundaries == 'measured' and method in @shown"
     shapes = results.frames["shapes"].query(where, local_dict={"role": role, "shown": list(shown)})
+    bands = results.frames["bands"]
+    if from_above:
+        along_z = {f"{name}_y_mm": shapes[f"{name}_z_mm"] for name in ("measured", "simulated")}
+        shapes = shapes.assign(**along_z)
+        named = [str(name) for name in bands if str(name).endswith("_z_mm")]
+        bands = bands.assign(**{name.replace("_z_mm", "_mm"): bands[name] for name in named})
     shapes = shapes.sort_values([*forms.INSERTION_KEYS, "method", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*forms.INSERTION_KEYS, "j"])
-    bands = _align_bands(results.frames["bands"], dots)
+    bands = _align_bands(bands, dots)
     dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
     for level in forms.BANDS if role == "validate" else ():
@@ -114,14 +122,15 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
         yield {"curve": forms.TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
-def draw_overlays(results: Run, role: str) -> Drawing:
-    """Return all insertions."""
+def draw_overlays(results: Run, role: str, *, from_above: bool = False) -> Drawing:
+    """Return all insertions, seen from the side or from above."""
     ours, metric = choose_method(results), scores.name_tip_error(results)
     titles = _title_panels(select_fitted(results.frames["errors"], role, ours), metric)
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
-    curves = collect_curves(results, role, names, every)
-    return Drawing(forms.insertions, curves, {"heads": titles, "names": names})
+    curves = collect_curves(results, role, names, every, from_above=from_above)
+    options = {"heads": titles, "names": names, "across": "out of the plane" if from_above else ""}
+    return Drawing(forms.insertions, curves, options)
 
 
 # ---- errors on held-out groups

@@ -191,6 +191,8 @@ def list_figures(results: Run) -> dict[str, Drawing]:
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(results, role)
         found["overlays"] = fit_figures.draw_overlays(results, role)
+        if scores.is_in_space(results):
+            found["overlays_above"] = fit_figures.draw_overlays(results, role, from_above=True)
     if len(frames["predictive"]):
         found["predicted"] = fit_figures.draw_predictive_check(results)
     if len(frames["profiles"]):
