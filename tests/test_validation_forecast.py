@@ -83,9 +83,31 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     step = replace(step, bevel=replace(step.bevel, offset=0.08))
     shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
     expected = compute_positions(shape, found.s)
-    assert found.y[0] == pytest.approx(expected[:, 1], abs=1e-6)
+    assert found.across[0, :, 0] == pytest.approx(expected[:, 1], abs=1e-6)
     table = tabulate_forecast(found)
     assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)
+
+
+def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_states(job):
+    (step,) = SCENE.steps
+    turned = replace(step, bevel=replace(step.bevel, offset=0.08, roll_deg=90.0))
+    scene = replace(
+        SCENE, steps=(replace(turned, depth=20.0, bevel=replace(turned.bevel, roll_deg=0.0)), turned)
+    )
+    known = sure(job)
+    exact = tuple(replace(one, roll_sd=0.0) for one in known.dataset.insertions)
+    found = planned(replace(known, dataset=replace(known.dataset, insertions=exact)), [theta(job)] * 3, scene)
+    tissue = replace(SCENE.tissue, mu=np.array([0.2, 30.0, 0.2, 30.0]), alpha=np.array([1.0, -1, 1, -1]))
+    shape = needlefit.simulate_steps(SCENE.needle, tissue, scene.steps, SCENE.rules)
+    expected = compute_positions(shape, found.s)
+    np.testing.assert_allclose(found.across[0], expected[:, 1:], atol=1e-6)
+    assert abs(expected[-1, 2]) > 0.5
+    tips = planned(known, [theta(job)] * 400, scene).across[:, -1]
+    assert np.linalg.norm(tips, axis=1) == pytest.approx(np.linalg.norm(expected[-1, 1:]), abs=1e-6)
+    angles = np.arctan2(tips[:, 1], tips[:, 0])
+    assert np.std(angles) == pytest.approx(math.radians(5.0), rel=0.15)
+    columns = tabulate_forecast(planned(known, [theta(job)] * 400, scene)).iloc[-1]
+    assert columns["needle_z_95_low_mm"] < columns["needle_z_median_mm"] < columns["needle_z_95_high_mm"]
 
 
 def test_an_impossible_prediction_is_refused(job):
@@ -171,9 +193,9 @@ def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
 
 def test_bevels_that_differ_widen_the_needle_s_band(job):
     spread = 0.1
-    tips = planned(sure(job), [theta(job, bevel_spread=spread)] * 400).y[:, -1]
+    tips = planned(sure(job), [theta(job, bevel_spread=spread)] * 400).across[:, -1, 0]
     near = [planned(sure(job), [theta(job, bevel_mm=0.08 * np.exp(e))] * 1) for e in (-0.05, 0.05)]
-    slope = (near[1].y[0, -1] - near[0].y[0, -1]) / 0.1
+    slope = (near[1].across[0, -1, 0] - near[0].across[0, -1, 0]) / 0.1
     # the bevels fitted to deviate from their mean too
     further = job.problem(job.folds[0]).new_bevel_sd
     assert further == pytest.approx(math.sqrt(1 + 1 / len(job.folds[0].tune)))
@@ -201,10 +223,10 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
             choose_specimen(known, wrong)
         assert all(name in caught.value.expected for name in drawn)
     tips = {name: planned(sure(job), list(each.thetas[:300])) for name, each in drawn.items()}
-    tips = {name: each.y[:, -1] for name, each in tips.items()}
+    tips = {name: each.across[:, -1, 0] for name, each in tips.items()}
     assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
     named = forecast(SCENE, known, tune[1])
-    assert np.median(named.y[:, -1]) == pytest.approx(np.median(tips["other"]), rel=0.03)
+    assert np.median(named.across[:, -1, 0]) == pytest.approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == ()
 
 
