@@ -2,6 +2,7 @@
 
 import { part } from "./dom.js";
 import { amount } from "./fields.js";
+import { turnOver, wrap } from "./model/inputs.js";
 import { heightAt } from "./quantities.js";
 import * as steering from "./steering.js";
 import { change, move, newGesture, wanted } from "./steering.js";
@@ -30,7 +31,16 @@ export function goTo(depth) {
   if (way) move(Math.sign(way) * speed(), depth);
 }
 
-export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
+/** The roll of the bevel, degrees, that was asked for last, or is. */
+function wantedRoll() {
+  const side = wanted("bevel_side", null, 0);
+  return wanted("bevel_roll_deg", null, side ? 90 - 90 * side : now.state.bevel.roll_deg);
+}
+
+export const flip = (at) => change([turnOver(wantedRoll())], { at });
+
+/** Roll the bevel on by an angle, degrees. */
+export const roll = (by, at) => change([["bevel_roll_deg", null, wrap(wantedRoll() + by)]], { gesture: going("roll"), at });
 
 export function nudgeBase(steps, at) {
   const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP_MM;

@@ -4,7 +4,7 @@ import * as act from "./actions.js";
 import { part, press, write } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
 import { listParameters } from "./parameters.js";
-import { degrees, numbered, slope, strengthOf } from "./quantities.js";
+import { degrees, numbered, ROLL_FIELD, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -38,6 +38,7 @@ function buildBevel({ limits, fitted }) {
   const about = { unit, write: digits(count), limits: limits[key], step, symbol };
   const name = `${symbol}, ahead of the tip`;
   setHome(inputField("bevel-fields", [here, null], { ...about, name }, () => now.state.bevel[key]), value);
+  inputField("bevel-fields", ["bevel_roll_deg", null], ROLL_FIELD, () => now.state.bevel.roll_deg);
   part("throughout").textContent = `Set this ${symbol} in the whole insertion`;
 }
 

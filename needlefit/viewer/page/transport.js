@@ -4,7 +4,7 @@ import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
 import { handleAt } from "./handles.js";
 import { notches, place } from "./pointers.js";
-import { brief, heightAt } from "./quantities.js";
+import { brief, describeRoll, heightAt } from "./quantities.js";
 import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
 import { fromPx, toPy } from "./view.js";
@@ -47,7 +47,7 @@ export function refresh() {
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
-  write("side", bevel.side > 0 ? "(now +y)" : "(now −y)");
+  write("side", `(now ${describeRoll(bevel)})`);
 }
 
 const PRESSED = {

@@ -156,7 +156,8 @@ export class SteeredNeedle {
 
   #move(changes, validOnly) {
     const { session } = this;
-    const step = applyChanges(this.step, changes, this.names, session.shape.u.at(-1));
+    const { x, u, planes } = session.shape;
+    const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u.at(-1) : 0]);
     if (!changes.length) return;
     const [first] = step.controls.guides;
     if (validOnly && first?.x < 0 && step.depth > this.reach(step.controls) + 1e-6) {
