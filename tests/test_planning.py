@@ -1,6 +1,7 @@
 """Plans of steering: they reach what can be reached, past obstacles, and say how probable that is."""
 
 import json
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -20,8 +21,8 @@ from needlefit.planning.goals import (
     Ball,
     Goal,
     compute_clearances,
-    cut_plane,
     find_hits,
+    make_goal,
     name_obstacles,
     read_goal_points,
 )
@@ -172,18 +173,40 @@ def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
         plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
 
 
-def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
-    balls = (Ball("cut", (20.0, 1.0, 1.0), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
-    found = cut_plane((45.0, 3.0, 3.0), 1.5, balls)
-    assert found.roll_deg == pytest.approx(45.0) and found.beside == ("beside",)
-    assert found.goal.target == pytest.approx((45.0, np.hypot(3, 3)))
-    (circle,) = found.goal.obstacles
-    assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
-    assert cut_plane((45.0, -3.0, 0.0), 1.5, ()).goal.target == (45.0, -3.0)
-    other = cut_plane((45.0, -2.0, 1.0), 1.5, ())
-    assert other.goal.target == pytest.approx((45.0, -np.sqrt(5)))
-    assert other.roll_deg == pytest.approx(-np.degrees(np.arctan(0.5)))
-    assert cut_plane((45.0, 0.0, -2.0), 1.5, ()).goal.target == pytest.approx((45.0, 2.0))
+def test_a_goal_off_the_plane_lies_in_space_and_others_are_cut_by_it() -> None:
+    balls = (Ball("cut", (20.0, 1.0, 0.6), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
+    planar, beside = make_goal((45.0, 3.0, 0.0), 1.5, balls, spatial=False)
+    assert planar.target == (45.0, 3.0) and beside == ("beside",) and not planar.spatial
+    (circle,) = planar.obstacles
+    assert circle.centre_mm == (20.0, 1.0) and circle.radius_mm == pytest.approx(0.8)
+    for target, spatial in (((45.0, 3.0, 1.0), False), ((45.0, 3.0, 0.0), True)):
+        goal, beside = make_goal(target, 1.5, balls, spatial)
+        assert goal.target == target and beside == () and len(goal.obstacles) == 2
+    assert planar.to_space() == Goal(
+        (45.0, 3.0, 0.0), 1.5, (circle.model_copy(update={"centre_mm": (20.0, 1.0, 0.0)}),)
+    )
+
+
+@pytest.mark.parametrize("angle", [30.0, 110.0, -75.0])
+def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle) -> None:
+    """The needle that goes there by itself, rolled: the plan finds its roll, and moves nothing else."""
+    x, y = tip_of(replace(insertion().now, depth=40.0))
+    turned = np.radians(angle)
+    target = (x, y * np.cos(turned), y * np.sin(turned))
+    found = plan(target, base_mm=0.0, base_angle_deg=0.0, turns=0)
+    assert found.nominal_miss < 0.02 and found.nominal.shape[1] == 3
+    assert math.remainder(found.steps[0].bevel.roll_deg - angle, 360) == pytest.approx(0, abs=1)
+    one = insertion()
+    shape = simulate_steps(one.needle, one.tissue, found.steps, one.rules)
+    assert compute_positions(shape, np.array([shape.depth]))[0] == pytest.approx(found.nominal[-1], abs=1e-6)
+
+
+def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions() -> None:
+    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain())
+    misses = found.describe_misses()
+    assert found.hits and misses["nominal_miss_mm"] < 0.3
+    assert np.array(misses["tip_sd_mm"]) == pytest.approx(found.needles[:, -1, 1:].std(axis=0))
+    assert min(misses["tip_sd_mm"]) > 0.01
 
 
 def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path) -> None:
@@ -206,8 +229,10 @@ def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
     names = name_obstacles(labels)
     assert names[:6] == ("vessel", "obstacle 2", "bone 1", "vessel 2", "obstacle 1", "obstacle 3")
     assert names[6:] == ("x" * 40, "obstacle 4")
-    circles = cut_plane((40.0, 1.0, 0.0), 1.0, tuple(Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names))
-    assert tuple(one.name for one in circles.goal.obstacles) == names
+    circles, _ = make_goal(
+        (40.0, 1.0, 0.0), 1.0, [Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names], False
+    )
+    assert tuple(one.name for one in circles.obstacles) == names
 
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:

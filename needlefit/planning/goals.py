@@ -1,6 +1,6 @@
 """What a plan is for: a target, obstacles, and how far needles miss them; read from space or from 3D Slicer.
 
-Needles are arrays (B, K, 2) of B draws, entry to tip in the plane of the plan, mm, NaN where a draw has none.
+Needles are arrays (B, K, 2) of B draws, in space (B, K, 3), entry to tip, mm, NaN where a draw has none.
 """
 
 import math
@@ -32,15 +32,30 @@ SpacePoint = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Goal:
-    """What a plan is for: a target (mm), the distance that still counts as a hit (mm), and obstacles."""
+    """What a plan is for: a target (mm), the distance that still counts as a hit (mm), and obstacles.
 
-    target: tuple[float, float]
+    All in the plane z = 0, or all in space.
+    """
+
+    target: tuple[float, float] | SpacePoint
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
 
+    @property
+    def spatial(self) -> bool:
+        """Whether it lies in space."""
+        return len(self.target) == 3
+
+    def to_space(self) -> "Goal":
+        """Return the same goal in space; circles become spheres."""
+        if self.spatial:
+            return self
+        spheres = [one.model_copy(update={"centre_mm": (*one.centre_mm[:2], 0.0)}) for one in self.obstacles]
+        return Goal((*self.target[:2], 0.0), self.radius, tuple(spheres))
+
 
 def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:
-    """Return the distance (B,), mm, of needles (B, K, 2) from the rim of an obstacle; negative inside it."""
+    """Return the distance (B,), mm, of needles (B, K, D) from the rim of an obstacle; negative inside it."""
     start, along = needles[:, :-1], np.diff(needles, axis=1)
     away = np.asarray(obstacle.centre_mm) - start
     part = np.clip(np.sum(away * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-30), 0.0, 1.0)
@@ -115,34 +130,27 @@ class Ball:
     radius: float
 
 
-@dataclass(frozen=True)
-class PlaneGoal:
-    """A goal in the plane of the needle, which is rolled about x so that it contains the target."""
+def make_goal(
+    target: SpacePoint, radius: float, balls: Sequence[Ball], spatial: bool
+) -> tuple[Goal, tuple[str, ...]]:
+    """Return the goal of a needle, and which obstacles its plane does not cut.
 
-    goal: Goal
-    roll_deg: float = 0.0  #: from C's y toward z, degrees
-    beside: tuple[str, ...] = ()  #: obstacles that the plane does not cut
-
-
-def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:
-    """Return the goal in the plane through x and the target; obstacles are cut to circles."""
+    Where neither the needle is `spatial` nor the target lies off the plane z = 0, the goal is in that plane,
+    and obstacles are cut to circles.
+    """
     x, y, z = target
-    # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
-    roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
-    cos, sin = math.cos(roll), math.sin(roll)
+    if spatial or z:
+        spheres = (ObstacleRecord(name=o.name, centre_mm=o.centre, radius_mm=o.radius) for o in balls)
+        return Goal(target, radius, tuple(spheres)), ()
     circles, beside = [], []
     for ball in balls:
         along, left, up = ball.centre
-        off = up * cos - left * sin
-        if abs(off) >= ball.radius:
+        if abs(up) >= ball.radius:
             beside.append(ball.name)
             continue
-        cut = math.sqrt(ball.radius**2 - off**2)
-        circles.append(
-            ObstacleRecord(name=ball.name, centre_mm=(along, left * cos + up * sin), radius_mm=cut)
-        )
-    goal = Goal((x, y * cos + z * sin if z else y), radius, tuple(circles))
-    return PlaneGoal(goal, math.degrees(roll), tuple(beside))
+        cut = math.sqrt(ball.radius**2 - up**2)
+        circles.append(ObstacleRecord(name=ball.name, centre_mm=(along, left), radius_mm=cut))
+    return Goal((x, y), radius, tuple(circles)), tuple(beside)
 
 
 def read_goal_points(
