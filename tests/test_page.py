@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needlefit.mechanics.shape import list_planes
 from needlefit.viewer.recording import read_recording, replay
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -516,6 +517,8 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
     page.fill("#speed", "50")  # so that a slow frame is no jump of centimetres
     drag(page, "base", 0, -20)
     do(page, ("focus", "#canvas", "true"), ("key", "f", f"s.bevel.side === {-side}"))
+    assert page.locator("#above").is_hidden() and get(page, "s.z") is None
+    do(page, ("keep", "true"), ("key", "r", "s.z && s.bevel.roll_deg === (kept.bevel.roll_deg + 10) % 360"))
     page.focus("#tissue-fields .slider >> nth=0")
     for key in ("ArrowRight", "ArrowRight", "PageUp"):
         do(page, ("keep", "true"), ("key", key, "s.step > kept.step"))
@@ -537,7 +540,8 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
     *_, last = replayed = list(replay(recording))
     assert [one.tip_offset_mm for one in replayed] == [0.0] * (state["step"] + 1)
     shape = last.state.shape
-    arrays = (shape.x, shape.u, shape.slope, shape.constraints)
+    assert page.locator("#above").is_visible() and state["tip"]["z"] == pytest.approx(shape.tip_z)
+    arrays = (shape.x, *list_planes(shape), shape.constraints)
     assert page.evaluate(BYTES) == [np.ascontiguousarray(one).tobytes().hex() for one in arrays]
     page.reload()
     until(page, f"s?.step === {state['step']}")

@@ -51,11 +51,6 @@ def open_target(name: str | None, insertion: str | None = None, specimen: str = 
     return measured.open_dataset(view_target)
 
 
-def reopen(viewed_scene: ViewedScene, choice: str, specimen: str = "shown") -> ViewedScene:
-    """Return one of the `choices` of a scene; errors as of `open_target`."""
-    return open_target(viewed_scene.name, choice, specimen)
-
-
 def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None":
     """Return the draws in the table beside a scene: a row for each, `mu1_pa`, `mu2_pa`, ... and `bevel_mm`.
 

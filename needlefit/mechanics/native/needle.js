@@ -290,9 +290,7 @@ export class Session {
     return heap.borrow(() => {
       const cut = heap.take(MOVE_BYTES * this.rays),
         position = heap.take(POSITION_BYTES);
-      const count = Number(
-        heap.call.nf_session_rays(problem.at, parts.fixed, parts.now, parts.scratch, cut, position),
-      );
+      const count = Number(heap.call.nf_session_rays(problem.at, parts.fixed, parts.now, parts.scratch, cut, position));
       const view = heap.view(cut),
         id = (at) => Number(view.getBigInt64(at, true));
       const rays = Array.from({ length: count }, (_, n) => ({
@@ -391,11 +389,8 @@ export class Session {
         cells = shape.constraints.length / (1 + planes) - 1,
         depths = shape.constraints.filter((_, i) => i % (1 + planes) === 0);
       const first = cells > 0 ? depths[1] : model.spacing;
-      const more = {
-        rays: 1,
-        deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
-      };
-      const problem = makeProblem(heap, ...pack(heap, { ...model, firstCell: first }, inputs, { sets: 1 }, planes, more));
+      const deepest = Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing;
+      const problem = makeProblem(heap, ...pack(heap, { ...model, firstCell: first }, inputs, { sets: 1 }, planes, { rays: 1, deepest }));
       const memory = heap.take(call.nf_memory(problem.at, 1n));
       const front = shape.x.findIndex((x) => x >= 0),
         room = problem.maxQuadrature;

@@ -47,11 +47,11 @@ export function nudgeBase(steps, at) {
   change([["base_y_mm", null, y]], { gesture: going("base"), at });
 }
 
-/** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */
-export function addGuide(x = freePlace(), at = performance.now()) {
-  const item = freeNumber();
+/** Put a guide on the needle between base and skin, where it changes next to nothing yet. */
+export function addGuide() {
+  const [item, x] = [freeNumber(), freePlace()];
   const place = [["guide_x_mm", item, x], ["guide_y_mm", item, heightAt(now.state, x)]];
-  change([...place, ["guide_turns_freely", item, 1]], { at });
+  change([...place, ["guide_turns_freely", item, 1]]);
 }
 
 /** Hold the tip where it is, or let go of it. */
