@@ -10,7 +10,7 @@ from needlefit.inference.compared_points import SimulatedCurve, align_points
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.torsion import find_roll
-from needlefit.metrics import compute_metrics
+from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.overlays import MeasuredOverlay
@@ -35,10 +35,11 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     elif measured.target.pose == "known":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-        errors = compare_curves(compute_positions(shape, s), seen)
+        errors = compare_curves(compute_positions(shape, s)[:, :2], seen)
     else:
         return None
-    values = {name: v if math.isfinite(v) else None for name, v in compute_metrics(errors).items()}
+    found, shown = compute_metrics(errors), [one.name for one in list_metrics() if not one.in_space]
+    values = {name: found[name] if math.isfinite(found[name]) else None for name in shown}
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 

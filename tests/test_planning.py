@@ -261,3 +261,17 @@ def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
+
+
+def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
+    path = tmp_path / "plan.csv"
+    words = ("phantom2", "--target", "40,-1,1.5", "--json", "--write-recording", str(path))
+    assert run("plan", *words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reached"] and found["target_mm"] == [40, -1, 1.5]
+    rolls = [step["bevel_roll_deg"] for step in found["steps"]]
+    assert rolls[0] % 180 != 0 and len(found["tip_sd_mm"]) == 2
+    *_, last = replay(read_recording(path))
+    assert last.tip_offset_mm == 0
+    tip = compute_positions(last.state.shape, np.array([last.state.shape.depth]))[0]
+    assert np.linalg.norm(tip - found["target_mm"]) == pytest.approx(found["nominal_miss_mm"], abs=1e-6)

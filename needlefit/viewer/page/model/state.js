@@ -20,6 +20,8 @@ export function describeState(steered) {
   const { controls, bevel } = step;
   const width = 1 + shape.planes;
   const [x, y, z = null] = columns(session.positions(listStations(shape)), width);
+  const constraints = columns(shape.constraints, width);
+  const track = columns(shape.track, 2 * shape.planes).filter((_, i) => i % 2 === 0);
   const load = session.forces();
   const loaded = columns(load.s.length ? session.positions(load.s) : [], width);
   const last = shape.x.length - 1;
@@ -30,9 +32,9 @@ export function describeState(steered) {
     step: steered.number,
     depth_mm: step.depth,
     x, y, z,
-    depths: columns(shape.constraints, width)[0],
-    constraints: mapPoints(session, columns(shape.constraints, width)),
-    tip_path: mapPoints(session, [columns(shape.constraints, width)[0], ...columns(shape.track, 2 * shape.planes).filter((_, i) => i % 2 === 0)]),
+    depths: constraints[0],
+    constraints: mapPoints(session, constraints),
+    tip_path: mapPoints(session, [constraints[0], ...track]),
     load: { x: loaded[0], y: loaded[1], n_per_mm: [...load.load] },
     forces: {
       base_n: load.base.force,
