@@ -279,7 +279,7 @@ SEQUENCES = {
         ("go to", 20, "true"),
         ("keep", "true"),
         ("enter", MU, "700", f"Math.abs(s.layers[0].mu_pa - 7e5) < 1 && !{HAND}.hidden"),
-        ("focus", f"{MU} >> nth=0", "part('#by-hand').textContent.includes('layer 1')"),
+        ("focus", f"{MU} >> nth=0", "part('#tissue-fields .hand:not([hidden])')"),
         ("key", "Control+z", f"s.layers[0].mu_pa === kept.layers[0].mu_pa && {HAND}.hidden"),
         ("focus", f"{MU} >> nth=0", f"Math.abs((part('{MU}').value * 1e3) / s.layers[0].mu_pa - 1) < 1e-3"),
         ("key", "9", "true"),

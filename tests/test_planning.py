@@ -21,8 +21,9 @@ from needlefit.planning.goals import (
     Ball,
     Goal,
     compute_clearances,
+    cut_plane,
     find_hits,
-    make_goal,
+    make_space_goal,
     name_obstacles,
     read_goal_points,
 )
@@ -173,18 +174,18 @@ def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
         plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
 
 
-def test_a_goal_off_the_plane_lies_in_space_and_others_are_cut_by_it() -> None:
-    balls = (Ball("cut", (20.0, 1.0, 0.6), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
-    planar, beside = make_goal((45.0, 3.0, 0.0), 1.5, balls, spatial=False)
-    assert planar.target == (45.0, 3.0) and beside == ("beside",) and not planar.spatial
-    (circle,) = planar.obstacles
-    assert circle.centre_mm == (20.0, 1.0) and circle.radius_mm == pytest.approx(0.8)
-    for target, spatial in (((45.0, 3.0, 1.0), False), ((45.0, 3.0, 0.0), True)):
-        goal, beside = make_goal(target, 1.5, balls, spatial)
-        assert goal.target == target and beside == () and len(goal.obstacles) == 2
-    assert planar.to_space() == Goal(
-        (45.0, 3.0, 0.0), 1.5, (circle.model_copy(update={"centre_mm": (20.0, 1.0, 0.0)}),)
-    )
+def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
+    balls = (Ball("cut", (20.0, 1.0, 1.0), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
+    found = cut_plane((45.0, 3.0, 3.0), 1.5, balls)
+    assert found.roll_deg == pytest.approx(45.0) and found.beside == ("beside",)
+    assert found.goal.target == pytest.approx((45.0, np.hypot(3, 3)))
+    (circle,) = found.goal.obstacles
+    assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
+    assert cut_plane((45.0, -3.0, 0.0), 1.5, ()).goal.target == (45.0, -3.0)
+    other = cut_plane((45.0, -2.0, 1.0), 1.5, ())
+    assert other.goal.target == pytest.approx((45.0, -np.sqrt(5)))
+    assert other.roll_deg == pytest.approx(-np.degrees(np.arctan(0.5)))
+    assert cut_plane((45.0, 0.0, -2.0), 1.5, ()).goal.target == pytest.approx((45.0, 2.0))
 
 
 @pytest.mark.parametrize("angle", [30.0, 110.0, -75.0])
@@ -229,10 +230,8 @@ def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
     names = name_obstacles(labels)
     assert names[:6] == ("vessel", "obstacle 2", "bone 1", "vessel 2", "obstacle 1", "obstacle 3")
     assert names[6:] == ("x" * 40, "obstacle 4")
-    circles, _ = make_goal(
-        (40.0, 1.0, 0.0), 1.0, [Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names], False
-    )
-    assert tuple(one.name for one in circles.obstacles) == names
+    circles = cut_plane((40.0, 1.0, 0.0), 1.0, tuple(Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names))
+    assert tuple(one.name for one in circles.goal.obstacles) == names
 
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:
@@ -261,6 +260,23 @@ def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
+
+
+def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(capsys) -> None:
+    words = ("plan", "phantom2", "--target", "40,1,4", "--radius", "0.5", "--obstacle", "20,3,0,1", "--json")
+    assert run(*words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reached"] and found["roll_deg"] == pytest.approx(np.degrees(np.arctan(4)))
+    assert found["target_mm"] == pytest.approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
+    assert found["obstacles_beside_the_plane"] == ["obstacle 1"]
+
+
+def test_a_goal_of_the_plane_becomes_one_in_space() -> None:
+    balls = [Ball("a", (20.0, 1.0, 0.5), 1.0)]
+    goal = make_space_goal((45.0, 3.0, 1.0), 1.5, balls)
+    assert goal.spatial and goal.obstacles[0].centre_mm == (20.0, 1.0, 0.5) and goal.to_space() == goal
+    lifted = cut_plane((45.0, 3.0, 0.0), 1.5, tuple(balls)).goal.to_space()
+    assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
 
 
 def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:

@@ -3,6 +3,7 @@
 import math
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
-    from needlefit.planning.goals import Ball, SpacePoint
+    from needlefit.planning.goals import Ball, PlaneGoal, SpacePoint
     from needlefit.planning.steering import SteeringPlan
     from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -66,9 +67,10 @@ def plan(
 
     The plan has the greatest probability, over posterior draws of the parameters, that the tip ends within
     --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact. To a target off
-    the plane z = 0 the bevel is rolled as the insertion begins; the base moves along y.
+    the plane z = 0 the bevel is rolled as the insertion begins, while the base moves along y; where that does
+    not reach it, bevel and base are rolled together.
     """
-    from needlefit.planning.goals import make_goal
+    from needlefit.planning.goals import cut_plane, make_space_goal
     from needlefit.planning.steering import PlanLimits, plan_steering
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
@@ -80,10 +82,15 @@ def plan(
     aim, balls = _read_goal(shown, target, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = begin_insertion(shown)
-    goal, beside = make_goal(aim, radius, balls, insertion.spatial)
     invocation = context.find_root().obj
+    plane = cut_plane(aim, radius, tuple(balls))
+    goal = make_space_goal(aim, radius, balls) if aim[2] or insertion.spatial else plane.goal
     found = plan_steering(insertion, goal, limits, invocation.jobs)
-    summary = _summarize(shown, beside, found, len(insertion.samples[0]))
+    if goal.spatial and not found.hits and not insertion.spatial:  # base and bevel rolled together
+        rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
+        found = rolled if rolled.hits else found
+    plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
+    summary = _summarize(shown, plane, found, len(insertion.samples[0]))
     if invocation.json:
         screen.show_json(summary)
     else:
@@ -147,7 +154,7 @@ def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str
 
 
 def _summarize(
-    shown: "ViewedScene", beside: Sequence[str], found: "SteeringPlan", search_draws: int
+    shown: "ViewedScene", plane: "PlaneGoal", found: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
     from needlefit.mechanics.torsion import find_roll
     from needlefit.project.result_warnings import to_rows
@@ -168,7 +175,8 @@ def _summarize(
         "target_mm": list(goal.target),
         "radius_mm": goal.radius,
         "obstacles": [one.model_dump(include={"name", "centre_mm", "radius_mm"}) for one in goal.obstacles],
-        "obstacles_beside_the_plane": list(beside),
+        "obstacles_beside_the_plane": list(plane.beside),
+        "roll_deg": plane.roll_deg,
         "entry_mm": found.entry_mm,
         "turns_mm": list(found.turns),
         "steps": steps,
@@ -192,6 +200,9 @@ def _show_steps(shown: "ViewedScene", summary: dict[str, Any]) -> None:
 
     screen.print_line()
     screen.print_text(shown.title)
+    if summary["roll_deg"]:
+        screen.print_line(f"Roll the needle by {summary['roll_deg']:.1f} degrees about x, from y toward z,")
+        screen.print_line("and move its base in that plane.")
     if abs(summary["entry_mm"]) > 0.005:
         screen.print_line(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     rows = [

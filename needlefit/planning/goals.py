@@ -130,27 +130,40 @@ class Ball:
     radius: float
 
 
-def make_goal(
-    target: SpacePoint, radius: float, balls: Sequence[Ball], spatial: bool
-) -> tuple[Goal, tuple[str, ...]]:
-    """Return the goal of a needle, and which obstacles its plane does not cut.
+@dataclass(frozen=True)
+class PlaneGoal:
+    """A goal in the plane of the needle, which is rolled about x so that it contains the target."""
 
-    Where neither the needle is `spatial` nor the target lies off the plane z = 0, the goal is in that plane,
-    and obstacles are cut to circles.
-    """
+    goal: Goal
+    roll_deg: float = 0.0  #: from C's y toward z, degrees
+    beside: tuple[str, ...] = ()  #: obstacles that the plane does not cut
+
+
+def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:
+    """Return the goal in the plane through x and the target; obstacles are cut to circles."""
     x, y, z = target
-    if spatial or z:
-        spheres = (ObstacleRecord(name=o.name, centre_mm=o.centre, radius_mm=o.radius) for o in balls)
-        return Goal(target, radius, tuple(spheres)), ()
+    # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
+    roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
+    cos, sin = math.cos(roll), math.sin(roll)
     circles, beside = [], []
     for ball in balls:
         along, left, up = ball.centre
-        if abs(up) >= ball.radius:
+        off = up * cos - left * sin
+        if abs(off) >= ball.radius:
             beside.append(ball.name)
             continue
-        cut = math.sqrt(ball.radius**2 - up**2)
-        circles.append(ObstacleRecord(name=ball.name, centre_mm=(along, left), radius_mm=cut))
-    return Goal((x, y), radius, tuple(circles)), tuple(beside)
+        cut = math.sqrt(ball.radius**2 - off**2)
+        circles.append(
+            ObstacleRecord(name=ball.name, centre_mm=(along, left * cos + up * sin), radius_mm=cut)
+        )
+    goal = Goal((x, y * cos + z * sin if z else y), radius, tuple(circles))
+    return PlaneGoal(goal, math.degrees(roll), tuple(beside))
+
+
+def make_space_goal(target: SpacePoint, radius: float, balls: Sequence[Ball]) -> Goal:
+    """Return the goal in space."""
+    spheres = [ObstacleRecord(name=o.name, centre_mm=o.centre, radius_mm=o.radius) for o in balls]
+    return Goal(target, radius, tuple(spheres))
 
 
 def read_goal_points(

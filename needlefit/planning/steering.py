@@ -401,7 +401,7 @@ class _Search:
         ]
         sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
         if self.goal.spatial:  # toward the target, or away from it
-            _, y, z = self.goal.target
+            y, z = self.goal.target[1], self.goal.target[-1]
             begin[4] = math.degrees(math.atan2(z, y - begin[0])) if bends else begin[4]
             away = begin + np.array([0.0, 0.0, 0.0, 0.0, -math.copysign(180.0, begin[4])])
             starts = (begin, away) if bends else (begin,)

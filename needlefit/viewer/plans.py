@@ -81,9 +81,6 @@ def plan_message(found: SteeringPlan, step: int, answers: int) -> dict[str, Any]
         "fan": [[round_lengths(column) for column in needle.T] for needle in drawn],
         "x": round_lengths(nominal[:, 0]),
         "y": round_lengths(nominal[:, 1]),
-        "steps": [
-            [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in found.steps
-        ],
         "path": [encode_step(one) for one in found.steps],
         "turns": len(found.turns),
         "draws": len(found.needles),

@@ -1,7 +1,7 @@
 /** The fields of bevel, tissue, base, tip and guides, and what they ask for. */
 
 import * as act from "./actions.js";
-import { part, press, write } from "./dom.js";
+import { part, press } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
 import { listParameters } from "./parameters.js";
 import { degrees, numbered, ROLL_FIELD, slope, strengthOf } from "./quantities.js";
@@ -62,8 +62,6 @@ function buildHeld(of, yLimits, angleLimits) {
 /** Let every field say what is, or what was asked for last. */
 export function refresh() {
   for (const [field, current] of fields) show(field, current());
-  const changed = fields.filter(([{ home, back }]) => home !== null && !back.disabled).map(([{ name }]) => name);
-  write("by-hand", changed.length ? `Changed by hand: ${changed.join(", ")}.` : "");
   const { held } = now.state.tip;
   part("release").disabled = !held;
   part("tip-note").hidden = held;
