@@ -730,7 +730,7 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
     until(page, "n.forces.step === s.step && n.pinned.forces.x.length >= 30")
     text = page.get_attribute("#strip-canvas", "aria-valuetext")
     assert len(re.findall(r"tip force [−+]?[\d.]+ N", text)) == 2
-    assert float(page.inner_text("#readouts dd >> nth=3").split()[0].replace("−", "-")) == pytest.approx(
+    assert float(page.inner_text("#readouts dd >> nth=4").split()[0].replace("−", "-")) == pytest.approx(
         get(page, "n.forces.y.at(-1)"), abs=5.1e-4
     )
     assert get(page, "n.forces.y.slice(0, 30)") == pytest.approx(
