@@ -9,6 +9,7 @@ from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.inference.compared_points import SimulatedCurve, align_points
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
+from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics, list_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
@@ -34,12 +35,11 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     elif measured.target.pose == "known":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-        errors = compare_curves(compute_positions(shape, s), seen)
+        errors = compare_curves(compute_positions(shape, s)[:, :2], seen)
     else:
         return None
-    planar = [metric for metric in list_metrics() if not metric.in_space]
-    found = compute_metrics(errors, planar).items()
-    values = {name: v if math.isfinite(v) else None for name, v in found}
+    found, shown = compute_metrics(errors), [one.name for one in list_metrics() if not one.in_space]
+    values = {name: found[name] if math.isfinite(found[name]) else None for name in shown}
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 
@@ -54,7 +54,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     items = [guide_number(guide, steering.names) for guide in controls.guides]
     errors = None if measured is None else compute_live_errors(measured, shape)
     base, tip = (
-        {"x": place[0], "y": place[1], "rotation": float(slope)}
+        {"x": place[0], "y": place[1], "z": place[2] if len(place) > 2 else None, "rotation": float(slope)}
         for place, slope in zip(
             needle[[0, -1]].round(LENGTH_DIGITS).tolist(), shape.slope[[0, -1]], strict=True
         )
@@ -65,6 +65,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "depth_mm": step.depth,
         "x": round_lengths(needle[:, 0]),
         "y": round_lengths(needle[:, 1]),
+        "z": round_lengths(needle[:, 2]) if shape.w is not None else None,
         "depths": shape.constraints[:, 0].tolist(),
         "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
         "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
@@ -78,7 +79,8 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
             "base_nmm": load.base.moment,
             "guides_n": {str(n): hold.force for n, hold in zip(items, load.guides, strict=True)},
         },
-        "base": base | {"input_y": controls.base_y, "input_slope": controls.base_slope},
+        "base": {k: base[k] for k in ("x", "y", "rotation")}
+        | {"input_y": controls.base_y, "input_slope": controls.base_slope},
         "guides": [
             {
                 "item": item,
@@ -92,7 +94,11 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         ],
         "tip": tip
         | {"lateral_mm": shape.tip_lateral, "held": controls.tip is not None, "input_y": float(shape.u[-1])},
-        "bevel": {"side": step.bevel.side, **encode_strength(step.bevel, scene.rules)},
+        "bevel": {
+            "side": 1 if step.bevel.toward[0] > -1e-12 else -1,
+            "roll_deg": 180 - (180 - find_roll(step.bevel)) % 360,
+            **encode_strength(step.bevel, scene.rules),
+        },
         **encode_layers(now.tissue),
         "max_slope": float(shape.validity.max_slope),
         "faults": list(shape.validity.faults),

@@ -5,6 +5,8 @@ import math
 import re
 import time
 
+import numpy as np
+import pandas as pd
 import pytest
 from test_cli import run
 from test_viewer_recording import WANDERING, recorded
@@ -52,11 +54,27 @@ def test_a_needle_in_space_has_three_coordinates(capsys, tmp_path):
     assert "90.00" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("option", ["--plot", "--csv", "--slicer", "--animation"])
-def test_files_that_show_the_plane_refuse_a_needle_that_leaves_it(option, capsys, tmp_path):
-    path = tmp_path / {"--plot": "a.png", "--csv": "a.csv", "--slicer": "a.mrk.json"}.get(option, "a.gif")
-    assert run("simulate", "phantom1", *settings("bevel.roll_deg=90"), option, str(path)) == 2
-    assert not path.exists() and option in capsys.readouterr().err
+def test_files_of_a_needle_in_space_show_it_from_above_too(capsys, tmp_path):
+    """A bevel rolled by 90 degrees: the columns of z are those of y of the needle that is not rolled."""
+    tables, panels = {}, {}
+    for roll in (0, 90):
+        names = {"--csv": "a.csv", "--slicer": "a.mrk.json", "--plot": "a.svg", "--animation": "a.gif"}
+        paths = {option: tmp_path / f"{roll}{name}" for option, name in names.items()}
+        words = [word for option, path in paths.items() for word in (option, str(path))]
+        assert run("simulate", "phantom1", *settings(f"bevel.roll_deg={roll}"), "--depth", "30", *words) == 0
+        tables[roll] = pd.read_csv(paths["--csv"])
+        curve = json.loads(paths["--slicer"].read_text())["markups"][0]["controlPoints"]
+        tables[roll, "slicer"] = np.array([point["position"] for point in curve])
+        panels[roll] = paths["--plot"].read_text().count('id="axes_')
+    planar, rolled = tables[0], tables[90]
+    for y, z in (("y_mm", "z_mm"), ("slope", "slope_z"), ("load_n_per_mm", "load_z_n_per_mm")):
+        np.testing.assert_allclose(rolled[z], planar[y], atol=1e-6)
+        np.testing.assert_allclose(rolled[y], 0, atol=1e-6)
+        assert z not in planar
+    np.testing.assert_allclose(rolled["world_z_mm"], planar["world_y_mm"], atol=1e-6)
+    (x, y, z), (u, v, w) = tables[0, "slicer"].T, tables[90, "slicer"].T
+    np.testing.assert_allclose((u, w, v), (x, y, z), atol=1e-6)
+    assert panels == {0: 1, 90: 2}
 
 
 def test_settings_move_the_tip(capsys):

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needlefit.mechanics.shape import list_planes
 from needlefit.viewer.recording import read_recording, replay
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -278,7 +279,7 @@ SEQUENCES = {
         ("go to", 20, "true"),
         ("keep", "true"),
         ("enter", MU, "700", f"Math.abs(s.layers[0].mu_pa - 7e5) < 1 && !{HAND}.hidden"),
-        ("focus", f"{MU} >> nth=0", "part('#by-hand').textContent.includes('layer 1')"),
+        ("focus", f"{MU} >> nth=0", "part('#tissue-fields .hand:not([hidden])')"),
         ("key", "Control+z", f"s.layers[0].mu_pa === kept.layers[0].mu_pa && {HAND}.hidden"),
         ("focus", f"{MU} >> nth=0", f"Math.abs((part('{MU}').value * 1e3) / s.layers[0].mu_pa - 1) < 1e-3"),
         ("key", "9", "true"),
@@ -516,6 +517,8 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
     page.fill("#speed", "50")  # so that a slow frame is no jump of centimetres
     drag(page, "base", 0, -20)
     do(page, ("focus", "#canvas", "true"), ("key", "f", f"s.bevel.side === {-side}"))
+    assert page.locator("#above").is_hidden() and get(page, "s.z") is None
+    do(page, ("keep", "true"), ("key", "r", "s.z && s.bevel.roll_deg === (kept.bevel.roll_deg + 10) % 360"))
     page.focus("#tissue-fields .slider >> nth=0")
     for key in ("ArrowRight", "ArrowRight", "PageUp"):
         do(page, ("keep", "true"), ("key", key, "s.step > kept.step"))
@@ -537,7 +540,8 @@ def test_a_drive_is_recorded_and_replayed_to_the_same_bits(page, server) -> None
     *_, last = replayed = list(replay(recording))
     assert [one.tip_offset_mm for one in replayed] == [0.0] * (state["step"] + 1)
     shape = last.state.shape
-    arrays = (shape.x, shape.u, shape.slope, shape.constraints)
+    assert page.locator("#above").is_visible() and state["tip"]["z"] == pytest.approx(shape.tip_z)
+    arrays = (shape.x, *list_planes(shape), shape.constraints)
     assert page.evaluate(BYTES) == [np.ascontiguousarray(one).tobytes().hex() for one in arrays]
     page.reload()
     until(page, f"s?.step === {state['step']}")
@@ -726,7 +730,7 @@ def test_a_pinned_needle_stays_and_the_strip_reads_both(page) -> None:
     until(page, "n.forces.step === s.step && n.pinned.forces.x.length >= 30")
     text = page.get_attribute("#strip-canvas", "aria-valuetext")
     assert len(re.findall(r"tip force [−+]?[\d.]+ N", text)) == 2
-    assert float(page.inner_text("#readouts dd >> nth=3").split()[0].replace("−", "-")) == pytest.approx(
+    assert float(page.inner_text("#readouts dd >> nth=4").split()[0].replace("−", "-")) == pytest.approx(
         get(page, "n.forces.y.at(-1)"), abs=5.1e-4
     )
     assert get(page, "n.forces.y.slice(0, 30)") == pytest.approx(

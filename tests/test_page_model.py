@@ -16,7 +16,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import compute_validity
+from needlefit.mechanics.shape import compute_validity, list_planes
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
@@ -24,7 +24,7 @@ from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(
@@ -61,7 +61,7 @@ for (const {changes, keep, forget} of orders) {
     back: findChanges(scene.simulation.steps[0], steered.step, scene.guide_names)})
   const {pathAngle} = steered.model
   const steps = steered.path().map(one => ({depth: one.depth, inputs: toInputs(one, pathAngle)}))
-  if (bands) band = await bands.compute(steps, () => false, () => null)
+  if (bands) band = await bands.compute(steps, steered.session.planes, () => false, () => null)
   forces = await tip.compute(steered.model, steps, () => false, () => null)
 }
 console.log(JSON.stringify({found, band, forces}))
@@ -109,6 +109,7 @@ SCENES = {
         3 * [{"alpha": 1.0}],
     ),
     "table": lambda: view_scene("gent", {}, {"offset_mm": 0.05}, 2 * [{"jm": 2.0}]),
+    "rolled": lambda: view_scene("ogden", {}, {"offset_mm": 0.1, "roll_deg": 37.0}, 2 * [{"alpha": 1.0}]),
 }
 SHAPE_VALUES = {"alpha": (0.0, 3.0), "beta": (-3.0, 0.0), "share": (0.0, 1.0)}
 
@@ -125,6 +126,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
             [["depth_mm", None, max(0.0, depth + rng.uniform(0.0, 6.0))]],
             [["depth_mm", None, max(0.0, depth + rng.uniform(-6.0, 2.0))]],
             [["bevel_side", None, float(rng.choice([-1, 1]))]],
+            [["bevel_roll_deg", None, float(rng.choice([0.0, 90.0, 180.0, -180.0, rng.uniform(-400, 400)]))]],
             [[here, None, rng.uniform(0.0, 0.15) * (20 if angle else 1)]],
             [["base_y_mm", None, rng.uniform(-3.0, 3.0)], ["base_slope", None, rng.uniform(-0.02, 0.02)]],
             [["base_y_mm", None, rng.uniform(-3.0, 3.0)], ["depth_mm", None, depth + 1.0]],
@@ -160,7 +162,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
 def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
     """All inputs, parameters, refusals, returns; what is shown, the path that leads there, all bands."""
     viewed, rng = SCENES[name](), np.random.default_rng(seed)
-    scene = Scene.from_record(viewed.record)
+    scene = make_scene(viewed.record, name)
     steering = SteeredNeedle(scene, viewed.first_cell)
     orders = random_orders(rng, scene, 60)
     draws = ParameterDraws(
@@ -182,7 +184,8 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
             assert found["fault"] is None, order
         shape = steering.now.shape
         assert found["tip"] == shape.tip_lateral
-        assert found["shape"] == [to_hex(a) for a in (shape.x, shape.u, shape.slope, shape.constraints)]
+        parts = (shape.x, *list_planes(shape), shape.constraints)
+        assert found["shape"] == [to_hex(a) for a in parts]
         assert found["reach"] == steering.reach()
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
         expected = compute_validity(shape)
@@ -192,8 +195,8 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         back = find_changes(scene.steps[0], steering.now.step, steering.names)
         assert found["back"] == [[one.name, one.item, one.value] for one in back]
         path = steering.input_path()
-        assert [(one["depth"], one["bevel"]["side"]) for one in found["path"]] == [
-            (one.depth, one.bevel.side) for one in path
+        assert [(one["depth"], one["bevel"]["side"], one["bevel"]["roll"]) for one in found["path"]] == [
+            (one.depth, one.bevel.side, one.bevel.roll_deg) for one in path
         ]
     assert 0 < refused < 40
     band = compute_band(continue_insertion(steering, draws))

@@ -1,6 +1,7 @@
 """Plans of steering: they reach what can be reached, past obstacles, and say how probable that is."""
 
 import json
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -22,6 +23,7 @@ from needlefit.planning.goals import (
     compute_clearances,
     cut_plane,
     find_hits,
+    make_space_goal,
     name_obstacles,
     read_goal_points,
 )
@@ -186,6 +188,28 @@ def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
     assert cut_plane((45.0, 0.0, -2.0), 1.5, ()).goal.target == pytest.approx((45.0, 2.0))
 
 
+@pytest.mark.parametrize("angle", [30.0, 110.0, -75.0])
+def test_a_target_off_the_plane_is_reached_by_the_roll_alone(angle) -> None:
+    """The needle that goes there by itself, rolled: the plan finds its roll, and moves nothing else."""
+    x, y = tip_of(replace(insertion().now, depth=40.0))
+    turned = np.radians(angle)
+    target = (x, y * np.cos(turned), y * np.sin(turned))
+    found = plan(target, base_mm=0.0, base_angle_deg=0.0, turns=0)
+    assert found.nominal_miss < 0.02 and found.nominal.shape[1] == 3
+    assert math.remainder(found.steps[0].bevel.roll_deg - angle, 360) == pytest.approx(0, abs=1)
+    one = insertion()
+    shape = simulate_steps(one.needle, one.tissue, found.steps, one.rules)
+    assert compute_positions(shape, np.array([shape.depth]))[0] == pytest.approx(found.nominal[-1], abs=1e-6)
+
+
+def test_base_and_turns_help_the_roll_and_draws_spread_in_both_directions() -> None:
+    found = plan((45.0, 3.0, -1.5), 1.0, start=uncertain())
+    misses = found.describe_misses()
+    assert found.hits and misses["nominal_miss_mm"] < 0.3
+    assert np.array(misses["tip_sd_mm"]) == pytest.approx(found.needles[:, -1, 1:].std(axis=0))
+    assert min(misses["tip_sd_mm"]) > 0.01
+
+
 def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_path) -> None:
     placement = Placement(Frame(np.array([10.0, 0.0, 0.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])))
     listed = [point(1, [10, 45, 0], label="Target 1"), point(2, [9, 20, 0.5], label="vessel")]
@@ -236,3 +260,34 @@ def test_clearance_is_the_distance_from_the_rim(centre, clearance):
     line = np.array([[[0.0, 0.0], [10.0, 0.0]]])
     obstacle = ObstacleRecord(name="a", centre_mm=centre, radius_mm=1)
     assert compute_clearances(line, obstacle) == pytest.approx(clearance)
+
+
+def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_rolled_together(capsys) -> None:
+    words = ("plan", "phantom2", "--target", "40,1,4", "--radius", "0.5", "--obstacle", "20,3,0,1", "--json")
+    assert run(*words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reached"] and found["roll_deg"] == pytest.approx(np.degrees(np.arctan(4)))
+    assert found["target_mm"] == pytest.approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
+    assert found["obstacles_beside_the_plane"] == ["obstacle 1"]
+
+
+def test_a_goal_of_the_plane_becomes_one_in_space() -> None:
+    balls = [Ball("a", (20.0, 1.0, 0.5), 1.0)]
+    goal = make_space_goal((45.0, 3.0, 1.0), 1.5, balls)
+    assert goal.spatial and goal.obstacles[0].centre_mm == (20.0, 1.0, 0.5) and goal.to_space() == goal
+    lifted = cut_plane((45.0, 3.0, 0.0), 1.5, tuple(balls)).goal.to_space()
+    assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
+
+
+def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
+    path = tmp_path / "plan.csv"
+    words = ("phantom2", "--target", "40,-1,1.5", "--json", "--write-recording", str(path))
+    assert run("plan", *words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reached"] and found["target_mm"] == [40, -1, 1.5]
+    rolls = [step["bevel_roll_deg"] for step in found["steps"]]
+    assert rolls[0] % 180 != 0 and len(found["tip_sd_mm"]) == 2
+    *_, last = replay(read_recording(path))
+    assert last.tip_offset_mm == 0
+    tip = compute_positions(last.state.shape, np.array([last.state.shape.depth]))[0]
+    assert np.linalg.norm(tip - found["target_mm"]) == pytest.approx(found["nominal_miss_mm"], abs=1e-6)

@@ -118,7 +118,7 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) ->
         chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300&base_y=1"
     ) as page:
         state = page.evaluate("needlefit.state")
-        assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "offset_mm": 0.12}]
+        assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "roll_deg": 180, "offset_mm": 0.12}]
         assert state["layers"][1]["mu_pa"] == 3e5 and state["base"]["input_y"] == 1
         page.click("#copy-link")
         page.wait_for_timeout(200)
@@ -130,7 +130,21 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) ->
         page.evaluate(f"location.hash = '{written}'")
         page.wait_for_timeout(300)
         assert page.evaluate("needlefit.state.y") == state["y"]
-        for wrong in ("depth=50&roll=90", "depth=x", "depth=50&mu9=1", "depth=1000"):
+        assert page.locator("#above").is_hidden()
+        page.evaluate("location.hash = 'depth=50&roll=120&turn=20:90,30:-60'")
+        page.wait_for_timeout(300)
+        rolled = page.evaluate("needlefit.state")
+        assert rolled["bevel"]["roll_deg"] == 120 and page.locator("#above").is_visible()
+        page.click("#copy-link")
+        page.wait_for_timeout(200)
+        written = page.evaluate("location.hash")
+        assert "roll=120&turn=20:90,30:-60" in written
+        page.evaluate("location.hash = 'depth=20'")
+        page.wait_for_timeout(300)
+        page.evaluate(f"location.hash = '{written}'")
+        page.wait_for_timeout(300)
+        assert page.evaluate("needlefit.state.z") == rolled["z"]
+        for wrong in ("depth=50&roll=x", "depth=x", "depth=50&mu9=1", "depth=1000"):
             page.evaluate(f"location.hash = '{wrong}'")
             page.wait_for_timeout(300)
             assert page.inner_text("#refusal"), wrong
@@ -144,7 +158,7 @@ def test_the_printed_file_has_the_values_of_its_inputs(shared, chromium) -> None
     with open_offline(chromium, shared) as page:
         page.emulate_media(media="print")
         fields = page.locator(".field")
-        assert fields.count() == fields.locator(".number:visible").count() == 12
+        assert fields.count() == fields.locator(".number:visible").count() == 13
         assert page.locator(".slider:visible, button:not(.term):visible").count() == 0
 
 

@@ -53,7 +53,7 @@ import {readFileSync} from 'node:fs'
 const {computeErrors} = await import(MODULE)
 const {measured, depths} = JSON.parse(readFileSync(0, 'utf8'))
 const positions = (s) => s.flatMap((one) => [one, 0])
-const straight = (depth) => ({shape: {x: [depth - 150, depth], depth}, positions})
+const straight = (depth) => ({shape: {x: [depth - 150, depth], depth, planes: 1}, positions})
 console.log(JSON.stringify(depths.map((depth) => computeErrors(straight(depth), measured))))
 """
 

@@ -3,6 +3,7 @@
 import math
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,7 @@ from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
-    from needlefit.planning.goals import PlaneGoal
+    from needlefit.planning.goals import Ball, PlaneGoal, SpacePoint
     from needlefit.planning.steering import SteeringPlan
     from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -62,11 +63,14 @@ def plan(
     quiet: options.Quiet = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Plan how to steer a needle to a target: entry, base, turns.
+    """Plan how to steer a needle to a target: entry, base, turns of the bevel.
 
     The plan has the greatest probability, over posterior draws of the parameters, that the tip ends within
-    --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact.
+    --radius and no obstacle is touched. A SCENE has one set of parameters, taken as exact. To a target off
+    the plane z = 0 the bevel is rolled as the insertion begins, while the base moves along y; where that does
+    not reach it, bevel and base are rolled together.
     """
+    from needlefit.planning.goals import cut_plane, make_space_goal
     from needlefit.planning.steering import PlanLimits, plan_steering
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
@@ -75,12 +79,18 @@ def plan(
     if write_recording is not None:
         require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
     shown = open_target(name, specimen=specimen or "planned")
-    aim = _make_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
+    aim, balls = _read_goal(shown, target, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
-    found = plan_steering(insertion, aim.goal, limits, invocation.jobs)
-    summary = _summarize(shown, aim, found, len(insertion.samples[0]))
+    plane = cut_plane(aim, radius, tuple(balls))
+    goal = make_space_goal(aim, radius, balls) if aim[2] or insertion.spatial else plane.goal
+    found = plan_steering(insertion, goal, limits, invocation.jobs)
+    if goal.spatial and not found.hits and not insertion.spatial:  # base and bevel rolled together
+        rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
+        found = rolled if rolled.hits else found
+    plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
+    summary = _summarize(shown, plane, found, len(insertion.samples[0]))
     if invocation.json:
         screen.show_json(summary)
     else:
@@ -91,7 +101,7 @@ def plan(
     if not found.hits:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
     if not invocation.json:
-        _show_steps(shown, aim, summary)
+        _show_steps(shown, summary)
     if write_recording is not None:
         write_plan(shown, found, write_recording)
         screen.print_note(f"written: {write_recording}")
@@ -101,15 +111,14 @@ def plan(
     require_no_faults(f"{shown.name}: {fault}" for fault in shown.faults)
 
 
-def _make_goal(
+def _read_goal(
     shown: "ViewedScene",
     target: str | None,
-    radius: float,
     obstacles: Sequence[str],
     markups: Path | None,
     obstacle_radius: float,
-) -> "PlaneGoal":
-    from needlefit.planning.goals import Ball, cut_plane, name_obstacles, read_goal_points
+) -> "tuple[SpacePoint, list[Ball]]":
+    from needlefit.planning.goals import Ball, name_obstacles, read_goal_points
     from needlefit.viewer.plans import find_placement
 
     aim, balls = None, list[Ball]()
@@ -129,7 +138,7 @@ def _make_goal(
         if size <= 0:
             raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
         balls.append(Ball(name, (x, y, rest[0] if rest else 0.0), size))
-    return cut_plane(aim, radius, tuple(balls))
+    return aim, balls
 
 
 def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:
@@ -145,15 +154,18 @@ def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str
 
 
 def _summarize(
-    shown: "ViewedScene", aim: "PlaneGoal", found: "SteeringPlan", search_draws: int
+    shown: "ViewedScene", plane: "PlaneGoal", found: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
+    from needlefit.mechanics.torsion import find_roll
     from needlefit.project.result_warnings import to_rows
 
     goal, exact = found.goal, shown.spread is None
     steps = [
         {
             "depth_mm": step.depth,
-            "bevel_side": step.bevel.side,
+            **(
+                {"bevel_roll_deg": find_roll(step.bevel)} if goal.spatial else {"bevel_side": step.bevel.side}
+            ),
             "base_y_mm": step.controls.base_y,
             "base_slope": step.controls.base_slope,
         }
@@ -163,8 +175,8 @@ def _summarize(
         "target_mm": list(goal.target),
         "radius_mm": goal.radius,
         "obstacles": [one.model_dump(include={"name", "centre_mm", "radius_mm"}) for one in goal.obstacles],
-        "obstacles_beside_the_plane": list(aim.beside),
-        "roll_deg": aim.roll_deg,
+        "obstacles_beside_the_plane": list(plane.beside),
+        "roll_deg": plane.roll_deg,
         "entry_mm": found.entry_mm,
         "turns_mm": list(found.turns),
         "steps": steps,
@@ -183,26 +195,33 @@ def _summarize(
     }
 
 
-def _show_steps(shown: "ViewedScene", aim: "PlaneGoal", summary: dict[str, Any]) -> None:
+def _show_steps(shown: "ViewedScene", summary: dict[str, Any]) -> None:
     import pandas as pd
 
     screen.print_line()
     screen.print_text(shown.title)
-    if aim.roll_deg:
-        screen.print_line(f"Roll the needle by {aim.roll_deg:.1f} degrees about x, from y toward z.")
+    if summary["roll_deg"]:
+        screen.print_line(f"Roll the needle by {summary['roll_deg']:.1f} degrees about x, from y toward z,")
+        screen.print_line("and move its base in that plane.")
     if abs(summary["entry_mm"]) > 0.005:
         screen.print_line(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     rows = [
         {
             "Insert to mm": f"{step['depth_mm']:.2f}",
-            "Bevel": "+y" if step["bevel_side"] > 0 else "-y",
+            "Bevel": f"roll {step['bevel_roll_deg']:.1f}°"
+            if "bevel_roll_deg" in step
+            else "+y"
+            if step["bevel_side"] > 0
+            else "-y",
             "Base y mm": f"{step['base_y_mm']:.2f}",
             "Base angle °": f"{math.degrees(math.atan(step['base_slope'])):.2f}",
         }
         for step in summary["steps"]
     ]
     screen.show_frame(pd.DataFrame(rows), "Before each row set bevel and base, then insert:")
-    for name in aim.beside:
+    if "tip_sd_mm" in summary:
+        screen.print_line("A roll of 0 turns the bevel toward +y, 90 toward +z.")
+    for name in summary["obstacles_beside_the_plane"]:
         screen.print_line(f"{name} lies beside the plane of the needle.")
 
 
@@ -225,9 +244,16 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
         f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
         f"{_SPECIMENS[shown.specimen]}. "
-        f"Median miss {median} mm, 95 % below {most} mm. "
+        f"Median miss {median} mm, 95 % below {most} mm.{_describe_spread(summary)} "
         f"Model error is not included.{bound}"
     )
+
+
+def _describe_spread(summary: dict[str, Any]) -> str:
+    """Return how far the tips of draws lie apart along y and z; nothing of a plan in the plane."""
+    if not (spread := summary.get("tip_sd_mm")):
+        return ""
+    return f" Tips spread by {spread[0]:.2f} mm along y and {spread[1]:.2f} mm along z (SD)."
 
 
 def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:

@@ -89,7 +89,7 @@ def simulate(
             raise typer.BadParameter("is of a recording: it needs --recording", param_hint="--html")
         require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
-        done = _simulate_scene(scene, record, where, written)
+        done = _simulate_scene(scene, record, where)
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
@@ -126,23 +126,13 @@ def simulate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def _simulate_scene(
-    name: str, record: "SceneRecord", where: str, outputs: Mapping[str, Path]
-) -> SimulationOutcome:
-    """Carry out a scene's steps; `where` is named in errors.
-
-    Raises BadParameter if one of `outputs`, by option, shows the plane z = 0 and the needle leaves it.
-    """
+def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
+    """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
     from needlefit.mechanics.session import NeedleState
     from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
     title, scene = record.title or name, Scene.from_record(record, where, in_space=True)
-    if scene.spatial and outputs:
-        raise typer.BadParameter(
-            "shows the plane z = 0, which this needle leaves: only --json gives it in space",
-            param_hint=next(iter(outputs)),
-        )
     shapes = simulate_scene(scene)
 
     def draw(path: Path) -> None:

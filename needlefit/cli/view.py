@@ -86,7 +86,7 @@ def _trials(
     folder: Path,
     specimen: str,
 ) -> "TrialRegistry":
-    from needlefit.viewer.opening import open_recording, open_target, reopen
+    from needlefit.viewer.opening import open_recording, open_target
     from needlefit.viewer.recording import read_recording
     from needlefit.viewer.trials import TrialRegistry
 
@@ -94,4 +94,4 @@ def _trials(
     shown = open_target(target, specimen=specimen) if source is None else open_recording(source)
     screen.print_warnings(invocation, shown.warnings)
 
-    return TrialRegistry(shown, folder, lambda choice: reopen(shown, choice, specimen), source)
+    return TrialRegistry(shown, folder, lambda choice: open_target(shown.name, choice, specimen), source)

@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Self, get_args
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.native import LINEAR_CUT
+from needlefit.mechanics.native import LINEAR_CUT, compute_sine_cosine
 from needlefit.mechanics.needle import is_bounded, require_type
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
@@ -45,18 +45,23 @@ class Bevel:
         """The unit vector (y, z) toward which the bevel turns the cut; exact at whole quarter turns."""
         if self.roll_deg == 0:
             return float(self.side), 0.0
-        quarters = round(self.roll_deg / 90)
+        quarters = math.floor(self.roll_deg / 90 + 0.5)
         rest = math.radians(self.roll_deg - 90 * quarters)
-        y, z = self.side * math.cos(rest), self.side * math.sin(rest)
+        z, y = (self.side * part for part in compute_sine_cosine(rest))
         return ((y, z), (-z, y), (-y, -z), (z, -y))[quarters % 4]
 
     @classmethod
     def from_record(cls, record: BevelRecord) -> Self:
-        """Return the bevel that a validated record describes; a roll by half a turn is the other side."""
-        side, roll = record.side, record.roll_deg or 0.0
-        if math.fmod(roll, 360.0) in (180.0, -180.0):
-            side, roll = -1, roll - 180.0
-        return cls(record.offset_mm or 0.0, side, math.radians(record.cut_angle_deg or 0.0), roll)
+        """Return the bevel that a validated record describes."""
+        roll = record.roll_deg if record.roll_deg is not None else 0.0 if record.side > 0 else 180.0
+        return cls.turn(roll, record.offset_mm or 0.0, math.radians(record.cut_angle_deg or 0.0))
+
+    @classmethod
+    def turn(cls, roll_deg: float, offset: float, cut_angle: float) -> Self:
+        """Return a bevel with a roll from +y, degrees; rolled by half a turn it is that of the other side."""
+        if math.fmod(roll_deg, 360.0) in (180.0, -180.0):
+            return cls(offset, -1, cut_angle, roll_deg - 180.0)
+        return cls(offset, 1, cut_angle, roll_deg)
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,7 @@ _MODULUS: dict[str, Any] = {
 INPUTS = {
     "depth_mm": Input(**_LENGTH),
     "bevel_side": Input(expected="+1 (y > 0) or -1", values=(1.0, -1.0)),
+    "bevel_roll_deg": Input(),
     "bevel_offset_mm": Input(**_LENGTH),
     "cut_angle_deg": Input(**_ANGLE),
     "base_y_mm": Input(),

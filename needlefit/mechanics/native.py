@@ -631,6 +631,14 @@ def evaluate_law(
     return EvaluatedLaw(k, tangent, by_shape, float(about[0]), float(about[1]), about[2:])
 
 
+def compute_sine_cosine(angle: float) -> tuple[float, float]:
+    """Return sine and cosine of an angle, rad, to the bit those of the page."""
+    at, found = np.array([angle]), np.empty((2, 1))
+    for which, one in zip((3, 4), found, strict=True):
+        load_library().nf_function(c_int64(which), c_int64(1), _at(at), _at(one))
+    return float(found[0, 0]), float(found[1, 0])
+
+
 def measure_table_range(table: Floats) -> float:
     """Return the compression up to which a polynomial serves for a law's table (see `packing`)."""
     check_array("table", table, float, (2 + TABLE_PIECES * TABLE_TERMS,))

@@ -265,8 +265,8 @@ class NeedleShape:
 
     @property
     def tip_path(self) -> Floats:
-        """Depth and deflection of the tip as it stood at each constraint point, (M + 1, 2) mm."""
-        return np.column_stack((self.constraints[:, 0], self.tip_track[:, 0]))
+        """Depth and deflections of the tip as it stood at each constraint point, as `constraints`, mm."""
+        return np.column_stack((self.constraints[:, 0], self.tip_track[:, ::2]))
 
     @property
     def tip_lateral(self) -> float:

@@ -1,6 +1,6 @@
 """What a plan is for: a target, obstacles, and how far needles miss them; read from space or from 3D Slicer.
 
-Needles are arrays (B, K, 2) of B draws, entry to tip in the plane of the plan, mm, NaN where a draw has none.
+Needles are arrays (B, K, 2) of B draws, in space (B, K, 3), entry to tip, mm, NaN where a draw has none.
 """
 
 import math
@@ -32,15 +32,30 @@ SpacePoint = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Goal:
-    """What a plan is for: a target (mm), the distance that still counts as a hit (mm), and obstacles."""
+    """What a plan is for: a target (mm), the distance that still counts as a hit (mm), and obstacles.
 
-    target: tuple[float, float]
+    All in the plane z = 0, or all in space.
+    """
+
+    target: tuple[float, float] | SpacePoint
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
 
+    @property
+    def spatial(self) -> bool:
+        """Whether it lies in space."""
+        return len(self.target) == 3
+
+    def to_space(self) -> "Goal":
+        """Return the same goal in space; circles become spheres."""
+        if self.spatial:
+            return self
+        spheres = [one.model_copy(update={"centre_mm": (*one.centre_mm[:2], 0.0)}) for one in self.obstacles]
+        return Goal((*self.target[:2], 0.0), self.radius, tuple(spheres))
+
 
 def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:
-    """Return the distance (B,), mm, of needles (B, K, 2) from the rim of an obstacle; negative inside it."""
+    """Return the distance (B,), mm, of needles (B, K, D) from the rim of an obstacle; negative inside it."""
     start, along = needles[:, :-1], np.diff(needles, axis=1)
     away = np.asarray(obstacle.centre_mm) - start
     part = np.clip(np.sum(away * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-30), 0.0, 1.0)
@@ -143,6 +158,12 @@ def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> Pla
         )
     goal = Goal((x, y * cos + z * sin if z else y), radius, tuple(circles))
     return PlaneGoal(goal, math.degrees(roll), tuple(beside))
+
+
+def make_space_goal(target: SpacePoint, radius: float, balls: Sequence[Ball]) -> Goal:
+    """Return the goal in space."""
+    spheres = [ObstacleRecord(name=o.name, centre_mm=o.centre, radius_mm=o.radius) for o in balls]
+    return Goal(target, radius, tuple(spheres))
 
 
 def read_goal_points(

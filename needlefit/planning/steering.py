@@ -1,5 +1,8 @@
 """Plan how to steer a needle from where it stands to a target: entry, path of the base, turns of the bevel.
 
+In the plane z = 0 the bevel faces either side. To a goal in space it takes on any roll at first; on the way
+it turns over as in the plane, and the base moves along y.
+
 The plan is the one of least risk: the share of posterior draws whose tip misses the target by more than its
 radius, or whose needle touches an obstacle. Turns of the bevel are chosen from a grid of constraint points;
 for each choice one Gauss-Newton step brings the expected tip to the target, the best few are then optimised
@@ -22,10 +25,11 @@ from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.inference.predict import wilson_interval
 from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
-from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import find_roll
 from needlefit.planning.goals import (
     PATH_POINTS,
     Goal,
@@ -76,8 +80,10 @@ NESTED_RANGES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75)
 LIMIT_PART = 1e-3  #: a choice this near to the end of its range, as a part of it, is at its limit
 CERTAIN_RISK = 0.99  #: from this risk on a choice counts as one that misses the target in all draws
 
-DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3])
-"""Of the differences: entry, depth and base (mm), slope of the base."""
+DIFFERENCE_STEPS = np.array([0.05, 0.05, 0.05, 1e-3, 0.5])
+"""Of the differences: entry, depth and base (mm), slope of the base, roll (degrees)."""
+
+MAX_ROLL_DEG = 360.0  #: a roll is sought up to so far from that toward y: it may go once around
 
 LIMITED = ("entry", "base", "base angle")  #: what `PlanLimits` limits, as `SteeringPlan.at_limit` names it
 
@@ -114,6 +120,11 @@ class StartedInsertion:
         return replace(last, controls=replace(last.controls, tip=None))
 
     @property
+    def spatial(self) -> bool:
+        """Whether the needle has left the plane z = 0."""
+        return not all(step.planar for step in self.path)
+
+    @property
     def exact(self) -> ParameterDraws:
         """The parameters of the tissue and the bevel themselves."""
         return ParameterDraws.exact(self.tissue, self.now.bevel, self.rules)
@@ -146,8 +157,8 @@ class StartedInsertion:
 class SteeringPlan:
     """A plan, and what becomes of its needles.
 
-    `needles` (B, K, 2), mm, are those of the draws that test it, NaN where one has no solution within the
-    model's validity; `nominal` (K, 2) is that of the exact parameters.
+    `needles` (B, K, 2), in space (B, K, 3), mm, are those of the draws that test it, NaN where one has no
+    solution within the model's validity; `nominal` (K, 2) or (K, 3) is that of the exact parameters.
     """
 
     entry_mm: float  #: shift of the entry along y
@@ -192,7 +203,9 @@ class SteeringPlan:
         """Return misses in mm (None without a needle), what needles touch, and what is at its limit."""
         misses, nominal = self.misses, self.nominal_miss
         median, most = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else (None, None)
-        return {
+        tips = self.needles[self.solved, -1]
+        spread = {"tip_sd_mm": tips.std(axis=0)[1:].tolist()} if self.goal.spatial and len(tips) else {}
+        return spread | {
             "nominal_miss_mm": nominal if math.isfinite(nominal) else None,
             "median_mm": median,
             "miss_95_mm": most,
@@ -214,6 +227,7 @@ def plan_steering(
     `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
     tip, out of the needle's reach, no needle is found on the way, or `cancelled()` while it is sought.
     """
+    goal = goal.to_space() if insertion.spatial else goal
     search = _Search(insertion, goal, limits or PlanLimits(), threads, cancelled)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
@@ -231,7 +245,7 @@ def plan_steering(
     hits = int(np.sum(find_hits(needles, goal)))
     low, high = wilson_interval(hits / len(needles), len(needles))
     touched = {one.name: float(np.mean(compute_clearances(needles, one) < 0)) for one in goal.obstacles}
-    turns = (now.depth,) * (way[0].bevel.side != now.bevel.side) + chosen.turns
+    turns = (now.depth,) * (way[0].bevel != now.bevel) + chosen.turns
     least, most = search.bounds
     near = LIMIT_PART * (most - least)
     at_end = (np.abs(chosen.at - search.still) > near) & (
@@ -244,11 +258,21 @@ def plan_steering(
 
 @dataclass(frozen=True)
 class _Choice:
-    """A side of the bevel, depths at which it turns over, and `at`: entry, depth, base y and base slope."""
+    """A side of the bevel, depths at which it turns over, and `at`: entry, depth, base y and base slope.
+
+    In space `at` ends with the roll of the bevel, degrees, in place of its side.
+    """
 
     side: int
     turns: tuple[float, ...]
     at: Floats
+
+    def face(self, bevel: Bevel, turned: int) -> Bevel:
+        """Return a bevel as it faces after so many turns."""
+        if len(self.at) == 4:
+            return replace(bevel, side=self.side * (-1) ** turned)
+        roll_deg = math.remainder(float(self.at[4]) + 180.0 * turned, 360.0)
+        return Bevel.turn(roll_deg, bevel.offset, bevel.cut_angle)
 
 
 @dataclass(frozen=True)
@@ -262,18 +286,18 @@ class _Search:
     @cached_property
     def end(self) -> float:
         """Depth of the target: the length of the straight way to it from where the needle stands."""
-        x, y = self.goal.target
-        return math.hypot(x, y * (self.limits.entry_mm == 0))
+        x, y, *z = self.goal.target
+        return math.hypot(x, y * (self.limits.entry_mm == 0), *z)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and greatest entry, depth, base y and base slope."""
+        """Least and greatest entry, depth, base y and base slope, in space roll."""
         now, limits = self.insertion.now, self.limits
         entry = limits.entry_mm if now.depth <= SAME_DEPTH_MM else 0.0
         nearest = max(self.end - DEPTH_RANGE_MM, now.depth + 0.1)
         deepest = min(self.end + DEPTH_RANGE_MM, self.insertion.reach)
-        low = [-entry, nearest, -limits.base_mm, -limits.base_slope]
-        high = [entry, deepest, limits.base_mm, limits.base_slope]
+        low = [-entry, nearest, -limits.base_mm, -limits.base_slope, -MAX_ROLL_DEG][: len(self.still)]
+        high = [entry, deepest, limits.base_mm, limits.base_slope, MAX_ROLL_DEG][: len(self.still)]
         margin = 1e-5  # of what is fixed: least_squares wants bounds that differ
         return np.minimum(low, self.still) - margin, np.maximum(high, self.still) + margin
 
@@ -296,8 +320,8 @@ class _Search:
     def way(self, choice: _Choice) -> tuple[Step, ...]:
         """Return the steps of a choice; the base goes in equal steps to its end, none before contact."""
         now = self.insertion.now
-        _, depth, base_y, base_slope = choice.at.tolist()
-        side, steps = choice.side, list[Step]()
+        _, depth, base_y, base_slope, *_ = choice.at.tolist()
+        turned, steps = 0, list[Step]()
         controls = now.controls
         for end in (*sorted({*self.base_stations, *choice.turns}), depth):
             # before contact a moved base would move the entry too
@@ -307,29 +331,33 @@ class _Search:
                 y = begin.base_y + part * (base_y - begin.base_y)
                 slope = begin.base_slope + part * (base_slope - begin.base_slope)
                 controls = replace(begin, base_y=y, base_slope=slope)
-            step = Step(end, replace(now.bevel, side=side), controls)
+            step = Step(end, choice.face(now.bevel, turned), controls)
             if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
                 steps.pop()
             steps.append(step)
-            side = -side if end in choice.turns else side
+            turned += end in choice.turns
         return tuple(steps)
 
     def needles(self, draws: ParameterDraws, choices: Sequence[_Choice]) -> list[Floats]:
-        """Return the needles (B, K, 2) of all draws under each choice, NaN where none is within validity."""
+        """Return the needles (B, K, D) of all draws under each choice, NaN where none is within validity."""
         if self.cancelled():
             raise ModelError("the search was cancelled", expected="a plan that is still wanted")
         found = self.insertion.simulate(draws, [self.way(one) for one in choices], self.threads)
         placed = []
         for shapes, (entry, depth, *_) in zip(found, (one.at for one in choices), strict=True):
             points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
-            placed.append(np.where(shapes.valid[:, None, None], points + np.array([0.0, entry]), np.nan))
+            if self.goal.spatial and points.shape[2] == 2:  # of a roll that leaves it in its plane
+                points = np.pad(points, ((0, 0), (0, 0), (0, 1)))
+            shift = np.array([0.0, entry, 0.0])[: points.shape[2]]
+            placed.append(np.where(shapes.valid[:, None, None], points + shift, np.nan))
         return placed
 
     @cached_property
     def still(self) -> Floats:
-        """Straight on: entry, depth, base y and base slope."""
-        controls = self.insertion.now.controls
-        return np.array([0.0, self.end, controls.base_y, controls.base_slope])
+        """Straight on: entry, depth, base y and base slope, in space roll."""
+        bevel, controls = self.insertion.now.bevel, self.insertion.now.controls
+        roll = [math.remainder(find_roll(bevel), 360.0)] if self.goal.spatial else []
+        return np.array([0.0, self.end, controls.base_y, controls.base_slope, *roll])
 
     def effort(self, choice: _Choice) -> Floats:
         """Return how far a choice moves entry, base and its slope, as parts of their ranges."""
@@ -372,6 +400,12 @@ class _Search:
             for turned in combinations(_spread(self.stations, TURN_PLACES[count]), count)
         ]
         sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
+        if self.goal.spatial:  # toward the target, or away from it
+            y, z = self.goal.target[1], self.goal.target[-1]
+            begin[4] = math.degrees(math.atan2(z, y - begin[0])) if bends else begin[4]
+            away = begin + np.array([0.0, 0.0, 0.0, 0.0, -math.copysign(180.0, begin[4])])
+            starts = (begin, away) if bends else (begin,)
+            return [_Choice(1, turned, at) for turned, at in product(turns, starts)]
         return [_Choice(side, turned, begin) for turned, side in product(turns, sides)]
 
     def best(self) -> _Choice:
@@ -399,7 +433,7 @@ class _Search:
             def residuals(places: Sequence[Floats], one: _Choice = one) -> list[Floats]:
                 return self.residuals([replace(one, at=at) for at in places])
 
-            at, _ = minimize_miss(residuals, one.at, self.bounds, DIFFERENCE_STEPS)
+            at, _ = minimize_miss(residuals, one.at, self.bounds, DIFFERENCE_STEPS[: len(one.at)])
             found.append(replace(one, at=at))
         found = self._rank(found)
         return self._rank([*map(self._lower_risk, found[: count - 1]), found[0]])[0]
@@ -413,13 +447,14 @@ class _Search:
 
     def _step_once(self, choices: Sequence[_Choice]) -> list[_Choice]:
         """Return choices after one Gauss-Newton step each, all their needles simulated together."""
-        moves = np.vstack([np.zeros(4), np.diag(DIFFERENCE_STEPS)])
+        count, steps = len(self.still), DIFFERENCE_STEPS[: len(self.still)]
+        moves = np.vstack([np.zeros(count), np.diag(steps)])
         shifted = [replace(one, at=one.at + move) for one in choices for move in moves]
         values = self.residuals(shifted)
         stepped = []
         for n, one in enumerate(choices):
-            here, *moved = values[5 * n : 5 * n + 5]
-            slopes = (np.array(moved) - here).T / DIFFERENCE_STEPS
+            here, *moved = values[(1 + count) * n : (1 + count) * (n + 1)]
+            slopes = (np.array(moved) - here).T / steps
             low, high = self.bounds
             weights = high - low  # of equal size within the bounds
             step = np.linalg.lstsq(slopes * weights, -here, rcond=1e-6)[0] * weights

@@ -208,7 +208,12 @@ def encode_step(step: Step) -> dict[str, Any]:
     bevel, held, tip = step.bevel, step.controls, step.controls.tip
     return {
         "depth": step.depth,
-        "bevel": {"side": bevel.side, "offset": bevel.offset, "cutAngle": bevel.cut_angle},
+        "bevel": {
+            "side": bevel.side,
+            "roll": bevel.roll_deg,
+            "offset": bevel.offset,
+            "cutAngle": bevel.cut_angle,
+        },
         "controls": {
             "baseY": held.base_y,
             "baseSlope": held.base_slope,
@@ -236,7 +241,8 @@ def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
             terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
     return {
         "model": {
-            "length": scene.needle.length, "rigidity": scene.needle.flexural_rigidity,
+            "spatial": scene.spatial, "length": scene.needle.length,
+            "rigidity": scene.needle.flexural_rigidity,
             "boundaries": tissue.boundaries.tolist(), "terms": sizes["terms"],
             **{name: layers[name].ravel().tolist() for name in ("mu", "thickness", "friction", "law")},
             "spacing": rules.spacing, "element": rules.element, "firstCell": first_cell,

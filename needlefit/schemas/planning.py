@@ -8,11 +8,11 @@ Vector = tuple[float, float, float]
 
 
 class ObstacleRecord(Record):
-    """A circle in the plane that the needle must avoid."""
+    """A circle in the plane, or a sphere in space, that the needle must avoid."""
 
     name: Name
     """Name of the obstacle in tables."""
-    centre_mm: tuple[float, float]
-    """Centre of the circle, x and y in the plane."""
+    centre_mm: tuple[float, float] | Vector
+    """Centre: x and y in the plane, in space z too."""
     radius_mm: float = Field(gt=0)
     """Radius."""

@@ -129,7 +129,8 @@ def draw_overlays(results: Run, role: str, *, from_above: bool = False) -> Drawi
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(results, role, names, every, from_above=from_above)
-    options = {"heads": titles, "names": names, "across": "out of the plane" if from_above else ""}
+    options: dict[str, object] = {"heads": titles, "names": names}
+    options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing(forms.insertions, curves, options)
 
 

@@ -19,7 +19,6 @@ from needlefit.inference.forward_model import (
     select_layer_draws,
 )
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
@@ -28,6 +27,7 @@ from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.viewer.overlays import make_measured_overlay
+from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
@@ -112,7 +112,7 @@ def _show_insertion(
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
     record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)
-    scene = Scene.from_record(record, f"{name}/{insertion.id}")
+    scene = make_scene(record, f"{name}/{insertion.id}")
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid

@@ -12,12 +12,12 @@ import numpy as np
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.scene import Scene
 from needlefit.project.input_files import is_file, read_text
 from needlefit.project.locate import file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.recording import Recording
+from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def open_target(name: str | None, insertion: str | None = None, specimen: str = 
     view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
     if view_target.kind == "scene":
         record = load(view_target.path, SceneRecord)
-        scene = Scene.from_record(record, file_label(view_target.path))
+        scene = make_scene(record, file_label(view_target.path))
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
@@ -49,11 +49,6 @@ def open_target(name: str | None, insertion: str | None = None, specimen: str = 
     if view_target.kind == "run":
         return measured.open_run(view_target)
     return measured.open_dataset(view_target)
-
-
-def reopen(viewed_scene: ViewedScene, choice: str, specimen: str = "shown") -> ViewedScene:
-    """Return one of the `choices` of a scene; errors as of `open_target`."""
-    return open_target(viewed_scene.name, choice, specimen)
 
 
 def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None":
@@ -76,7 +71,7 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
         usable = False
     if not usable:
         raise DataError("its draws are not all positive", where=str(path), expected=", ".join(names))
-    tissue = Scene.from_record(record, str(path)).tissue
+    tissue = make_scene(record, str(path)).tissue
     for layer, shape in zip(layers, tissue.shape.T.tolist(), strict=True):
         for name, value in zip(LAWS[record.law].shape_names, shape, strict=True):
             table.setdefault(f"{name}{layer}", np.full(len(rows), value))

@@ -12,14 +12,13 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Placement
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.scene import Scene
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
 from needlefit.viewer.recording import RecordedStep, RecordingWriter
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes
+from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
@@ -57,7 +56,7 @@ def _read_numbers(row: object, count: int) -> list[float]:
 
 def begin_insertion(viewed_scene: ViewedScene) -> StartedInsertion:
     """Return a scene's insertion at first contact, under the inputs of its first step."""
-    scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
+    scene = make_scene(viewed_scene.record, viewed_scene.name)
     first = scene.steps[0]
     rules = replace(scene.rules, first_cell=viewed_scene.first_cell)
     start = Step(0.0, first.bevel, first.controls)
@@ -82,9 +81,6 @@ def plan_message(found: SteeringPlan, step: int, answers: int) -> dict[str, Any]
         "fan": [[round_lengths(column) for column in needle.T] for needle in drawn],
         "x": round_lengths(nominal[:, 0]),
         "y": round_lengths(nominal[:, 1]),
-        "steps": [
-            [one.depth, one.bevel.side, one.controls.base_y, one.controls.base_slope] for one in found.steps
-        ],
         "path": [encode_step(one) for one in found.steps],
         "turns": len(found.turns),
         "draws": len(found.needles),
@@ -101,7 +97,7 @@ def find_placement(viewed_scene: ViewedScene) -> Placement:
     if viewed_scene.placement is not None:
         return Placement.from_record(viewed_scene.placement)
     if viewed_scene.measured is None:
-        return Scene.from_record(viewed_scene.record, viewed_scene.name).entry.placement
+        return make_scene(viewed_scene.record, viewed_scene.name).entry.placement
     raise ConfigError(
         f"where {viewed_scene.name} lies in its scan is not known",
         expected="a target in the constraint frame",
@@ -116,7 +112,7 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
     the scene's parameters.
     """
     viewed_scene = shift_entry(viewed_scene, plan.entry_mm)
-    scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
+    scene = make_scene(viewed_scene.record, viewed_scene.name)
     steering = SteeredNeedle(scene, viewed_scene.first_cell)
     path.unlink(missing_ok=True)
     recorder, time = RecordingWriter(path, viewed_scene.make_head()), 0.0

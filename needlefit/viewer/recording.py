@@ -15,14 +15,13 @@ from pathlib import Path
 
 from needlefit import __version__
 from needlefit.errors import DataError, ModelError
-from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.steering import Change, SteeredNeedle
+from needlefit.viewer.steering import Change, SteeredNeedle, make_scene
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
 
@@ -211,7 +210,7 @@ class ReplayedStep:
 
 def begin_replay(recording: Recording) -> SteeredNeedle:
     """Return the needle of a recording at first contact; ConfigError if the model does not take its scene."""
-    scene = Scene.from_record(recording.head.scene, recording.where)
+    scene = make_scene(recording.head.scene, recording.where)
     return SteeredNeedle(scene, recording.head.first_cell_mm)
 
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from needlefit.errors import ModelError
+from needlefit.errors import ConfigError, ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.inputs import BASE_CLEARANCE_MM, MAX_GUIDE_NUMBER, find_input
 from needlefit.mechanics.laws import LAWS
@@ -17,7 +17,26 @@ from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.torsion import find_roll
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
+from needlefit.schemas.scene import SceneRecord
+
+
+def make_scene(record: SceneRecord, where: str) -> Scene:
+    """Return the scene of a needle to steer; `where` is named in errors.
+
+    ConfigError if the model does not take it, or its needle leaves the plane z = 0 by other inputs than the
+    roll of the bevel.
+    """
+    scene = Scene.from_record(record, where, in_space=True)
+    if scene.tissue.torsional_friction or not all(step.controls.planar for step in scene.steps):
+        raise ConfigError(
+            "its tip lags behind the hub, or its base, guides or tip have inputs along z",
+            where=where,
+            expected="a needle that the roll of the bevel alone leads out of the plane z = 0",
+            fix="`needlefit simulate` computes it",
+        )
+    return scene
 
 
 @dataclass(frozen=True)
@@ -55,7 +74,9 @@ class Change:
 Values = dict[tuple[str, int | None], float]
 
 
-def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
+def apply_changes(
+    step: Step, changes: Iterable[Change], names: Sequence[str], stands: tuple[float, float]
+) -> Step:
     """Return the depth and inputs of `step` after some inputs were changed.
 
     ModelError if the model has no such inputs.
@@ -65,7 +86,7 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
     changes : iterable of Change
     names : sequence of str
         What the scene calls its guides, in the order of their numbers.
-    tip_y : float
+    stands : (y, z)
         Where the tip stands, mm: it is held there where nothing says another place.
     """
     values: Values = {(change.name, change.item): change.value for change in changes}
@@ -77,8 +98,8 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
     if of("tip_held", 1.0) == 0:
         tip = None
     elif tip is not None or {("tip_held", None), ("tip_y_mm", None)} & values.keys():
-        y, slope = (tip.y, tip.slope) if tip else (tip_y, None)
-        tip = TrackedTip(of("tip_y_mm", y), values.get(("tip_slope", None), slope))
+        y, slope, z = (tip.y, tip.slope, tip.z) if tip else (stands[0], None, stands[1])
+        tip = TrackedTip(of("tip_y_mm", y), values.get(("tip_slope", None), slope), z)
     controls = Controls(
         of("base_y_mm", held.base_y),
         of("base_slope", held.base_slope),
@@ -86,9 +107,11 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
         _apply_to_guides(held.guides, values, names),
         tip,
     )
-    bevel = Bevel(
+    side = values.get(("bevel_side", None))
+    roll = find_roll(step.bevel) if side is None else 0.0 if side > 0 else 180.0
+    bevel = Bevel.turn(
+        of("bevel_roll_deg", roll),
         of("bevel_offset_mm", step.bevel.offset),
-        int(of("bevel_side", step.bevel.side)),
         step.bevel.cut_angle if angle is None else math.radians(angle),  # stays to the bit
     )
     return Step(of("depth_mm", step.depth), bevel, controls)
@@ -97,8 +120,11 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
 def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, ...]:
     """Return the changes that turn the inputs of `now` into those of `step`; the depth is not included."""
     wanted, held = step.controls, now.controls
+    turned = ("bevel_side", float(step.bevel.side), float(now.bevel.side))
+    if step.bevel.roll_deg or now.bevel.roll_deg:
+        turned = ("bevel_roll_deg", find_roll(step.bevel), find_roll(now.bevel))
     pairs = [
-        ("bevel_side", float(step.bevel.side), float(now.bevel.side)),
+        turned,
         ("bevel_offset_mm", step.bevel.offset, now.bevel.offset),
         ("cut_angle_deg", math.degrees(step.bevel.cut_angle), math.degrees(now.bevel.cut_angle)),
         ("base_y_mm", wanted.base_y, held.base_y),
@@ -250,7 +276,9 @@ class SteeredNeedle:
             )
             self._require_valid(session.now.shape, valid_only)
         moved = [change for change in changes if not change.is_parameter]
-        step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
+        along_y, along_z = session.now.shape.u, session.now.shape.w
+        stands = float(along_y[-1]), 0.0 if along_z is None else float(along_z[-1])
+        step = apply_changes(session.last, moved, self.names, stands)
         if step != session.last:
             reach, guides = self.reach(step.controls), step.controls.before
             if valid_only and guides and step.depth > reach + 1e-6:

@@ -7,12 +7,11 @@ from time import monotonic
 from typing import Any
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.scene import Scene
 from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.messages import encode_recorded, encode_scene, encode_tables
 from needlefit.viewer.plans import continue_insertion
 from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
-from needlefit.viewer.steering import SteeredNeedle
+from needlefit.viewer.steering import SteeredNeedle, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 
@@ -25,7 +24,7 @@ class InteractiveTrial:
 
     def __init__(self, name: str, viewed_scene: ViewedScene, path: Path) -> None:
         self.name, self.viewed_scene = name, viewed_scene
-        self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
+        self.scene = make_scene(viewed_scene.record, viewed_scene.name)
         self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
         self._steering = self._begin()

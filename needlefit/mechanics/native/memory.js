@@ -53,6 +53,15 @@ export class Heap {
     }
   }
 
+  /** An elementary function of the kernel, by its number in `nf_function`. */
+  evaluate(which, x) {
+    return this.borrow(() => {
+      const [at, out] = [this.put(Float64Array.of(x)), this.take(8)];
+      this.call.nf_function(BigInt(which), 1n, at, out);
+      return this.floats(out, 1)[0];
+    });
+  }
+
   floats(at, count) {
     return new Float64Array(this.memory.buffer, at, count);
   }
@@ -151,7 +160,7 @@ export function makeShapes(heap, problem, points) {
     constraints_by: planes * sets * points * columns,
     track_by: planes * sets * points * columns,
   };
-  const shapes = { points, counts };
+  const shapes = { points, counts, room, planes };
   for (const [name, count] of Object.entries(counts))
     shapes[name] = columns || !name.endsWith("_by") ? heap.take(8 * count) : 0;
   shapes.at = heap.structure(
@@ -162,8 +171,17 @@ export function makeShapes(heap, problem, points) {
   return shapes;
 }
 
+/** Return u or slope (planes * nodes) of a problem of one set, the planes one after the other. */
+export function readPlanes(heap, shapes, name, planes, nodes) {
+  const read = new Float64Array(planes * nodes);
+  for (let plane = 0; plane < planes; plane += 1)
+    read.set(heap.floats(shapes[name] + 8 * plane * shapes.room, nodes), plane * nodes);
+  return read;
+}
+
 /** Return the shape of a problem of one set. */
 export function readShape(heap, shapes, points) {
+  const { planes } = shapes;
   const number = (name) => Number(heap.integers(shapes[name], 1)[0]);
   const read = (name, count) => heap.floats(shapes[name], count).slice();
   const nodes = number("nodes"),
@@ -172,10 +190,11 @@ export function readShape(heap, shapes, points) {
     status: STATUS[number("status")],
     passes: number("passes"),
     depth: x.at(-1),
+    planes,
     x,
-    u: read("u", nodes),
-    slope: read("slope", nodes),
-    constraints: read("constraints", 2 * points),
-    track: read("track", 2 * points),
+    u: readPlanes(heap, shapes, "u", planes, nodes),
+    slope: readPlanes(heap, shapes, "slope", planes, nodes),
+    constraints: read("constraints", (1 + planes) * points),
+    track: read("track", 2 * planes * points),
   };
 }

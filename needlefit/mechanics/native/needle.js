@@ -4,8 +4,7 @@
 //
 //     const kernel = await compile(bytes)
 //     const session = await Session.begin(kernel, model, inputs)
-//     session.set({bevel: {side: -1, strength: 0.1}})
-//     const shape = session.advance(5)
+//     const shape = session.go(5, {bevel: {side: -1, strength: 0.1}})
 //
 // model: {length, rigidity,                          the needle: mm, EI in N mm^2
 //         boundaries, mu, thickness, friction,       the layers: (n - 1), and (n) each
@@ -13,12 +12,16 @@
 //         spacing, element, firstCell,               the mesh
 //         switch, pathAngle, tangent,                the rule of advance; by default 0.5, false, 1
 //         tolerance, maxIterations}                  by default 1e-7 mm, 40
-// inputs: {bevel: {side, strength},                  side +1 or -1; b in mm, or with pathAngle theta in rad
+// inputs: {bevel: {side, roll, strength},            side +1 or -1, roll from there, degrees; b in mm, or with
+//                                                    pathAngle theta in rad
 //          base: {y, slope, stageSlope},
 //          guides: [{x, y, slope}],                  slope null: turns freely; x >= 0: in the tissue
-//          tip: null or {y, slope}}                  tracked; slope null: free
-// shape: {status, passes, depth, x, u, slope,        Float64Array of the nodes, base first
-//         constraints, track}                        (m + 1, 2): depth and y of the cut; of the tip there
+//          tip: null or {y, slope, z}}               tracked; slope null: free
+// shape: {status, passes, depth, planes, x,          Float64Arrays of the nodes, base first: x (N), of each plane
+//         u, slope,                                  (planes * N) deflection and slope
+//         constraints, track}                        (m + 1, 1 + planes): depth and place of the cut;
+//                                                    (m + 1, 2 planes): deflection and slope of the tip there
+// A needle is computed in two planes, y and z, from the first inputs on that lead it out of the plane z = 0.
 
 import {
   ARRAYS,
@@ -30,6 +33,7 @@ import {
   makeProblem,
   makeShapes,
   makeStructure,
+  readPlanes,
   readShape,
   rewrite,
 } from "./memory.js";
@@ -54,7 +58,7 @@ const findDeepest = (model) => Math.min(model.length, MAX_ELEMENTS * model.eleme
 function completeInputs(inputs) {
   const { bevel = {}, base = {}, guides = [], tip = null } = inputs;
   return {
-    bevel: { side: 1, strength: 0, ...bevel },
+    bevel: { side: 1, roll: 0, strength: 0, ...bevel },
     base: { y: 0, slope: 0, stageSlope: 0, ...base },
     guides: guides.map((guide) => ({ y: 0, slope: 0, ...guide })).sort((a, b) => a.x - b.x),
     tip,
@@ -74,38 +78,51 @@ function checkInputs(model, inputs, depth) {
     throw new RangeError(`base and guides stand at ${ends} mm; they must increase`);
 }
 
-/** As many numbers for any guides, so that later ones have room. */
-function listGuides(guides) {
-  const listed = new Float64Array(3 * MAX_GUIDES);
-  listed.set(guides.flatMap((guide) => [guide.x, guide.y, guide.slope ?? NaN]));
+/** Toward where, y and z, a bevel turns the cut: `Bevel.toward` in Python. */
+function findToward(heap, { side, roll }) {
+  if (roll === 0) return [side, 0];
+  const quarters = Math.floor(roll / 90 + 0.5),
+    rest = (roll - 90 * quarters) * (Math.PI / 180);
+  const [z, y] = [3, 4].map((which) => side * heap.evaluate(which, rest));
+  return [[y, z], [-z, y], [-y, -z], [z, -y]].at(quarters % 4); // prettier-ignore
+}
+
+/** Whether inputs leave the needle in the plane z = 0. */
+const isPlanar = (heap, { bevel, tip }) => findToward(heap, bevel)[1] === 0 && !tip?.z;
+
+/** As many numbers for any guides, so that later ones have room; they stand at z = 0. */
+function listGuides(guides, planes) {
+  const listed = new Float64Array((1 + 2 * planes) * MAX_GUIDES);
+  guides.forEach(({ x, y, slope }, i) => listed.set([x, ...listHeld(y, slope, 0, planes)], i * (1 + 2 * planes)));
   return listed;
 }
+const listHeld = (y, slope, z, planes) => [y, slope ?? NaN, z, (slope ?? null) === null ? NaN : 0].slice(0, 2 * planes);
 const repeat = (numbers, sets) => Float64Array.from({ length: sets * numbers.length }, (_, i) => numbers[i % numbers.length]);
-const listTip = (tip) => (tip ? [tip.y, tip.slope ?? NaN] : [NaN, NaN]);
+const listTip = (tip, planes) => (tip ? listHeld(tip.y, tip.slope, tip.z ?? 0, planes) : Array(2 * planes).fill(NaN));
 const listBase = (base) => [base.y, base.slope, base.stageSlope];
-const turnOf = (bevel, model) => (bevel.side * bevel.strength) / (model.pathAngle ? 1 : model.spacing);
-const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.strength]);
+const bevelKey = ({ bevel }) => JSON.stringify([bevel.side, bevel.roll, bevel.strength]);
 const controlsKey = ({ base, guides, tip }) =>
-  JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip)]);
+  JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip, 2)]);
 
 /** The arrays of a problem that hold the inputs. */
-function packInputs({ bevel, base, guides, tip }, model, { sets, strength }) {
+function packInputs(heap, { bevel, base, guides, tip }, model, { sets, strength }, planes) {
   const before = guides.filter((guide) => guide.x < 0),
-    within = guides.filter((guide) => guide.x >= 0);
-  const turn = (_, i) => turnOf({ side: bevel.side, strength: strength?.[i] ?? bevel.strength }, model);
+    within = guides.filter((guide) => guide.x >= 0),
+    toward = findToward(heap, bevel).slice(0, planes),
+    turn = (part, set) => (part * (strength?.[set] ?? bevel.strength)) / (model.pathAngle ? 1 : model.spacing);
   return {
-    turn: Float64Array.from({ length: sets }, turn),
-    base: repeat(listBase(base), sets),
+    turn: Float64Array.from(Array.from({ length: sets }, (_, set) => toward.map((part) => turn(part, set))).flat()),
+    base: repeat([...listBase(base), 0, 0, 0].slice(0, 3 * planes), sets),
     before_first: BigInt64Array.of(0n, BigInt(before.length)),
     within_first: BigInt64Array.of(0n, BigInt(within.length)),
-    before: listGuides(before),
-    within: listGuides(within),
-    held_tip: Float64Array.from(listTip(tip)),
+    before: listGuides(before, planes),
+    within: listGuides(within, planes),
+    held_tip: Float64Array.from(listTip(tip, planes)),
   };
 }
 
 /** The fields and arrays of a problem under `inputs`; `values` (sets) take the place of what model and inputs have. */
-function pack(model, inputs, values, more) {
+function pack(heap, model, inputs, values, planes, more) {
   const { sets } = values,
     layers = model.mu.length,
     ofLayers = ["mu", "thickness", "friction", "law"].map((name) => [name, values[name] ?? repeat(model[name], sets)]);
@@ -114,10 +131,10 @@ function pack(model, inputs, values, more) {
     stops: new Uint8Array(STOP_BYTES),
     rigidity: repeat([model.rigidity], sets),
     ...Object.fromEntries(ofLayers),
-    ...packInputs(inputs, model, values),
+    ...packInputs(heap, inputs, model, values, planes),
   };
   const fields = {
-    planes: 1,
+    planes,
     sets,
     layers,
     shapes: 1,
@@ -155,10 +172,11 @@ export class Session {
     this.#begin(model, inputs);
   }
 
-  #begin(model, inputs) {
+  // In the plane, unless it was in space before, or the scene or the inputs lead out of it.
+  #begin(model, inputs, planes = model.spatial || !isPlanar(this.heap, inputs) ? 2 : (this.planes ?? 1)) {
     this.deepest = findDeepest(model);
     const rays = Math.ceil(this.deepest / model.spacing);
-    this.#layOut({ model, inputs, depth: 0, ids: new Map(), maxIds: KEPT_IDS, solved: 0, shape: null, rays });
+    this.#layOut({ model, inputs, planes, depth: 0, ids: new Map(), maxIds: KEPT_IDS, solved: 0, shape: null, rays });
     this.shape = this.go(0, inputs);
   }
 
@@ -170,10 +188,10 @@ export class Session {
 
   // Take memory for problem and state; the state becomes that of `old`, which has fewer rays.
   #reserve(old) {
-    const { heap, model, inputs, rays, deepest } = this,
+    const { heap, model, inputs, planes, rays, deepest } = this,
       { call } = heap;
     heap.top = this.base;
-    const problem = makeProblem(heap, ...pack(model, inputs, { sets: 1 }, { rays, deepest }));
+    const problem = makeProblem(heap, ...pack(heap, model, inputs, { sets: 1 }, planes, { rays, deepest }));
     this.problem = problem;
     this.shapes = makeShapes(heap, problem, problem.maxPoints);
     this.done = heap.take(24);
@@ -193,28 +211,6 @@ export class Session {
     }
   }
 
-  /** Change inputs, to which the needle adapts at once; those that are not given stay. Returns the shape. */
-  set(inputs) {
-    const { bevel, base } = this.inputs;
-    return this.go(this.depth, {
-      ...this.inputs,
-      ...inputs,
-      bevel: { ...bevel, ...inputs.bevel },
-      base: { ...base, ...inputs.base },
-    });
-  }
-
-  /** Insert by so many mm; returns the shape. If that has not converged, the needle has stayed as it was. */
-  advance(distance) {
-    const depth = this.depth + Number(distance);
-    return this.go(Math.abs(depth) < SAME_DEPTH ? 0 : depth, this.inputs);
-  }
-
-  /** Retract by so many mm, at most to the entry. */
-  retract(distance) {
-    return this.advance(-Math.min(distance, this.depth));
-  }
-
   /**
    * Move the tip to a depth, mm, under all inputs; returns the shape.
    *
@@ -223,11 +219,16 @@ export class Session {
   go(depth, given, accepts = () => true) {
     if (!(depth >= 0 && depth <= this.deepest)) throw new RangeError(`the needle cannot be ${depth} mm deep`);
     const inputs = completeInputs(given),
-      before = this.inputs,
       { heap } = this;
     checkInputs(this.model, inputs, depth);
+    if (this.planes === 1 && !isPlanar(heap, inputs)) {
+      const path = this.path(); // again, in space
+      this.#begin(this.model, path[0].inputs, 2);
+      for (const one of path) this.go(one.depth, one.inputs);
+    }
+    const before = this.inputs;
     this.inputs = inputs;
-    rewrite(heap, this.problem, packInputs(inputs, this.model, { sets: 1 }));
+    rewrite(heap, this.problem, packInputs(heap, inputs, this.model, { sets: 1 }, this.planes));
     const bevel = this.#number(bevelKey(inputs), inputs.bevel),
       held = this.#number(controlsKey(inputs), inputs);
     const advance = () => {
@@ -289,9 +290,7 @@ export class Session {
     return heap.borrow(() => {
       const cut = heap.take(MOVE_BYTES * this.rays),
         position = heap.take(POSITION_BYTES);
-      const count = Number(
-        heap.call.nf_session_rays(problem.at, parts.fixed, parts.now, parts.scratch, cut, position),
-      );
+      const count = Number(heap.call.nf_session_rays(problem.at, parts.fixed, parts.now, parts.scratch, cut, position));
       const view = heap.view(cut),
         id = (at) => Number(view.getBigInt64(at, true));
       const rays = Array.from({ length: count }, (_, n) => ({
@@ -305,9 +304,9 @@ export class Session {
 
   /** The present state, to which `restore` returns; it holds also after the model was changed. */
   save() {
-    const { model, inputs, depth, shape, rays, ids, maxIds, solved, heap, parts, stateBytes } = this;
+    const { model, inputs, planes, depth, shape, rays, ids, maxIds, solved, heap, parts, stateBytes } = this;
     const state = new Uint8Array(heap.memory.buffer, parts.now, stateBytes).slice();
-    return { model, inputs, depth, shape, rays, ids: new Map(ids), maxIds, solved, state };
+    return { model, inputs, planes, depth, shape, rays, ids: new Map(ids), maxIds, solved, state };
   }
 
   restore({ state, ...saved }) {
@@ -356,104 +355,87 @@ export class Session {
     return true;
   }
 
-  /** The deflections (K), mm, of the beam at beam coordinates `s` (K): not the y of its points. */
+  /** The deflections (planes * K), mm, of the beam at beam coordinates `s` (K): not the places of its points. */
   deflections(s) {
-    const { heap, shape } = this;
+    const { heap, shape } = this,
+      nodes = shape.x.length;
     return heap.borrow(() => {
-      const at = [shape.x, shape.u, shape.slope, Float64Array.from(s)].map((array) => heap.put(array)),
-        out = heap.take(8 * s.length);
-      heap.call.nf_deflections(BigInt(shape.x.length), BigInt(s.length), ...at, out);
-      return heap.floats(out, s.length).slice();
+      const [x, u, slope, at] = [shape.x, shape.u, shape.slope, Float64Array.from(s)].map((array) => heap.put(array)),
+        out = heap.take(8 * shape.planes * s.length);
+      for (let plane = 0; plane < shape.planes; plane += 1) {
+        const there = [u, slope].map((address) => address + 8 * plane * nodes);
+        heap.call.nf_deflections(BigInt(nodes), BigInt(s.length), x, ...there, at, out + 8 * plane * s.length);
+      }
+      return heap.floats(out, shape.planes * s.length).slice();
     });
   }
 
-  /** The points (K * 2), mm, of the needle at beam coordinates `s` (K), mm: 0 at the entry, depth at the tip. */
+  /** The points (K * (1 + planes)), mm, of the needle at beam coordinates `s` (K), mm: 0 at the entry, depth at the tip. */
   positions(s) {
     const { heap, shape } = this,
       at = Float64Array.from(s);
     if (!at.every((one) => one >= shape.x[0] && one <= shape.depth)) throw new RangeError("s lies beyond the needle");
     return heap.borrow(() =>
-      findPositions(heap, shape.x.length, [shape.x, shape.u, shape.slope].map((array) => heap.put(array)), at),
+      findPositions(heap, shape.planes, shape.x.length, [shape.x, shape.u, shape.slope].map((array) => heap.put(array)), at),
     );
   }
 
-  /** All loads across the needle as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
+  /** All loads across the needle along y as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
   forces() {
-    const { heap, shape, inputs, model } = this,
+    const { heap, shape, inputs, model, planes } = this,
       { call } = heap;
     return heap.borrow(() => {
       const depth = shape.depth,
-        cells = shape.constraints.length / 2 - 1,
-        depths = shape.constraints.filter((_, i) => i % 2 === 0);
+        cells = shape.constraints.length / (1 + planes) - 1,
+        depths = shape.constraints.filter((_, i) => i % (1 + planes) === 0);
       const first = cells > 0 ? depths[1] : model.spacing;
-      const more = {
-        rays: 1,
-        deepest: Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing,
-      };
-      const problem = makeProblem(heap, ...pack({ ...model, firstCell: first }, inputs, { sets: 1 }, more));
+      const deepest = Math.max(depths.length * model.spacing, depth) + first + 2 * model.spacing;
+      const problem = makeProblem(heap, ...pack(heap, { ...model, firstCell: first }, inputs, { sets: 1 }, planes, { rays: 1, deepest }));
       const memory = heap.take(call.nf_memory(problem.at, 1n));
       const front = shape.x.findIndex((x) => x >= 0),
         room = problem.maxQuadrature;
-      const [s, weight, layer, near] = [0, 1, 2, 3].map(() => heap.take(8 * room));
+      const [s, weight, layer, near] = [0, 1, 2, 3].map(() => heap.take(8 * room)),
+        [nodes, at] = [shape.x.slice(front), depths].map((array) => heap.put(array));
       const count = Number(
         call.nf_quadrature(
-          problem.at,
-          BigInt(shape.x.length - front),
-          heap.put(shape.x.slice(front)),
-          BigInt(cells),
-          heap.put(depths),
-          memory,
-          s,
-          weight,
-          layer,
-          near,
-        ),
+          problem.at, BigInt(shape.x.length - front), nodes, BigInt(cells), at, memory, s, weight, layer, near,
+        ), // prettier-ignore
       );
       if (count < 0) check(BAD_POINTS);
-      const points = heap.put(shape.constraints);
-      const bent = heap.structure(
-        [shape.x.length, cells],
-        [],
-        [heap.put(shape.x), heap.put(shape.u), heap.put(shape.slope), points],
-      );
-      const load = heap.take(8 * count),
-        nodal = heap.take(16 * shape.x.length);
+      const parts = [shape.x, shape.u, shape.slope, shape.constraints].map((array) => heap.put(array)),
+        bent = heap.structure([shape.x.length, cells], [], parts);
+      const load = heap.take(8 * planes * count),
+        nodal = heap.take(16 * planes * shape.x.length);
       call.nf_load(problem.at, bent, BigInt(count), s, memory, load);
       check(call.nf_balance(problem.at, bent, BigInt(front), BigInt(count), load, memory, nodal));
       const held = heap.floats(nodal, 2 * shape.x.length).slice();
       const supportAt = (x, clamped) => {
         const i = shape.x.indexOf(x);
-        return { x, force: i < 0 ? 0 : held[2 * i], moment: i < 0 || !clamped ? 0 : held[2 * i + 1] };
+        return { force: i < 0 ? 0 : held[2 * i], moment: i < 0 || !clamped ? 0 : held[2 * i + 1] };
       };
-      const loads = {
-        s: heap.floats(s, count).slice(),
-        weight: heap.floats(weight, count).slice(),
-        load: heap.floats(load, count).slice(),
-      };
-      const nearest = heap.integers(near, count);
+      const [places, weights, loads] = [s, weight, load].map((address) => heap.floats(address, count).slice()),
+        nearest = heap.integers(near, count);
       return {
-        ...loads,
-        tipRegionForce: loads.load.reduce(
-          (sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * loads.weight[i] : 0),
-          0,
-        ),
+        s: places,
+        load: loads,
+        tipRegionForce: loads.reduce((sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * weights[i] : 0), 0),
         base: supportAt(shape.x[0], true),
         guides: inputs.guides.map((guide) => supportAt(guide.x, (guide.slope ?? null) !== null)),
-        tip: inputs.tip
-          ? supportAt(depth, (inputs.tip.slope ?? null) !== null)
-          : { x: depth, force: 0, moment: 0 },
+        tip: inputs.tip ? supportAt(depth, (inputs.tip.slope ?? null) !== null) : { force: 0, moment: 0 },
       };
     });
   }
 }
 
 /** The points at beam coordinates of a needle whose nodes, u and u' are at addresses of the heap. */
-function findPositions(heap, nodes, [x, u, slope], s) {
+function findPositions(heap, planes, nodes, [x, u, slope], s) {
   return heap.borrow(() => {
-    const out = heap.take(16 * s.length),
-      memory = heap.take(48 * (nodes + 2) * Number(heap.call.nf_lanes()));
-    heap.call.nf_positions(1n, 1n, BigInt(nodes), BigInt(s.length), x, u, slope, heap.put(s), memory, out);
-    return heap.floats(out, 2 * s.length).slice();
+    const size = (1 + planes) * s.length,
+      out = heap.take(8 * size),
+      memory = heap.take(8 * (1 + 5 * planes) * (nodes + 2) * Number(heap.call.nf_lanes())),
+      counts = [planes, 1, nodes, s.length].map(BigInt);
+    heap.call.nf_positions(...counts, x, u, slope, heap.put(s), memory, out);
+    return heap.floats(out, size).slice();
   });
 }
 
@@ -463,19 +445,20 @@ function findPositions(heap, nodes, [x, u, slope], s) {
  * Needles that differ in their parameters alone, each inserted from its own state.
  *
  * values: {sets, mu (sets * n), law (sets * n * numbers), strength (sets)}, Float64Arrays, in place of those of model
- * and inputs. Each can change its direction of cutting `rays` times.
+ * and inputs. Each can change its direction of cutting `rays` times, and bends in so many planes.
  */
 export class SessionBatch {
-  static async begin(kernel, model, values, rays) {
-    return new SessionBatch(await Heap.make(kernel), model, values, rays);
+  static async begin(kernel, model, values, rays, planes) {
+    return new SessionBatch(await Heap.make(kernel), model, values, rays, planes);
   }
 
-  constructor(heap, model, values, rays) {
-    const problem = makeProblem(heap, ...pack(model, completeInputs({}), values, { rays, deepest: findDeepest(model) }));
-    Object.assign(this, { heap, model, values, problem, ids: new Map() });
+  constructor(heap, model, values, rays, planes) {
+    const more = { rays, deepest: findDeepest(model) },
+      problem = makeProblem(heap, ...pack(heap, model, completeInputs({}), values, planes, more));
+    Object.assign(this, { heap, model, values, planes, problem, ids: new Map() });
     const { fields, arrays, maxPoints, room } = problem,
       { layers, numbers } = fields;
-    const stride = { rigidity: 1, mu: layers, thickness: layers, friction: layers, law: layers * numbers, turn: 1, base: 3 },
+    const stride = { rigidity: 1, mu: layers, thickness: layers, friction: layers, law: layers * numbers, turn: planes, base: 3 * planes },
       alone = { ...fields, sets: 1 };
     this.done = heap.take(24);
     // A problem of each set reads its part of the arrays of all.
@@ -503,7 +486,7 @@ export class SessionBatch {
     const { heap, ids } = this,
       inputs = completeInputs(given);
     const number = (key) => ids.get(key) ?? ids.set(key, BigInt(ids.size + 1)).get(key);
-    rewrite(heap, this.problem, packInputs(inputs, this.model, this.values));
+    rewrite(heap, this.problem, packInputs(heap, inputs, this.model, this.values, this.planes));
     Object.assign(this, { bevel: number(bevelKey(inputs)), held: number(controlsKey(inputs)) });
   }
 
@@ -518,10 +501,14 @@ export class SessionBatch {
     return true;
   }
 
-  /** The points (K * 2), mm, of a needle that has converged, at beam coordinates `s` (K), mm. */
+  /** The points (K * (1 + planes)), mm, of a needle that has converged, at beam coordinates `s` (K), mm. */
   positions(i, s) {
-    const { heap } = this,
-      { shapes } = this.needles[i];
-    return findPositions(heap, Number(heap.integers(shapes.nodes, 1)[0]), [shapes.x, shapes.u, shapes.slope], s);
+    const { heap, planes } = this,
+      { shapes } = this.needles[i],
+      nodes = Number(heap.integers(shapes.nodes, 1)[0]);
+    return heap.borrow(() => {
+      const [u, slope] = ["u", "slope"].map((name) => heap.put(readPlanes(heap, shapes, name, planes, nodes)));
+      return findPositions(heap, planes, nodes, [shapes.x, u, slope], s);
+    });
   }
 }

@@ -72,7 +72,7 @@ def insertions(
     heads: Mapping[InsertionKey, str],  # what stands above the panel of each insertion
     names: Mapping[str, str],  # printed names of the methods, the foremost line first
     most_columns: int = 4,  # panels side by side on a page; half as many in a column
-    across: str = "",  # in which direction y is; empty: toward the bevel
+    height: str = "deflection toward\nthe bevel (mm)",  # what `y_mm` is: z, of needles from above
 ) -> Figure:
     """Draw a panel for each insertion: the measured needle as dots, methods as lines, bands behind.
 
@@ -94,8 +94,7 @@ def insertions(
         axes.set(xlim=(left, right), ylim=y, aspect=factor)
         axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     figure.supxlabel("depth (mm)")
-    where = across or "toward\nthe bevel"
-    figure.supylabel(f"deflection {where} (mm),\n{describe_scale(factor)}")
+    figure.supylabel(f"{height},\n{describe_scale(factor)}")
     _name_curves(figure, set(points["curve"]), names)
     fit_height(figure)
     return figure

@@ -4,7 +4,7 @@ import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import Loads, compute_loads
+from needlefit.mechanics.torsion import find_roll
 from needlefit.reporting.figures.style import (
     TEXT_WIDTH_IN,
     choose_vertical_scale,
@@ -90,15 +91,33 @@ def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = Fal
     return labels
 
 
-def _trace(entry: Entry, shape: NeedleShape) -> Floats:
+def _see(points: Floats, above: bool) -> Floats:
+    """Return points of C, (K, 2) or (K, 3), as they are seen: x and y from the side, x and z from above."""
+    across = np.zeros(len(points)) if above and points.shape[1] == 2 else points[:, 2 if above else 1]
+    return np.column_stack((points[:, 0], across))
+
+
+def _trace(entry: Entry, shape: NeedleShape, above: bool = False) -> Floats:
     """Return points of the needle from base to tip in the world, (300, 2) mm."""
-    return entry.to_world(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
+    points = compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300))
+    return entry.to_world(_see(points, above))
 
 
-def _find_base(scene: Scene, step: Step) -> Floats:
+def _find_base(scene: Scene, step: Step, above: bool = False) -> Floats:
     """Return the base's position in the world after a step; it is known even without a solution."""
-    y = step.controls.base_y + step.controls.stage_slope * step.depth
-    return scene.entry.to_world([[step.depth - scene.needle.length, y]])
+    at, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]
+    return scene.entry.to_world([[step.depth - scene.needle.length, at + stage * step.depth]])
+
+
+def _find_guides(step: Step, above: bool = False) -> Floats:
+    """Return the places of the guides in C, (G, 2) mm."""
+    places = [(guide.x, guide.z if above else guide.y) for guide in step.controls.guides]
+    return np.reshape(np.array(places, dtype=np.float64), (-1, 2))
+
+
+def is_spatial(shapes: Sequence[NeedleShape]) -> bool:
+    """Return whether one of some needles leaves the plane z = 0: it is drawn in C, from above too."""
+    return any(shape.w is not None for shape in shapes)
 
 
 def _find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
@@ -167,12 +186,12 @@ def _find_label_place(axes: Axes, entry: Entry, depths: Span, height: float) -> 
     return ((middle, level) if along == 0 else (level, middle)), float(end - start) * roomy
 
 
-def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> None:
+def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False) -> None:
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
     entry = scene.entry
-    for guide in step.controls.guides:
-        axes.plot(*entry.to_world([[guide.x, guide.y]])[0], zorder=5, **_LOOKS["guide"])
-    axes.plot(*_find_base(scene, step)[0], zorder=5, **_LOOKS["base"])
+    for guide in _find_guides(step, above):
+        axes.plot(*entry.to_world([guide])[0], zorder=5, **_LOOKS["guide"])
+    axes.plot(*_find_base(scene, step, above)[0], zorder=5, **_LOOKS["base"])
     if not shape.converged:
         axes.text(
             0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
@@ -180,8 +199,9 @@ def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> No
             bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
         )  # fmt: skip
         return
-    axes.plot(*entry.to_world(map_beam_points(shape, shape.constraints)).T, zorder=2, **_LOOKS["points"])
-    needle = _trace(entry, shape)
+    points = _see(map_beam_points(shape, shape.constraints), above)
+    axes.plot(*entry.to_world(points).T, zorder=2, **_LOOKS["points"])
+    needle = _trace(entry, shape, above)
     axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
     axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
 
@@ -211,6 +231,12 @@ def _replace_minus(text: str) -> str:
     return text.replace("-", "−")
 
 
+def _format_tip(shape: NeedleShape) -> str:
+    """Return where the tip lies across x, of a needle in space along y and z."""
+    along_z = "" if shape.w is None else f", z {shape.tip_z:+z.2f} mm"
+    return f"{'' if shape.w is None else 'y '}{shape.tip_lateral:+z.2f} mm{along_z}"
+
+
 def _format_signed(value: float) -> str:
     text = _replace_minus(f"{value:+z.2f}".rstrip("0").rstrip("."))
     return "0" if text in ("+0", "−0") else text
@@ -234,6 +260,8 @@ def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[st
         strength = _describe_strength(now.bevel)
         changed = before is not None and _describe_strength(before.bevel) != strength
         side = f"bevel {'left' if now.bevel.side > 0 else 'right'}"
+        if now.bevel.roll_deg % 180:
+            side = f"bevel rolled by {_format_signed(find_roll(now.bevel))}°"
         found.append(f"{side}, {strength}" if changed else side)
     if (held.base_y, held.base_slope) != (past.base_y, past.base_slope):
         turned = held.base_slope != 0 or past.base_slope != 0
@@ -268,7 +296,7 @@ def describe_state(
     for n, (guide, held) in enumerate(zip(step.controls.guides, found.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
-    tip = _replace_minus(f"tip {state.shape.tip_lateral:+z.2f} mm")
+    tip = _replace_minus(f"tip {_format_tip(state.shape)}")
     return lines, [f"{tip}{frame}", force("tip force", found.tip_force)]
 
 
@@ -291,7 +319,8 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
     A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
     bevel that steers the needle, whole and in the world, a panel a step (of very many steps, some).
     `shapes` are those after each step, up to the one that failed. Deflections are small beside depths: y is
-    stretched by the factor that its label states, by none where the needle bends enough.
+    stretched by the factor that its label states, by none where the needle bends enough. Needles in space are
+    drawn in C, each in two panels: from the side, and from above.
 
     ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
@@ -307,10 +336,14 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: 
     steps, as many are shown and the title states it; each lists the changes since the one shown before. If
     not `whole`, the needle is drawn in C from a little before the entry on.
     """
-    scene = scene if whole else replace(scene, entry=Entry())
-    shown = np.linspace(0, len(shapes) - 1, min(len(shapes), MAX_PANELS)).round().astype(int).tolist()
+    views = (False, True) if is_spatial(shapes) else (False,)  # from above
+    scene = replace(scene, entry=Entry()) if len(views) > 1 or not whole else scene
+    most = MAX_PANELS // len(views)
+    shown = np.linspace(0, len(shapes) - 1, min(len(shapes), most)).round().astype(int).tolist()
     if len(shown) < len(shapes):
         title = f"{title}{_SEPARATOR}{len(shown)} of {len(shapes)} steps"
+    earlier = [past for past in (None, *shown[:-1]) for _ in views]
+    shown = [n for n in shown for _ in views]
     steps, shapes = [scene.steps[n] for n in shown], [shapes[n] for n in shown]
     x, y = _find_limits_of_steps(scene, steps, shapes, whole)
     width, height = x[1] - x[0], y[1] - y[0]
@@ -319,9 +352,9 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: 
     tilted = abs(np.sin(scene.entry.angle)) > _MIN_TILT
     factor = 1 if tilted or not stacked else choose_vertical_scale(0.8 * width / grid[0], height)
     ratio = factor * height / width
-    earlier = [None, *shown[:-1]]
     heads = [
-        _compose_head(scene, n, past, shape) for n, past, shape in zip(shown, earlier, shapes, strict=True)
+        ["from above"] if n % len(views) else _compose_head(scene, shown[n], earlier[n], shape)
+        for n, shape in enumerate(shapes)
     ]
     longest = max(len(_SEPARATOR.join(head)) for head in heads) * _LETTER_WIDTH_IN
     lines = 1 if stacked and longest < TEXT_WIDTH_IN - 0.6 else max(map(len, heads))
@@ -351,12 +384,13 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: 
     for n, (axes, shape) in enumerate(zip(panels, shapes, strict=False)):
         axes.set(xlim=x, ylim=y, aspect=factor)
         _draw_layers(axes, scene, panel / width if n == 0 else None, low, above)
-        _draw_needle(axes, scene, steps[n], shape)
-        left = _SEPARATOR.join(heads[n][:-1]) if lines == 1 else _pad_lines(heads[n], lines)
+        _draw_needle(axes, scene, steps[n], shape, above=bool(n % len(views)))
+        left = _SEPARATOR.join(heads[n][:-1] or heads[n]) if lines == 1 else _pad_lines(heads[n], lines)
         axes.set_title(left, loc="left", pad=3)
-        if lines == 1:
+        if lines == 1 and len(heads[n]) > 1:
             axes.set_title(heads[n][-1], loc="right", pad=3, color=COLOURS["tip"])
-    x_name, y_name = _NAMES_IN_WORLD if whole else _NAMES_IN_C
+    x_name, y_name = _NAMES_IN_WORLD if whole and len(views) == 1 else _NAMES_IN_C
+    y_name = "y, from above z (mm)" if len(views) > 1 else y_name
     figure.supxlabel(x_name, fontsize=7.5)
     y_name += "" if factor == 1 else f", drawn {factor}× as large as x"
     short = len(y_name) * _LETTER_WIDTH_IN > figure.get_figheight() - 0.85
@@ -372,17 +406,21 @@ def _find_limits_of_steps(
     """Return the limits in the world that show every needle, the entry, the guides, and their axis."""
     if not whole:
         before = -_MARGIN_BEFORE_ENTRY * scene.depth
-        y = np.concatenate(
-            [_trace(scene.entry, shape) for shape in shapes if shape.converged] or [np.zeros((1, 2))]
-        )
+        views = (False, True) if is_spatial(shapes) else (False,)
+        traces = [_trace(scene.entry, one, above) for one in shapes if one.converged for above in views]
+        y = np.concatenate(traces or [np.zeros((1, 2))])
         seen = np.append(y[y[:, 0] >= before, 1], 0.0)
         bend = float(np.abs(seen).max()) or 0.1 * scene.depth
         low, high = float(seen.min()) - 0.35 * bend, float(seen.max()) + 0.35 * bend
         return (before, 1.04 * scene.depth), (low, high)
     drawn = [scene.entry.to_world([[0.0, 0.0], [scene.depth, 0.0]])]
-    for step, shape in zip(steps, shapes, strict=True):
-        drawn += [_trace(scene.entry, shape) if shape.converged else _find_base(scene, step)]
-        drawn += [scene.entry.to_world([[guide.x, guide.y]]) for guide in step.controls.guides]
+    for (step, shape), above in product(
+        zip(steps, shapes, strict=True), (False, True) if is_spatial(shapes) else (False,)
+    ):
+        drawn += [
+            _trace(scene.entry, shape, above) if shape.converged else _find_base(scene, step, above),
+            scene.entry.to_world(_find_guides(step, above)),
+        ]
     least = 1.0 if all(shape.converged for shape in shapes) else 0.1 * scene.needle.length
     return _find_limits(np.concatenate(drawn), least)
 
@@ -397,7 +435,7 @@ def _compose_head(scene: Scene, n: int, past: int | None, shape: NeedleShape) ->
     back = before is not None and steps[n].depth < before.depth
     number = f"step {n + 1}: " if len(steps) > 1 else ""
     begin = f"{number}{'back ' if back else ''}to {steps[n].depth:g} mm"
-    end = f"{_replace_minus(f'tip {shape.tip_lateral:+z.2f} mm')}{frame}" if shape.converged else ""
+    end = f"{_replace_minus(f'tip {_format_tip(shape)}')}{frame}" if shape.converged else ""
     return [begin, *describe_changes(before, steps[n], frame), end]
 
 
@@ -444,6 +482,8 @@ class StateFigure:
         overlays: SceneOverlays = NO_OVERLAYS,
         whole: bool | None = None,
     ) -> None:
+        spatial = is_spatial([state.shape for state in states])
+        scene = replace(scene, entry=Entry()) if spatial else scene
         self._scene, self._overlays, entry = scene, overlays, scene.entry
         if whole is None:
             whole = any(state.step.controls != Controls() for state in states)
@@ -477,19 +517,33 @@ class StateFigure:
         supports = _name_supports([state.step for state in states])
         columns = int(width / _LEGEND_COLUMN_WIDTH_IN)
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
-        self.figure = Figure(figsize=(width + 0.6, height + 0.75 + 0.14 * (self._lines + legend_lines)))
-        self.axes = self.figure.add_subplot()
         x_name, y_name = _NAMES_IN_C if entry == Entry() else _NAMES_IN_WORLD
-        self.axes.set(xlim=x, ylim=y, aspect=1, xlabel=x_name, ylabel=y_name)
+        z = self._find_span_above(states, x, 0.5 * span * _MIN_HEIGHT_RATIO) if spatial else (0.0, 0.0)
+        tall = height + self._inches * (z[1] - z[0]) + 0.2 * spatial
+        self.figure = Figure(figsize=(width + 0.6, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
+        self._above: Axes | None = None  # the view from above, of needles in space
+        if spatial:
+            ratios = (y[1] - y[0], z[1] - z[0])
+            self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
+            self._above.set(ylim=z, aspect=1, xlabel=x_name, ylabel="z (mm)\nfrom above")
+        else:
+            self.axes = self.figure.add_subplot(xlabel=x_name)
+        self.axes.set(xlim=x, ylim=y, aspect=1, ylabel=y_name)
         _draw_legend(self.figure, title, supports, more_handles, columns)
         label_origin(self.figure, overlays.synthetic)
 
     def paint(self, state: NeedleState) -> None:
         """Draw one state, in place of an earlier one."""
         axes, scene, overlays = self.axes, replace(self._scene, tissue=state.tissue), self._overlays
+        path = map_beam_points(state.shape, state.shape.tip_path)
         # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
-        for old in (*axes.lines, *axes.patches, *axes.texts):
-            old.remove()
+        for panel in self.figure.axes:
+            for old in (*panel.lines, *panel.patches, *panel.texts):
+                old.remove()
+        if self._above is not None:
+            _draw_layers(self._above, scene, None)
+            self._above.plot(*_see(path, above=True).T, zorder=2.5, **_LOOKS["path"])
+            _draw_needle(self._above, scene, state.step, state.shape, above=True)
         _draw_layers(axes, scene, self._inches)
         if overlays.low is not None and overlays.high is not None:
             band = scene.entry.to_world(np.concatenate((overlays.low, overlays.high[::-1])))
@@ -501,8 +555,7 @@ class StateFigure:
         found = self._compute_loads(state)
         if len(outline := self._outline_load(state, found)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
-        path = map_beam_points(state.shape, state.shape.tip_path)
-        axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **_LOOKS["path"])
+        axes.plot(*scene.entry.to_world(_see(path, above=False)).T, zorder=2.5, **_LOOKS["path"])
         _draw_needle(axes, scene, state.step, state.shape)
         if abs(found.tip_force * self.arrow) >= 1e-3:
             start, end = self._place_arrow(state, found)
@@ -522,24 +575,32 @@ class StateFigure:
         start = -self._scene.needle.length if whole or deepest == 0 else -_MARGIN_BEFORE_ENTRY * deepest
         drawn = [entry.to_world([[0.0, 0.0], [deepest, 0.0]])]
         for state in states:
-            marks = [(guide.x, guide.y) for guide in state.step.controls.guides]
-            drawn += [_trace(entry, state.shape), entry.to_world(np.reshape(marks, (-1, 2)))]
+            drawn += [_trace(entry, state.shape), entry.to_world(_find_guides(state.step))]
         curves = (overlays.measured, overlays.low, overlays.high)
         points = np.concatenate([*drawn, *(entry.to_world(curve) for curve in curves if curve is not None)])
         shown: Floats = points[entry.to_frame(points)[:, 0] >= start]
         return shown
 
+    def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
+        """Return the z that the view from above shows, at least so many mm."""
+        traces = [_trace(Entry(), state.shape, above=True) for state in states]
+        drawn = np.concatenate([*traces, *(_find_guides(state.step, above=True) for state in states)])
+        z = np.append(drawn[(drawn[:, 0] >= x[0]) & (drawn[:, 0] <= x[1]), 1], 0.0)
+        room = max(float(np.ptp(z)), least)
+        middle = float(z.min() + z.max()) / 2
+        return middle - 0.6 * room, middle + 0.6 * room
+
     def _outline_load(self, state: NeedleState, found: Loads) -> Floats:
         """Return the outline in the world of the load along the shaft: from the needle to it, and back."""
         if len(found.s) == 0 or self.per_mm == 0:
             return np.empty((0, 2))
-        needle = compute_positions(state.shape, found.s)
+        needle = _see(compute_positions(state.shape, found.s), above=False)
         pulled = needle + np.column_stack((np.zeros(len(needle)), found.load / self.per_mm))
         return self._scene.entry.to_world(np.concatenate((needle, pulled[::-1])))
 
     def _place_arrow(self, state: NeedleState, found: Loads) -> Floats:
         """Return both ends of the arrow of the tip force in the world, (2, 2) mm."""
-        ((x, y),) = compute_positions(state.shape, state.shape.x[-1:])
+        ((x, y),) = _see(compute_positions(state.shape, state.shape.x[-1:]), above=False)
         return self._scene.entry.to_world([(x, y), (x, y + self.arrow * found.tip_force)])
 
 

@@ -2,6 +2,7 @@
 
 import { part } from "./dom.js";
 import { amount } from "./fields.js";
+import { turnOver, wrap } from "./model/inputs.js";
 import { heightAt } from "./quantities.js";
 import * as steering from "./steering.js";
 import { change, move, newGesture, wanted } from "./steering.js";
@@ -30,18 +31,27 @@ export function goTo(depth) {
   if (way) move(Math.sign(way) * speed(), depth);
 }
 
-export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
+/** The roll of the bevel, degrees, that was asked for last, or is. */
+function wantedRoll() {
+  const side = wanted("bevel_side", null, 0);
+  return wanted("bevel_roll_deg", null, side ? 90 - 90 * side : now.state.bevel.roll_deg);
+}
+
+export const flip = (at) => change([turnOver(wantedRoll())], { at });
+
+/** Roll the bevel on by an angle, degrees. */
+export const roll = (by, at) => change([["bevel_roll_deg", null, wrap(wantedRoll() + by)]], { gesture: going("roll"), at });
 
 export function nudgeBase(steps, at) {
   const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP_MM;
   change([["base_y_mm", null, y]], { gesture: going("base"), at });
 }
 
-/** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */
-export function addGuide(x = freePlace(), at = performance.now()) {
-  const item = freeNumber();
+/** Put a guide on the needle between base and skin, where it changes next to nothing yet. */
+export function addGuide() {
+  const [item, x] = [freeNumber(), freePlace()];
   const place = [["guide_x_mm", item, x], ["guide_y_mm", item, heightAt(now.state, x)]];
-  change([...place, ["guide_turns_freely", item, 1]], { at });
+  change([...place, ["guide_turns_freely", item, 1]]);
 }
 
 /** Hold the tip where it is, or let go of it. */

@@ -15,7 +15,7 @@ export function computeBands(worker, kernel, current) {
     const { name, steered } = current();
     const { model } = steered;
     const steps = steered.path().map((one) => ({ depth: one.depth, inputs: toInputs(one, model.pathAngle) }));
-    return { id: { needle: name, step: now.state.step }, model, steps };
+    return { id: { needle: name, step: now.state.step }, model, steps, planes: steered.session.planes };
   }
 
   /** Order what is shown of the needle as it stands, unless it is on its way. */

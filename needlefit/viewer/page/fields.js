@@ -70,7 +70,6 @@ export function makeField(into, about) {
   };
   slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
   slider.addEventListener("change", () => (field.gesture = newGesture()));
-  slider.addEventListener("dblclick", goHome);
   press(back, goHome);
   setHome(field, null);
   into.append(part);

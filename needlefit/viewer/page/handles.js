@@ -1,6 +1,7 @@
 /** What a hand can take hold of in the picture, and what dragging it asks for. */
 
 import { aim, moveTo } from "./aim.js";
+import { turnOver } from "./model/inputs.js";
 import { now } from "./store.js";
 import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
 
@@ -26,7 +27,7 @@ export function guidePlace({ x, y, slope }) {
 /** Where the tip is drawn, and, ahead of it, the knob on the side to which the bevel turns the cut. */
 export function bevelPlace({ tip, bevel }) {
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
-  return { tip: [px, py], turn: [px + AHEAD, py - bevel.side * ARM.bevel] };
+  return { tip: [px, py], turn: [px + AHEAD, py - Math.cos((bevel.roll_deg * Math.PI) / 180) * ARM.bevel] };
 }
 
 /** All handles, the ones drawn last first. */
@@ -86,7 +87,7 @@ function turnBevel({ bevel }) {
     const above = bevelPlace(now.state).tip[1] - py;
     if (above * side > -BEGINS.across) return [];
     side = -side;
-    return [["bevel_side", null, side]];
+    return [turnOver(now.state.bevel.roll_deg)];
   };
 }
 

@@ -4,6 +4,7 @@ import * as act from "./actions.js";
 import { aim, place } from "./aim.js";
 import { DEFINITIONS } from "./definitions.js";
 import { element, entry, part, press as onPress } from "./dom.js";
+import { ROLL } from "./quantities.js";
 import { describe } from "./readouts.js";
 import { halt, letGo } from "./steering.js";
 import { now } from "./store.js";
@@ -20,6 +21,7 @@ const KEYS = [
   [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e) => act.nudgeBase(steps(e), e.timeStamp)],
   [["ArrowDown"], "↓", "base down, likewise", (e) => act.nudgeBase(-steps(e), e.timeStamp)],
   [["f", "F"], "F", "flip the bevel", (e) => e.repeat || act.flip(e.timeStamp)],
+  [["r", "R"], "R", `roll the bevel by ${ROLL}°; with Shift back`, (e) => act.roll(e.shiftKey ? -ROLL : ROLL, e.timeStamp)],
   [["g", "G"], "G", "add a guide", (e) => e.repeat || act.addGuide()],
   [["t", "T"], "T", "hold the tip, let go of it", (e) => e.repeat || act.toggleTip(e.timeStamp)],
   [[" "], "space", "stop", () => ((holding = []), halt())],

@@ -1,5 +1,6 @@
 /** Starts the page: the line to the server, the picture, the readouts beside it, the line at the foot. */
 
+import "./above.js";
 import { open } from "./connection.js";
 import { part, press, write } from "./dom.js";
 import { paint } from "./drawing.js";

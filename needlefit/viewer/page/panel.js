@@ -1,10 +1,10 @@
 /** The fields of bevel, tissue, base, tip and guides, and what they ask for. */
 
 import * as act from "./actions.js";
-import { part, press, write } from "./dom.js";
+import { part, press } from "./dom.js";
 import { makeField, setHome, show } from "./fields.js";
 import { listParameters } from "./parameters.js";
-import { degrees, numbered, slope, strengthOf } from "./quantities.js";
+import { degrees, numbered, ROLL_FIELD, slope, strengthOf } from "./quantities.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -38,6 +38,7 @@ function buildBevel({ limits, fitted }) {
   const about = { unit, write: digits(count), limits: limits[key], step, symbol };
   const name = `${symbol}, ahead of the tip`;
   setHome(inputField("bevel-fields", [here, null], { ...about, name }, () => now.state.bevel[key]), value);
+  inputField("bevel-fields", ["bevel_roll_deg", null], ROLL_FIELD, () => now.state.bevel.roll_deg);
   part("throughout").textContent = `Set this ${symbol} in the whole insertion`;
 }
 
@@ -61,8 +62,6 @@ function buildHeld(of, yLimits, angleLimits) {
 /** Let every field say what is, or what was asked for last. */
 export function refresh() {
   for (const [field, current] of fields) show(field, current());
-  const changed = fields.filter(([{ home, back }]) => home !== null && !back.disabled).map(([{ name }]) => name);
-  write("by-hand", changed.length ? `Changed by hand: ${changed.join(", ")}.` : "");
   const { held } = now.state.tip;
   part("release").disabled = !held;
   part("tip-note").hidden = held;

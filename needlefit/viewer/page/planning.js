@@ -4,7 +4,8 @@ import { speed } from "./actions.js";
 import { aim, askPlan, nameOf, place, put, setAim, SMALLEST, tipError } from "./aim.js";
 import { button, element, part, press, say, write } from "./dom.js";
 import { makeField, show } from "./fields.js";
-import { counted } from "./quantities.js";
+import { rollOf } from "./model/inputs.js";
+import { counted, describeRoll } from "./quantities.js";
 import { runPlan } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -55,7 +56,7 @@ export function refresh() {
   for (const [id, what] of [["put-target", "target"], ["put-obstacle", "obstacle"]]) {
     part(id).ariaPressed = String(aim.placing === what);
   }
-  const ahead = aim.plan?.steps.some(([depth]) => depth > now.state.depth_mm + 1e-6) || false;
+  const ahead = aim.plan?.path.some(({ depth }) => depth > now.state.depth_mm + 1e-6) || false;
   part("make-plan").disabled = !aim.target || aim.planning;
   part("run-plan").disabled = !ahead || aim.planning || aim.plan.left;
   part("aim-clear").disabled = !aim.target && !aim.obstacles.length;
@@ -68,7 +69,9 @@ export function refresh() {
 function describePlan() {
   const { plan } = aim;
   if (!plan) return "";
-  const turns = `${counted(plan.turns, "turn")} of the bevel, base to ${plan.steps.at(-1)[2].toFixed(1)} mm.`;
+  const [{ bevel }, { controls }] = [plan.path[0], plan.path.at(-1)];
+  const rolled = bevel.roll ? `Bevel at ${describeRoll({ roll_deg: rollOf(bevel) })}, ` : "";
+  const turns = `${rolled}${counted(plan.turns, "turn")} of the bevel, base to ${controls.baseY.toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
   const bound = plan.at_limit.map((one) => ` The ${one} is at its limit.`).join("");
   return `${describeOutcome(plan)} ${turns}${bound}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;

@@ -1,5 +1,7 @@
 /** What quantities, guides and the bevel's strength are called, and how numbers are written and read. */
 
+import { rollOf, wrap } from "./model/inputs.js";
+
 /** With its sign, a true minus, and none at zero. */
 export function signed(value, digits) {
   const size = Math.abs(value).toFixed(digits);
@@ -63,6 +65,14 @@ export function strengthOf(values) {
   return { ...about, here, throughout, value: values[about.key] };
 }
 
+export const ROLL = 10; // degrees, of a key
+
+/** The knob of the bevel's roll, as of makeField. */
+export const ROLL_FIELD = { name: "roll", symbol: "roll", unit: "°", step: ROLL, limits: [-180, 180], write: (value) => brief(value, 6) };
+
+/** Where a bevel turns the cut to. */
+export const describeRoll = ({ roll_deg: roll }) => (roll % 180 ? `roll ${brief(roll).replace("-", "−")}°` : roll ? "−y" : "+y");
+
 const near = (one, other) => Math.abs(one - other) <= 1e-9 * Math.abs(other);
 
 /** Whether the needle's parameters are others than those with which it was opened, about which the band's draws lie. */
@@ -76,7 +86,7 @@ export function isSteered(state, scene) {
   const { steps } = scene.simulation;
   const { bevel, controls } = steps.find(({ depth }) => depth >= state.depth_mm - 1e-6) ?? steps.at(-1);
   const { base, guides, tip } = state;
-  return isChanged(state, scene) || state.bevel.side !== bevel.side || tip.held !== Boolean(controls.tip)
+  return isChanged(state, scene) || state.bevel.roll_deg !== wrap(rollOf(bevel)) || tip.held !== Boolean(controls.tip)
     || base.input_y !== controls.baseY || base.input_slope !== controls.baseSlope || guides.length !== controls.guides.length
     || guides.some(({ x, y }, i) => x !== controls.guides[i].x || y !== controls.guides[i].y);
 }

@@ -2,7 +2,7 @@
 
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
-import { brief, isSteered, signed, strengthOf, toDegrees } from "./quantities.js";
+import { brief, describeRoll, isSteered, signed, strengthOf, toDegrees } from "./quantities.js";
 import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
 
@@ -10,12 +10,15 @@ import { toPy, view } from "./view.js";
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
+  ["tip z", "mm", (s) => (s.z ? signed(s.tip.z, 2) : "–")],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
   ["tip force", "N", () => tipForce() === null ? "–" : signed(tipForce(), 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
+
+const TIP_Z = NEEDLE.findIndex(([name]) => name === "tip z");
 
 /** Put readouts into a list; returns what writes them from a state, dashes without one. */
 export function fillReadouts(list, readouts) {
@@ -35,6 +38,7 @@ let writeErrors = () => {}; // of the comparison with a measured needle: each th
 export function refresh() {
   const { state, scene } = now;
   writeNeedle(state);
+  part("readouts").children[TIP_Z].hidden = !state.z;
   const title = part("title"); // a report has none
   if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
@@ -84,8 +88,8 @@ function inWords() {
   const { symbol, value, digits, unit } = strengthOf(bevel);
   const sentences = [
     `The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,
-    `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
-    `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
+    `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}${tip.z === null ? "" : `; z ${signed(tip.z, 2)} mm`}.`,
+    `The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(tipForce() ?? 0, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];

@@ -2,7 +2,7 @@
 
 import { button, element, part, write } from "./dom.js";
 import { makeField, show } from "./fields.js";
-import { listSteps } from "./model/inputs.js";
+import { listSteps, rollOf, turnOver } from "./model/inputs.js";
 import { modulusLike } from "./quantities.js";
 import { isDrawnPlane, makeRidge } from "./ridge.js";
 import { listen, now } from "./store.js";
@@ -15,7 +15,7 @@ const STIFFER = 10; // times the modulus of the softest layer
 
 /** Changes from first contact on: the bevel turns over once, at a depth in mm. */
 function listTurned(depth, { simulation: { steps: [first] }, depth_mm: deepest }) {
-  return [ANEW, [["depth_mm", null, depth]], [["bevel_side", null, -first.bevel.side]], [["depth_mm", null, deepest]]];
+  return [ANEW, [["depth_mm", null, depth]], [turnOver(rollOf(first.bevel))], [["depth_mm", null, deepest]]];
 }
 
 /** The number, from 1, of the softest layer that the needle enters. */

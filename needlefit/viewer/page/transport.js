@@ -2,15 +2,12 @@
 
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
-import { handleAt } from "./handles.js";
-import { notches, place } from "./pointers.js";
-import { brief, heightAt } from "./quantities.js";
+import { notches } from "./pointers.js";
+import { brief, describeRoll } from "./quantities.js";
 import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
-import { fromPx, toPy } from "./view.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it, and a notch of the wheel
-const ON_NEEDLE = 24; // px
 
 /** A button that moves the needle as long as it is held, by pointer, space or enter. */
 function holdButton(button, direction) {
@@ -47,7 +44,7 @@ export function refresh() {
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
-  write("side", bevel.side > 0 ? "(now +y)" : "(now −y)");
+  write("side", `(now ${describeRoll(bevel)})`);
 }
 
 const PRESSED = {
@@ -67,12 +64,6 @@ part("canvas").addEventListener("wheel", (event) => {
   event.preventDefault();
   if (now.state) act.insert(-STEP * notches(event), event.timeStamp);
 }, { passive: false });
-part("canvas").addEventListener("dblclick", (event) => { // on the needle: a guide
-  const [px, py] = place(event);
-  const x = fromPx(px);
-  const near = now.state && Math.abs(toPy(heightAt(now.state, x)) - py) < ON_NEEDLE;
-  if (near && !handleAt(px, py)) act.addGuide(x, event.timeStamp);
-});
 
 let begun = false;
 

@@ -127,7 +127,8 @@ class Trial {
   reset(gesture) {
     const { step, shape, model, names, scene, saved } = this.steered;
     const first = saved.get(0);
-    const bevel = { ...step.bevel, side: first.step.bevel.side };
+    const { side, roll } = first.step.bevel;
+    const bevel = { ...step.bevel, side, roll };
     const values = (one, mu) => mu.map((value, layer) => [value * 1e6, ...one.map((row) => row[layer])]);
     const before = values(first.shape, first.session.model.mu);
     const inputs = ["mu_pa", ...scene.shape_parameters.map(({ name }) => name)];

@@ -21,18 +21,19 @@ export class Band {
   }
 
   /**
-   * Resolves to {x, low, high, failed} from entry to tip, or null where there is no needle to draw or `cancelled()`.
+   * Resolves to {x, low, high, failed} from entry to tip, in space with {z: {low, high}}, or null where there is no needle to draw or `cancelled()`.
    *
-   * steps [{depth, inputs}] lead to the needle from first contact on. `pause` resolves once newer orders have come.
+   * steps [{depth, inputs}] lead to the needle from first contact on, in so many planes. `pause` resolves once newer orders
+   * have come.
    */
-  async compute(steps, cancelled, pause) {
+  async compute(steps, planes, cancelled, pause) {
     const path = mark(steps);
     const { depth } = path.at(-1);
     if (!(depth > 0)) return null;
     const rays = path.length + Math.ceil(depth / this.model.spacing) + 2;
-    if (rays > this.rays) {
+    if (rays > this.rays || planes !== this.batch.planes) {
       this.rays = 2 * rays;
-      this.batch = await SessionBatch.begin(this.kernel, this.model, this.values, this.rays);
+      this.batch = await SessionBatch.begin(this.kernel, this.model, this.values, this.rays, planes);
       for (const chunk of this.chunks) chunk.path = null;
     }
     for (const chunk of this.chunks) {
@@ -43,8 +44,9 @@ export class Band {
     const found = this.points.filter((one) => one);
     if (!found.length) return null;
     const at = (k, share) => quantile(Float64Array.from(found, (one) => one[k]).sort(), share);
-    const read = (axis, share) => Array.from({ length: POINTS }, (_, k) => at(2 * k + axis, share));
-    return { x: read(0, 0.5), low: read(1, EDGES[0]), high: read(1, EDGES[1]), failed: this.values.sets - found.length };
+    const read = (axis, share) => Array.from({ length: POINTS }, (_, k) => at((1 + planes) * k + axis, share));
+    const edges = (axis) => ({ low: read(axis, EDGES[0]), high: read(axis, EDGES[1]) });
+    return { x: read(0, 0.5), ...edges(1), z: planes > 1 ? edges(2) : null, failed: this.values.sets - found.length };
   }
 
   /** Move some needles to the end of a path. Those that failed there or deeper try again from first contact on. */
@@ -79,7 +81,7 @@ function mark(steps) {
   let changes = 0;
   return steps.map(({ depth, inputs }, n) => {
     if (n && inputs.bevel.strength !== steps[n - 1].inputs.bevel.strength) changes += 1;
-    const alike = { ...inputs, bevel: { side: inputs.bevel.side, strength: changes } };
+    const alike = { ...inputs, bevel: { ...inputs.bevel, strength: changes } };
     return { depth, inputs: alike, text: JSON.stringify(alike) };
   });
 }

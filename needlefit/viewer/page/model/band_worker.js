@@ -23,7 +23,7 @@ async function work() {
   let order = null;
   while (order !== newest && newest.steps) {
     order = newest;
-    const { kernel, model, draws, steps, id } = order;
+    const { kernel, model, draws, steps, planes, id } = order;
     const isOld = () => newest !== order && (newest.draws !== draws || performance.now() - done < STALE);
     tipForces ??= new TipForces(kernel);
     const forces = await tipForces.compute(model, steps, isOld, pause);
@@ -31,7 +31,7 @@ async function work() {
     postMessage({ id, forces });
     if (draws) {
       if (band?.draws !== draws) band = new Band(kernel, model, draws);
-      const found = await band.compute(steps, isOld, pause);
+      const found = await band.compute(steps, planes, isOld, pause);
       if (isOld()) continue;
       postMessage({ id, band: found });
     }

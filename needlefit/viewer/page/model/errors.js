@@ -52,11 +52,11 @@ export function computeErrors(session, measured) {
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
 }
 
-/** Points [x, y] at beam coordinates; the last may lie beyond the tip by rounding. */
-function readPoints(session, s) {
-  const { x, depth } = session.shape;
+/** Points [x, y], in the plane of comparison, at beam coordinates; the last may lie beyond the tip by rounding. */
+export function readPoints(session, s) {
+  const { x, depth, planes } = session.shape;
   const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
-  return s.map((_, i) => [points[2 * i], points[2 * i + 1]]);
+  return s.map((_, i) => [points[(1 + planes) * i], points[(1 + planes) * i + 1]]);
 }
 
 /** The measured points at beam coordinates, between those that are known. */

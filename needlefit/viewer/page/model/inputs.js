@@ -49,21 +49,36 @@ export function guideNumber(name, names) {
   return at < 0 ? Number(name.replace("guide ", "")) : at + 1;
 }
 
-/** The step after changes, as `apply_changes`: names are those of the scene's guides, `tipY` is where the tip stands, mm. */
-export function applyChanges(step, changes, names, tipY) {
+/** The roll of a bevel, degrees: 0 toward +y, 180 of a bevel of side -1. */
+export const rollOf = ({ side, roll }) => roll + (side > 0 ? 0 : 180);
+
+/** Side of a bevel with a roll, and roll from there, as `Bevel.turn`. */
+const toSide = (roll) => (Math.abs(roll % 360) === 180 ? { side: -1, roll: roll - 180 } : { side: 1, roll });
+
+/** A roll between -180, which it is not, and 180 degrees. */
+export const wrap = (roll) => 180 - ((((180 - roll) % 360) + 360) % 360);
+
+/** The change that turns over a bevel with a roll. */
+export const turnOver = (roll) =>
+  roll % 180 ? ["bevel_roll_deg", null, wrap(roll + 180)] : ["bevel_side", null, roll % 360 ? 1 : -1];
+
+/** The step after changes, as `apply_changes`: names are those of the scene's guides, `stands` is where the tip is, y and z, mm. */
+export function applyChanges(step, changes, names, stands) {
   const values = new Map(changes.map(([name, item, value]) => [`${name} ${item ?? ""}`, value]));
   const of = (name, now) => values.get(`${name} `) ?? now;
   const held = step.controls;
   let { tip } = held;
   if (of("tip_held", 1) === 0) tip = null;
   else if (tip || values.has("tip_held ") || values.has("tip_y_mm ")) {
-    tip = { y: of("tip_y_mm", tip ? tip.y : tipY), slope: of("tip_slope", tip ? tip.slope : null) };
+    const [y, z] = tip ? [tip.y, tip.z ?? 0] : stands;
+    tip = { y: of("tip_y_mm", y), slope: of("tip_slope", tip ? tip.slope : null), z };
   }
-  const angle = of("cut_angle_deg", null);
+  const [angle, side] = [of("cut_angle_deg", null), of("bevel_side", null)];
+  const roll = side === null ? rollOf(step.bevel) : side > 0 ? 0 : 180;
   return {
     depth: of("depth_mm", step.depth),
     bevel: {
-      side: of("bevel_side", step.bevel.side),
+      ...toSide(of("bevel_roll_deg", roll)),
       offset: of("bevel_offset_mm", step.bevel.offset),
       cutAngle: angle === null ? step.bevel.cutAngle : angle * RADIANS, // stays to the bit
     },
@@ -112,8 +127,9 @@ function applyToGuides(guides, changes, names) {
 /** The changes that turn the inputs of `now` into those of `step`, as `find_changes`; the depth is not included. */
 export function findChanges(step, now, names) {
   const [wanted, held] = [step.controls, now.controls];
+  const turned = step.bevel.roll || now.bevel.roll;
   const pairs = [
-    ["bevel_side", step.bevel.side, now.bevel.side],
+    turned ? ["bevel_roll_deg", rollOf(step.bevel), rollOf(now.bevel)] : ["bevel_side", step.bevel.side, now.bevel.side],
     ["bevel_offset_mm", step.bevel.offset, now.bevel.offset],
     ["cut_angle_deg", step.bevel.cutAngle * DEGREES, now.bevel.cutAngle * DEGREES],
     ["base_y_mm", wanted.baseY, held.baseY],
@@ -144,7 +160,7 @@ export function toInputs({ bevel, controls }, pathAngle) {
   }
   const { baseY, baseSlope, stageSlope, guides, tip } = controls;
   return {
-    bevel: { side: bevel.side, strength: pathAngle ? bevel.cutAngle : bevel.offset },
+    bevel: { side: bevel.side, roll: bevel.roll, strength: pathAngle ? bevel.cutAngle : bevel.offset },
     base: { y: baseY, slope: baseSlope, stageSlope }, guides, tip,
   };
 }
@@ -154,7 +170,7 @@ export function toStep({ depth, inputs }, pathAngle) {
   const { bevel, base, guides, tip } = inputs;
   const [offset, cutAngle] = pathAngle ? [0, bevel.strength] : [bevel.strength, 0];
   return {
-    depth, bevel: { side: bevel.side, offset, cutAngle },
+    depth, bevel: { side: bevel.side, roll: bevel.roll, offset, cutAngle },
     controls: { baseY: base.y, baseSlope: base.slope, stageSlope: base.stageSlope, guides, tip },
   };
 }

@@ -1,52 +1,55 @@
 /** What the page shows of a simulated needle: places in mm, rotations in rad, loads in N and mm. */
 
-import { guideNumber } from "./inputs.js";
+import { guideNumber, rollOf, wrap } from "./inputs.js";
 import { computeErrors } from "./errors.js";
 import { listFaults } from "./validity.js";
 
 const POINTS_BEFORE_TISSUE = 25; // of the needle that are drawn
 
-const column = (points, axis) => Array.from({ length: points.length / 2 }, (_, i) => points[2 * i + axis]);
+const columns = (points, width) =>
+  Array.from({ length: width }, (_, axis) => Array.from({ length: points.length / width }, (_, i) => points[width * i + axis]));
 
 /** How strongly a bevel turns the cut, under the key of the rule of advance. */
 export const describeStrength = ({ offset, cutAngle }, { pathAngle }) =>
   pathAngle ? { cut_angle_deg: cutAngle * (180 / Math.PI) } : { offset_mm: offset };
 
-/** All that changes from step to step. */
+/** All that changes from step to step; `z`, and a third row of points, are of a needle in space. */
 export function describeState(steered) {
   const { scene, session, step, model, names, validity, rules } = steered;
   const { shape } = session;
   const { controls, bevel } = step;
-  const along = listStations(shape);
-  const needle = session.positions(along);
+  const width = 1 + shape.planes;
+  const [x, y, z = null] = columns(session.positions(listStations(shape)), width);
+  const constraints = columns(shape.constraints, width);
+  const track = columns(shape.track, 2 * shape.planes).filter((_, i) => i % 2 === 0);
   const load = session.forces();
-  const loaded = load.s.length ? session.positions(load.s) : [];
-  const [rotations, end] = [shape.slope, needle.length];
+  const loaded = columns(load.s.length ? session.positions(load.s) : [], width);
+  const last = shape.x.length - 1;
+  const roll = wrap(rollOf(bevel));
   const items = controls.guides.map(({ name }) => guideNumber(name, names));
   return {
     kind: "state",
     step: steered.number,
     depth_mm: step.depth,
-    x: column(needle, 0),
-    y: column(needle, 1),
-    depths: column(shape.constraints, 0),
-    constraints: mapPoints(session, shape.constraints),
-    tip_path: mapPoints(session, shape.constraints.map((one, i) => (i % 2 ? shape.track[i - 1] : one))),
-    load: { x: column(loaded, 0), y: column(loaded, 1), n_per_mm: [...load.load] },
+    x, y, z,
+    depths: constraints[0],
+    constraints: mapPoints(session, constraints),
+    tip_path: mapPoints(session, [constraints[0], ...track]),
+    load: { x: loaded[0], y: loaded[1], n_per_mm: [...load.load] },
     forces: {
       base_n: load.base.force,
       base_nmm: load.base.moment,
       guides_n: Object.fromEntries(items.map((item, i) => [item, load.guides[i].force])),
     },
-    base: { x: needle[0], y: needle[1], rotation: rotations[0], input_y: controls.baseY, input_slope: controls.baseSlope },
+    base: { x: x[0], y: y[0], rotation: shape.slope[0], input_y: controls.baseY, input_slope: controls.baseSlope },
     guides: controls.guides.map(({ name, x, y, slope }, i) => ({
       item: items[i], name, x, y, slope: slope ?? 0, turns_freely: slope === null,
     })),
     tip: {
-      x: needle[end - 2], y: needle[end - 1], rotation: rotations.at(-1),
-      lateral_mm: needle[end - 1], held: controls.tip !== null, input_y: shape.u.at(-1),
+      x: x.at(-1), y: y.at(-1), z: z && z.at(-1), rotation: shape.slope[last],
+      lateral_mm: y.at(-1), held: controls.tip !== null, input_y: shape.u[last],
     },
-    bevel: { side: bevel.side, ...describeStrength(bevel, model) },
+    bevel: { side: Math.abs(roll) > 90 ? -1 : 1, roll_deg: roll, ...describeStrength(bevel, model) },
     layers: model.mu.map((mu, layer) => ({
       mu_pa: mu * 1e6,
       ...Object.fromEntries(scene.shape_parameters.map(({ name }, row) => [name, steered.shape[row][layer]])),
@@ -65,9 +68,9 @@ function listStations({ x, depth }) {
   return Float64Array.from(new Set([...before, ...x])).sort();
 }
 
-/** Points given by beam coordinate and deflection, in the plane: each moves with the needle's point beside it. */
-function mapPoints(session, points) {
-  const s = column(points, 0);
-  const [places, deflections] = [session.positions(s), session.deflections(s)];
-  return [column(places, 0), s.map((_, i) => places[2 * i + 1] + (points[2 * i + 1] - deflections[i]))];
+/** Points given by beam coordinate and deflections, where the needle is: each moves with the needle's point beside it. */
+function mapPoints(session, [s, ...beside]) {
+  const [along, ...places] = columns(session.positions(s), 1 + beside.length);
+  const deflections = session.deflections(s);
+  return [along, ...places.map((one, plane) => one.map((place, i) => place + (beside[plane][i] - deflections[plane * s.length + i])))];
 }

@@ -156,7 +156,8 @@ export class SteeredNeedle {
 
   #move(changes, validOnly) {
     const { session } = this;
-    const step = applyChanges(this.step, changes, this.names, session.shape.u.at(-1));
+    const { x, u, planes } = session.shape;
+    const step = applyChanges(this.step, changes, this.names, [u[x.length - 1], planes > 1 ? u.at(-1) : 0]);
     if (!changes.length) return;
     const [first] = step.controls.guides;
     if (validOnly && first?.x < 0 && step.depth > this.reach(step.controls) + 1e-6) {
@@ -166,20 +167,20 @@ export class SteeredNeedle {
         "retract the needle, or move the guide toward the tissue",
       );
     }
-    let refused = null;
+    let [refused, judged] = [false, {}];
     const judge = (shape) => {
       const validity = computeValidity(shape, this.model);
-      const valid = listFaults(validity, this.rules.validity).length === 0;
-      if (validOnly && this.valid && !valid) refused = validity;
-      return refused === null;
+      judged = { validity, valid: listFaults(validity, this.rules.validity).length === 0 };
+      refused = validOnly && this.valid && !judged.valid;
+      return !refused;
     };
     const shape = this.#guard(() => session.go(step.depth, toInputs(step, this.model.pathAngle), judge));
-    if (refused) this.#refuseInvalid(refused);
+    if (refused) this.#refuseInvalid(judged.validity);
     if (session.failed) {
       throw new ModelError(`the model finds no needle there (${shape.status})`, "a load that tissue and needle can bear", "move less at a time");
     }
-    this.step = step;
-    this.#judge();
+    Object.assign(this, { step, ...judged });
+    if (!judged.validity) this.#judge(); // the bevel alone was turned
   }
 
   /** The kernel's refusals as those of the model. */

@@ -3,52 +3,64 @@
 const ENTRY_TOLERANCE = -1e-9; // mm; an element that begins before this depth lies before the entry
 const GAUSS = [[0.5 - Math.sqrt(0.15), 5 / 18], [0.5, 4 / 9], [0.5 + Math.sqrt(0.15), 5 / 18]];
 
+/** The length of a vector with parts along y, and z. */
+const measure = (parts) => (parts.length > 1 ? Math.sqrt(parts[0] ** 2 + parts[1] ** 2) : Math.abs(parts[0]));
+
 /** The greatest |u'|, range of deflection / length, shortening / thinnest layer, miss (mm), and compression of a shape. */
-export function computeValidity({ x, u, slope, constraints, track }, { boundaries, thickness, spacing }) {
+export function computeValidity({ x, u, slope, planes, constraints, track }, { boundaries, thickness, spacing }) {
   const last = x.length - 1;
-  let steepest = 0, shortening = 0, missed = 0, miss = 0, low = u[0], high = u[0];
-  for (let i = 0; i <= last; i += 1) {
-    steepest = Math.max(steepest, Math.abs(slope[i]));
-    low = Math.min(low, u[i]);
-    high = Math.max(high, u[i]);
-  }
+  const bent = Array.from({ length: planes }, (_, p) => [u, slope].map((one) => one.subarray(p * x.length, (p + 1) * x.length)));
+  const cubics = bent.map(() => [0, 0, 0]); // u' = begin + t (bend + t curl) in an element
+  const [rotations, missed] = [bent.map(() => 0), bent.map(() => 0)];
+  const rotate = (t) => {
+    cubics.forEach(([begin, bend, curl], p) => (rotations[p] = begin + t * (bend + t * curl)));
+    return measure(rotations);
+  };
+  let steepest = 0, shortening = 0, miss = 0;
+  for (let i = 0; i <= last; i += 1) steepest = Math.max(steepest, measure(bent.map(([, one]) => one[i])));
   for (let i = 0; i < last; i += 1) {
-    const step = x[i + 1] - x[i], begin = slope[i], end = slope[i + 1];
-    const mean = (u[i + 1] - u[i]) / step;
-    const bend = 6 * mean - 4 * begin - 2 * end, curl = 3 * (begin + end) - 6 * mean; // u' = begin + t bend + t^2 curl
-    const at = Math.abs(curl) > 1e-12 ? (-0.5 * bend) / curl : 0;
-    if (at > 0 && at < 1) steepest = Math.max(steepest, Math.abs(begin + at * (bend + at * curl)));
+    const step = x[i + 1] - x[i];
+    bent.forEach(([v, rotation], p) => {
+      const mean = (v[i + 1] - v[i]) / step, begin = rotation[i], end = rotation[i + 1];
+      cubics[p] = [begin, 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean];
+    });
+    const [[, bend, curl]] = cubics;
+    const inside = planes > 1 ? [0.25, 0.5, 0.75] : [Math.abs(curl) > 1e-12 ? (-0.5 * bend) / curl : 0];
+    for (const at of inside) if (at > 0 && at < 1) steepest = Math.max(steepest, rotate(at));
     for (const [t, weight] of GAUSS) {
-      const rotation = begin + t * (bend + t * curl);
-      shortening += step * weight * 2 * Math.sin(rotation / 2) ** 2;
-      if (x[i] < ENTRY_TOLERANCE) missed += step * weight * (rotation - Math.sin(rotation));
+      const angle = rotate(t);
+      shortening += step * weight * 2 * Math.sin(angle / 2) ** 2;
+      if (x[i] < ENTRY_TOLERANCE && angle) rotations.forEach((one, p) => (missed[p] += step * weight * one * (1 - Math.sin(angle) / angle)));
     }
-    miss = Math.max(miss, Math.abs(missed));
+    miss = Math.max(miss, measure(missed));
   }
-  for (let i = 1; i < track.length; i += 2) steepest = Math.max(steepest, Math.abs(track[i]));
+  for (let i = 0; i < track.length; i += 2 * planes) steepest = Math.max(steepest, measure(bent.map((_, p) => track[i + 2 * p + 1])));
   const entered = 1 + boundaries.filter((end) => end < x[last]).length;
   const widths = boundaries.slice(0, entered).map((end, i) => end - (i ? boundaries[i - 1] : 0)).filter((width) => width > 0);
   const thinnest = widths.length ? Math.max(Math.min(...widths), spacing) : Infinity;
   return {
     max_slope: steepest,
-    deflection_per_length: (high - low) / (x[last] - x[0]),
+    deflection_per_length: measure(bent.map(([v]) => Math.max(...v) - Math.min(...v))) / (x[last] - x[0]),
     shortening_per_layer: shortening / thinnest,
     miss_mm: miss,
-    compression: compress(x, u, slope, constraints) / Math.min(...thickness.slice(0, entered)),
+    compression: compress(x, bent, constraints) / Math.min(...thickness.slice(0, entered)),
   };
 }
 
 /** The greatest distance of a needle from a constraint point, mm. */
-function compress(x, u, slope, constraints) {
+function compress(x, bent, constraints) {
   let [greatest, i] = [0, 0];
-  for (let k = 0; k < constraints.length; k += 2) { // their depths increase
-    const [at, y] = [constraints[k], constraints[k + 1]];
+  for (let k = 0; k < constraints.length; k += 1 + bent.length) { // their depths increase
+    const at = constraints[k];
     while (i < x.length - 2 && x[i + 1] < at - 1e-9) i += 1;
     const span = x[i + 1] - x[i];
     const t = Math.min(Math.max((at - x[i]) / span, 0), 1);
-    const bend = 3 * (u[i + 1] - u[i]) - span * (2 * slope[i] + slope[i + 1]);
-    const curl = 2 * (u[i] - u[i + 1]) + span * (slope[i] + slope[i + 1]);
-    greatest = Math.max(greatest, Math.abs(u[i] + t * (span * slope[i] + t * (bend + t * curl)) - y));
+    const away = bent.map(([u, slope], p) => {
+      const bend = 3 * (u[i + 1] - u[i]) - span * (2 * slope[i] + slope[i + 1]);
+      const curl = 2 * (u[i] - u[i + 1]) + span * (slope[i] + slope[i + 1]);
+      return u[i] + t * (span * slope[i] + t * (bend + t * curl)) - constraints[k + 1 + p];
+    });
+    greatest = Math.max(greatest, measure(away));
   }
   return greatest;
 }

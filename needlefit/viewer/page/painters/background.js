@@ -82,14 +82,29 @@ function paintNames(context) {
   context.fillText("skin", skin - 4, top - 11);
 }
 
-/** Draw ticks and names outside the box. */
-export function paintAxes(context) {
+/** Draw the frame of the window, ticks across and the name of their axis. */
+export function paintFrame(context, name) {
   const { left, top, width, height } = view.box;
   const bottom = top + height;
   context.lineWidth = 1;
   context.strokeStyle = palette.quiet;
   context.strokeRect(left - 0.5, top - 0.5, width + 1, height + 1);
   context.fillStyle = palette.label;
+  setFont(context, "small", "right");
+  const scale = view.scale * view.magnified;
+  const across = ticks(fromPy(bottom), fromPy(top), scale, height).map((y) => [y, Math.round(toPy(y)) + 0.5]);
+  segments(context, across.map(([, py]) => [[left - TICK, py], [left, py]]), palette.quiet, 1);
+  for (const [y, py] of across) context.fillText(written(y), left - TICK - 2, py);
+  context.textAlign = "center";
+  turned(context, 11, top + height / 2, QUARTER, () => context.fillText(name, 0, 0));
+}
+
+/** Draw ticks and names outside the box. */
+export function paintAxes(context) {
+  const { left, top, width, height } = view.box;
+  const bottom = top + height;
+  setFont(context, "small");
+  paintFrame(context, nameAcross(context, height));
   paintNames(context);
 
   setFont(context, "small", "center", "top");
@@ -99,14 +114,6 @@ export function paintAxes(context) {
   for (const [x, px] of along) if (px < end - APART || !view.low) context.fillText(written(x), px, bottom + TICK + 2);
   if (view.low) context.fillText(IN_ROW, (end + APART + left + width) / 2, bottom + TICK + 2);
   else context.fillText("x along the entry (mm)", left + width / 2, bottom + 26);
-
-  setFont(context, "small", "right");
-  const scale = view.scale * view.magnified;
-  const across = ticks(fromPy(bottom), fromPy(top), scale, height).map((y) => [y, Math.round(toPy(y)) + 0.5]);
-  segments(context, across.map(([, py]) => [[left - TICK, py], [left, py]]), palette.quiet, 1);
-  for (const [y, py] of across) context.fillText(written(y), left - TICK - 2, py);
-  context.textAlign = "center";
-  turned(context, 11, top + height / 2, QUARTER, () => context.fillText(nameAcross(context, height), 0, 0));
 }
 
 /** Ticks along so many px at a scale in px per mm; their step is rounded down, by 2.5 at most. */

@@ -3,7 +3,8 @@
 import { part } from "../dom.js";
 import { makeField, setHome, show } from "../fields.js";
 import { listParameters } from "../parameters.js";
-import { degrees, slope, strengthOf } from "../quantities.js";
+import { rollOf } from "../model/inputs.js";
+import { degrees, describeRoll, ROLL_FIELD, slope, strengthOf } from "../quantities.js";
 import { now } from "../store.js";
 
 const digits = (count) => (value) => value.toFixed(count);
@@ -31,6 +32,7 @@ export function buildFields({ scene, recording }, steer) {
     { name: "base slope", symbol: "base slope", unit: "°", step: 0.1, write: digits(2), limits: [-5, 5] },
     (of) => (of.base ? of.base.input_slope : simulation.steps[0].controls.baseSlope),
     { shown: degrees, meant: slope });
+  add("insertion-fields", ["bevel_roll_deg", null], ROLL_FIELD, (of) => (of.bevel ?? { roll_deg: rollOf(simulation.steps[0].bevel) }).roll_deg);
   const { key, symbol, unit, digits: count, step, here, throughout } = strengthOf(fitted);
   const varies = recording?.some(([, changes]) => changes.some(([name]) => name === here)); // it has no value of the whole insertion
   if (!varies) add("tissue-fields", [throughout, null],
@@ -45,5 +47,5 @@ export function buildFields({ scene, recording }, steer) {
 /** Let every field say what is. */
 export function refreshFields() {
   for (const [field, current] of fields) show(field, current());
-  part("side").textContent = now.state.bevel.side > 0 ? "+y" : "−y";
+  part("side").textContent = describeRoll(now.state.bevel);
 }

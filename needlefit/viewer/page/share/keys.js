@@ -2,8 +2,9 @@
 
 import { part } from "../dom.js";
 import { handleAt } from "../handles.js";
+import { turnOver, wrap } from "../model/inputs.js";
 import { place } from "../pointers.js";
-import { degrees, slope } from "../quantities.js";
+import { degrees, ROLL, slope } from "../quantities.js";
 import { now } from "../store.js";
 import { pin } from "../strip.js";
 import { fit, zoom } from "../view.js";
@@ -25,7 +26,9 @@ export function listenToKeys(steer) {
     ArrowLeft: ({ shiftKey }) => insertBy(shiftKey ? -0.1 : -1),
     ArrowUp: ({ shiftKey }) => (shiftKey ? turn(BASE.angle) : base(BASE.y)),
     ArrowDown: ({ shiftKey }) => (shiftKey ? turn(-BASE.angle) : base(-BASE.y)),
-    f: () => steer([["bevel_side", null, -now.state.bevel.side]]),
+    f: () => steer([turnOver(now.state.bevel.roll_deg)]),
+    r: () => steer([["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg + ROLL)]]),
+    R: () => steer([["bevel_roll_deg", null, wrap(now.state.bevel.roll_deg - ROLL)]]),
     k: pin,
     1: () => fit("whole"),
     2: () => fit("tissue"),

@@ -1,8 +1,10 @@
 /** A file that computes: the needles of a report, or one recorded insertion, steered by who reads it. */
 
+import "../above.js";
 import { computeBands } from "../bands.js";
 import { element, isDark, part, press, say, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
+import { turnOver } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { counted } from "../quantities.js";
@@ -255,7 +257,7 @@ async function start() {
     element("option", { value: String(i) }, [nameOf(scene), group].filter(Boolean).join(", "))));
   part("choosing").hidden = data.needles.length < 2;
   choice.addEventListener("change", () => choose(Number(choice.value)));
-  press("flip", () => change([["bevel_side", null, -now.state.bevel.side]]));
+  press("flip", () => change([turnOver(now.state.bevel.roll_deg)]));
   press("back", goBack);
   press("copy-link", copyLink);
   addEventListener("hashchange", followAddress);

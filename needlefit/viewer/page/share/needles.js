@@ -2,7 +2,7 @@
 
 import { compile } from "../../../mechanics/native/needle.js";
 import { part } from "../dom.js";
-import { alignRigid, computeErrors } from "../model/errors.js";
+import { alignRigid, computeErrors, readPoints } from "../model/errors.js";
 import { listSteps } from "../model/inputs.js";
 import { SteeredNeedle } from "../model/steered.js";
 
@@ -65,17 +65,10 @@ export class Replay {
   }
 }
 
-/** Points x and y of a needle at beam coordinates of its depth. */
-function readCurve({ session }, s) {
-  const { x, depth } = session.shape;
-  const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
-  return s.map((_, i) => [points[2 * i], points[2 * i + 1]]);
-}
-
 /** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
 function compareStored(steered, [fit], same) {
   const { target, stored } = steered.scene.measured;
-  let points = readCurve(steered, target.s);
+  let points = readPoints(steered.session, target.s);
   if (target.pose === "free") points = alignRigid(points, target.x.map((x, i) => [x, target.y[i]]));
   const found = computeErrors(steered.session, steered.scene.measured);
   const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));

@@ -1,0 +1,60 @@
+/** The view from above, below that from the side: x as there, z upwards, drawn at most as large as y. Shown of a needle in space. */
+
+import { onScheme, part } from "./dom.js";
+import { shown } from "./drawing.js";
+import { paintFrame, paintTissue } from "./painters/background.js";
+import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
+import { isBandNear, paintBand } from "./painters/overlay.js";
+import { label, palette, setFont } from "./painters/strokes.js";
+import { brief } from "./quantities.js";
+import { listen, now } from "./store.js";
+import { view } from "./view.js";
+
+const [EDGE, ROOM] = [8, 14]; // px above and below the window, and in it
+const canvas = part("above");
+const context = canvas.getContext("2d", { alpha: false });
+
+/** The needle as it is seen from above: z in place of y. */
+function turn(state) {
+  const across = ([x, , z]) => [x, z];
+  const roll = (state.bevel.roll_deg * Math.PI) / 180;
+  return { ...state, y: state.z, constraints: across(state.constraints), tip_path: across(state.tip_path), bevel: { side: Math.sin(roll) < 0 ? -1 : 1 } };
+}
+
+function draw() {
+  canvas.hidden = !now.state?.z;
+  if (canvas.hidden) return;
+  const { clientWidth: width, clientHeight: height } = canvas;
+  const size = [width, height].map((one) => Math.round(one * devicePixelRatio));
+  if (canvas.width !== size[0] || canvas.height !== size[1]) [canvas.width, canvas.height] = size;
+  context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  context.fillStyle = palette.gutter;
+  context.fillRect(0, 0, width, height);
+  const { state, band } = now;
+  const seen = [...state.z, ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
+  const [low, high] = [Math.min(...seen), Math.max(...seen)];
+  const { y, box, magnified } = view;
+  const within = { ...box, top: EDGE, height: height - 2 * EDGE };
+  const times = Math.min(magnified, (within.height - 2 * ROOM) / (view.scale * (high - low || 1)));
+  Object.assign(view, { y: (low + high) / 2, box: within, magnified: times }); // all painters draw in this window
+  context.save();
+  context.beginPath();
+  context.rect(box.left, EDGE, box.width, within.height);
+  context.clip();
+  paintTissue(context);
+  const needle = turn(state);
+  if (shown.band && band?.z && isBandNear(band, state)) paintBand(context, { x: band.x, ...band.z }, band.step !== state.step);
+  context.lineJoin = "round";
+  paintNeedle(context, needle);
+  if (shown.path) paintPath(context, needle);
+  if (shown.points) paintPoints(context, needle);
+  setFont(context, "small", "left");
+  label(context, "from above", box.left + 6, EDGE + 10);
+  context.restore();
+  paintFrame(context, times === 1 ? "z (mm)" : `z (mm), drawn ${brief(times, 2)}×`);
+  Object.assign(view, { y, box, magnified });
+}
+
+for (const kind of ["drawn", "scene"]) listen(kind, draw);
+new ResizeObserver(draw).observe(canvas);
+onScheme(() => requestAnimationFrame(draw));
