@@ -4,9 +4,10 @@ A scan that is refused does not stop the others; an error of the program does.
 """
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import chdir, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -27,13 +28,6 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 T = TypeVar("T")
-
-
-def _try(step: Callable[[], T]) -> T | None:
-    """Return what a step finds; None if it refuses the scan: another step has raised its error."""
-    with suppress(NeedlefitError):
-        return step()
-    return None
 
 
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
@@ -90,7 +84,7 @@ def reconstruct_all(
     """
     found: dict[int, tuple[Result, ...]] = {}
     batch.progress("reconstructing", 0, len(scans))
-    work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
+    work = partial(reconstruct_needles, recipe=recipe, every=batch.every, folder=Path.cwd())
     for at, results in batch.pool.run(work, scans, batch.stop):
         found[at] = results
         batch.progress(scans[at].id, len(found), len(scans))
@@ -98,14 +92,20 @@ def reconstruct_all(
 
 
 @one_thread
-def reconstruct_needles(scan: Scan, recipe: ReconstructionRecord, every: bool = False) -> tuple[Result, ...]:
-    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds."""
-    read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
-    search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
-    if isinstance(search, ReconstructionFailure):
-        return (search,)
-    needles = divide_scan(search, scan) if every else (scan,)
-    return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
+def reconstruct_needles(
+    scan: Scan, recipe: ReconstructionRecord, every: bool = False, folder: Path = Path()
+) -> tuple[Result, ...]:
+    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds.
+
+    Relative paths of the scan count from `folder`.
+    """
+    with chdir(folder):
+        read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
+        search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
+        if isinstance(search, ReconstructionFailure):
+            return (search,)
+        needles = divide_scan(search, scan) if every else (scan,)
+        return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
 
 
 def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
@@ -117,9 +117,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entry, profile = None, found.profile
     if needle is not None and profile is not None:
-        length = float(arc_length(needle)[-1])
-        for rise in _try(lambda: list_candidates(profile, length)) or ():
-            (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
+        with suppress(NeedlefitError):  # another step has raised its error
+            for rise in list_candidates(profile, float(arc_length(needle)[-1])):
+                (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
     points = make_control_points(scan.id, needle, entry, balls)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings)
 

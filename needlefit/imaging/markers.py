@@ -17,11 +17,12 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
+from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
 from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
-from needlefit.imaging.spheres import MAX_BLUR_MM, Blob, PointSpread, SphereFit, fit_sphere
+from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -168,7 +169,6 @@ def find_markers(
     balls = [ball for _, ball in shown]
     rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
     centers = [ball.center for ball in balls]
-    spreads = [(one.spread.blur, one.spread.boost, one.spread.slice_blur) for one in balls]
     warnings: list[str] = []
     measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
     if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
@@ -183,7 +183,7 @@ def find_markers(
         misfits=np.array([ball.misfit for ball in balls]),
         rejected=tuple(one for one in rejected if not _is_near(one.center, centers, diameter / 2)),
         # with a wrong diameter the blur is wrong
-        spread=PointSpread(*np.median(spreads, axis=0).tolist()) if balls and not warnings else None,
+        spread=None if warnings else average_spreads([ball.spread for ball in balls]),
         warnings=tuple(warnings),
     )
 

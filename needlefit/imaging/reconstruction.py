@@ -12,9 +12,9 @@ from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.centerline import Centerline
+from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index
 
 

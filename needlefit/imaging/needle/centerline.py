@@ -40,8 +40,8 @@ from needlefit.imaging.needle.tip import (
     bevel_length,
     fit_tip,
 )
+from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.refusals import refusal
-from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -121,13 +121,13 @@ def trace_needle(
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
         axis = refine_axis(volume, axis, recipe, heel, end.at)
-        placed = _place_in_slices(volume, axis, recipe, end.at)
+        placed = _place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else reverse_axis(axis)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
-        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0])) is not None:
+        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
@@ -247,7 +247,7 @@ def refine_axis(
 
 
 def _place_in_slices(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float, spread: PointSpread | None
 ) -> tuple[AxisSpline, TipFit] | None:
     """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
 
@@ -256,7 +256,7 @@ def _place_in_slices(
     knot = recipe.centerline.knot_spacing_mm
     if not runs_in_slices(volume, axis, knot):
         return None
-    found = fit_slices(volume, axis, recipe.needle, knot, tip)
+    found = fit_slices(volume, axis, recipe.needle, knot, tip, spread)
     if found is None:
         return None
     points = found.place(axis.points)
