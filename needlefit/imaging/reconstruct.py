@@ -26,7 +26,6 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
-    EntryKnowledge,
     OutsideShaft,
     choose_entry,
     compare_poses,
@@ -397,22 +396,22 @@ def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> 
 
 def estimate_first_contact(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryPose, EntryPose | None, tuple[str, ...]]:
-    """Return the entry pose, the pose of the shaft outside the tissue where it is visible, and warnings."""
+) -> tuple[EntryPose, EntryPose | None]:
+    """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
     if scan.stage is None:
-        at, at_sd, notes = _locate_tissue(found, scan, surfaces, recipe)
+        at, at_sd = _locate_tissue(found, scan, surfaces, recipe)
         shaft = move_to_surface(
             pose_from_shaft(_select_outside_shaft(found, scan, recipe, at), at_sd), surfaces
         )
-        return shaft, shaft, notes
+        return shaft, shaft
     (here,) = found.patient.to_local(scan.stage.entry[None])
     stage = pose_from_stage(scan.stage, found.registration, here)
     outside = _select_outside_shaft(found, scan, recipe, find_entry_arc_length(found.world, stage))
     if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
-        return stage, None, ()
+        return stage, None
     other = pose_from_shaft(outside, stage.along_sd)
     compare_poses(stage, other)
-    return stage, other, ()
+    return stage, other
 
 
 def _select_outside_shaft(
@@ -434,8 +433,8 @@ def _select_outside_shaft(
 
 def _locate_tissue(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float, tuple[str, ...]]:
-    """Return where along the whole needle the tissue begins, how sure that is, mm, and warnings.
+) -> tuple[float, float]:
+    """Return where along the whole needle the tissue begins, and how sure that is, mm.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
@@ -455,22 +454,21 @@ def _locate_tissue(
                 expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
                 where: entry of the corrections""")
-        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
+        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
         at = float(own.min())
         _refuse_distant_surface(at, found)
-        return at, recipe.layers.surface_sd_mm, ()
-    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance)
-    choice = choose_entry(found.brightness, float(arc_length(found.world)[-1]), known)
-    if choice is None:
+        return at, recipe.layers.surface_sd_mm
+    length = float(arc_length(found.world)[-1])
+    entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
+    if entry is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
-    entry, warnings = choice
-    return entry.at, entry.sd, warnings
+    return entry.at, entry.sd
 
 
 def _refuse_distant_surface(at: float, found: Examination) -> None:
@@ -504,7 +502,7 @@ def derive_reconstruction(
     scan = found.scan
     surfaces = read_layers(scan, found.patient, grid, frame_of_reference)
     refuse_tunnels(surfaces, found.world)
-    pose, shaft, doubts = estimate_first_contact(found, scan, surfaces, recipe)
+    pose, shaft = estimate_first_contact(found, scan, surfaces, recipe)
     begin = find_entry_arc_length(found.world, pose)
     points, sd = _sample_inserted(found, begin, recipe.centerline.station_spacing_mm)
     frame, plane = _find_bending_frame(found, scan, pose, points, recipe)
@@ -538,7 +536,7 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    doubts += () if found.selection is None or found.scan.divided else found.selection.warnings
+    doubts = () if found.selection is None or found.scan.divided else found.selection.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 

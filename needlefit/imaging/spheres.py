@@ -109,6 +109,9 @@ class SphereTables:
         return [spline_filter(table, mode="mirror") for table in tables]
 
 
+make_tables = lru_cache(maxsize=8)(SphereTables)
+
+
 def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
     """Return a table's values (N,) at distances `across` and `along` (N,) >= 0, mm."""
     places = np.stack([across, along]) / TABLE_STEP_MM
@@ -152,24 +155,16 @@ class SphereVoxels:
 
 def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
     """Return the image (N,), HU, of a ball, and its derivatives (N, 15)."""
-    tables = _make_tables(near.reach).render(
+    tables = make_tables(near.reach).render(
         float(np.exp(theta[RADIUS])), theta[DARK], read_spread(theta[SPREAD])
     )
-    offsets = _pixel_points(near.spacing)
-    total = np.zeros((len(near.places), 2 + 3 + 4))
-    for offset in offsets:
-        d = near.places - theta[CENTER] + offset
-        across = np.hypot(d[:, 0], d[:, 1])
-        along = np.abs(d[:, 2])
-        seen = [look_up(table, across, along) for table in tables]
-        total[:, 0] += seen[BALL]
-        total[:, 1] += seen[SHORTFALL]
-        total[:, 2:4] -= seen[ACROSS][:, None] * d[:, :2]
-        total[:, 4] -= seen[ALONG] * d[:, 2]
-        total[:, 5:] += np.column_stack(seen[ALONG + 1 :])
-    total /= len(offsets)
-    part = total[:, 0] + theta[DARK] * total[:, 1]
-    dark, moved, shaped, grown = total[:, 1], total[:, 2:5], total[:, 5:8], total[:, 8]
+    d = near.places - theta[CENTER]
+    across, along = np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])
+    seen = [look_up(table, across, along) for table in tables]
+    part, dark = seen[BALL] + theta[DARK] * seen[SHORTFALL], seen[SHORTFALL]
+    moved = -np.column_stack([seen[ACROSS][:, None] * d[:, :2], seen[ALONG] * d[:, 2]])
+    *shapes, grown = seen[ALONG + 1 :]
+    shaped = np.column_stack(shapes)
     depth = near.places @ theta[FACE] + theta[OFFSET]
     beyond = ndtr(depth)
     rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
@@ -188,15 +183,6 @@ def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
     return np.clip(shown, near.floor, near.ceiling), slopes
 
 
-def _pixel_points(spacing: Floats) -> Floats:
-    """Return points (P, 3), mm, over which a voxel is averaged: pixels are oblong in resampled scans only."""
-    if abs(spacing[0] / spacing[1] - 1) < SQUARE_PIXELS:
-        return np.zeros((1, 3))
-    corners = np.array([[i, j, 0] for i in (-1, 1) for j in (-1, 1)])
-    return np.asarray(corners * spacing / np.sqrt(12))
-
-
-SQUARE_PIXELS = 0.02  # relative difference of a pixel's edges below which it counts as square
 # How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
 FIT_MARGIN_MM = 1.5
 GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
@@ -250,42 +236,37 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`; None: of any."""
     start = blob.diameter / 2 if radius is None else radius
     near = select_voxels(volume, blob, start)
-    fit = _fit_model(near, _guess_parameters(near, start), RADIUS if radius else RADIUS + 1)
-    own, spread = float(np.exp(fit.theta[RADIUS])), read_spread(fit.theta[SPREAD])
-    height = max(1.0, float(min(np.exp(fit.theta[HEIGHT]), near.ceiling) - fit.theta[LEVEL]))
-    inside = np.linalg.norm(near.places - fit.theta[CENTER], axis=1) < own + near.spacing.max()
-    left = fit.residuals[inside] if inside.any() else fit.residuals
+    first = _guess_parameters(near, start)
+    theta, residuals, covariance = _fit_model(near, first, RADIUS if radius else RADIUS + 1)
+    own, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
+    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
+    inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < own + near.spacing.max()
+    left = residuals[inside] if inside.any() else residuals
     misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
     systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / own, MISFIT_ERROR * misfit * spread.blur)
-    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(fit.covariance[CENTER, CENTER]) / 3))
+    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
-        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ fit.theta[CENTER],
+        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
         sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
         spread=spread,
         misfit=misfit,
-        noise=_spread(fit.residuals[~inside] if np.count_nonzero(~inside) > 20 else fit.residuals) / height,
+        noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
         diameter=2 * own,
-        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(fit.covariance[RADIUS, RADIUS])),
+        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(covariance[RADIUS, RADIUS])),
     )
 
 
-@dataclass(frozen=True)
-class _ModelFit:
-    """The least squares of the model of a ball's image."""
+def _fit_model(near: SphereVoxels, first: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust.
 
-    theta: Floats  # (15,)
-    residuals: Floats  # (N,); HU
-    covariance: Floats  # (P, P); of the parameters that were fitted
-
-
-def _fit_model(near: SphereVoxels, first: Floats, count: int) -> _ModelFit:
-    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust."""
+    Return all parameters (15,), residuals (N,), HU, and the covariance (count, count) of those fitted.
+    """
     noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
     best = _minimize(near, first, count, noise, robust=False)
-    noise = max(1.0, noise * _spread(_residuals(best, near)))
+    noise = max(1.0, noise * _spread(best.fun[: len(near.values)]))
     best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
-    theta, residuals = np.append(best.x, first[count:]), noise * _residuals(best, near)
+    theta, residuals = np.append(best.x, first[count:]), noise * np.asarray(best.fun[: len(near.values)])
     slopes = render_sphere(near, theta)[1][:, :count]
     known = np.zeros(count)
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
@@ -296,21 +277,12 @@ def _fit_model(near: SphereVoxels, first: Floats, count: int) -> _ModelFit:
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
     meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    return _ModelFit(theta, residuals, bread @ (meat + np.diag(known)) @ bread)
+    return theta, residuals, bread @ (meat + np.diag(known)) @ bread
 
 
 def _spread(values: Floats) -> float:
     """Return the deviation of a Gaussian with this median of absolute values."""
     return 1.48 * float(np.median(np.abs(values)))
-
-
-def _residuals(best: OptimizeResult, near: SphereVoxels) -> Floats:
-    return np.asarray(best.fun[: len(near.values)])
-
-
-@lru_cache(maxsize=8)
-def _make_tables(reach: float) -> SphereTables:
-    return SphereTables(reach)
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:

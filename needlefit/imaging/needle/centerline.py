@@ -24,7 +24,6 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
     fit_sections,
     in_volume,
-    reverse_axis,
     sample_planes,
     select_sections,
 )
@@ -125,7 +124,7 @@ def trace_needle(
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
-        axis = axis if last <= base else reverse_axis(axis)
+        axis = axis if last <= base else _reverse_axis(axis, recipe)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
         if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
@@ -306,7 +305,13 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
             expected: the tip and some tissue beyond it in the scan
             fix: scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction
             where: ends at L, P, S = {where} mm""")
-    return axis if forward else reverse_axis(axis)
+    return axis if forward else _reverse_axis(axis, recipe)
+
+
+def _reverse_axis(axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the rough axis from its other end."""
+    s = axis.length - axis.s[::-1]
+    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * recipe.centerline.knot_spacing_mm)
 
 
 def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool_]:

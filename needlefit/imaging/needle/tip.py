@@ -9,6 +9,7 @@ them open. Where rays run along the shaft, the hardened beam sees it darker than
 beyond: both are fitted.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -76,7 +77,7 @@ class RodModel:
             np.asarray(spline, dtype=np.float32),
         )
 
-    def transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
+    def _transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
         """Return the Fourier transform of the rod, its bevel's point at the angle `roll` from u."""
         along, across = self._axes
         (rows, columns), fibres, weights = self._fibres
@@ -100,37 +101,27 @@ class RodModel:
         inside = (self.radius - np.hypot(*fibres)) / (GRID_STEP_MM / FIBRES) + 0.5
         return (rows, columns), fibres, np.clip(inside, 0, 1)
 
-    def splines(self, transform: NDArray[np.complex64], spread: PointSpread) -> Singles:
-        """Return the spline coefficients of the blurred rod of height 1."""
+    @cached_property
+    def _splines(self) -> Callable[[float, float, PointSpread], Singles]:
+        """Spline coefficients of the blurred rod of height 1; of a step's derivatives most are of one rod."""
         in_slice, normal, spline = self._squares
-        passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
+        transform = lru_cache(maxsize=4)(self._transform)
         along, across = self._axes
         shape = (len(along), len(across), len(across))
-        return np.asarray(irfftn(transform * passed, shape))
 
-    def sample(self, splines: Singles, s: Floats, u: Floats, v: Floats) -> Floats:
-        """Return the image (N,) at places (N,) from the tip."""
+        @lru_cache(maxsize=8)
+        def blur(roll: float, cotangent: float, spread: PointSpread) -> Singles:
+            passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
+            return np.asarray(irfftn(transform(roll, cotangent) * passed, shape))
+
+        return blur
+
+    def image(self, roll: float, cotangent: float, spread: PointSpread, places: Floats) -> Floats:
+        """Return the image (N,) of a rod of height 1 at places s, u, v (3, N) from its tip."""
         along, across = self._axes
-        place = np.stack([s - along[0], u - across[0], v - across[0]]) / GRID_STEP_MM
-        return np.asarray(map_coordinates(splines, place, order=3, mode="nearest", prefilter=False), float)
-
-
-class CachedRod:
-    """A rod model that keeps its last images: of a step's derivatives most are of the same rod."""
-
-    def __init__(self, model: RodModel) -> None:
-        self.model = model
-        self._transform = lru_cache(maxsize=4)(model.transform)
-        self._splines = lru_cache(maxsize=8)(self._blur)
-
-    def _blur(self, roll: float, cotangent: float, spread: PointSpread) -> Singles:
-        return self.model.splines(self._transform(roll, cotangent), spread)
-
-    def image(
-        self, end: tuple[float, float], spread: PointSpread, places: tuple[Floats, Floats, Floats]
-    ) -> Floats:
-        """Return the image (N,) of a rod that ends with `end` (roll, cotangent) at places s, u, v (N,)."""
-        return self.model.sample(self._splines(*end, spread), *places)
+        at = (places - np.array([along[0], across[0], across[0]])[:, None]) / GRID_STEP_MM
+        splines = self._splines(roll, cotangent, spread)
+        return np.asarray(map_coordinates(splines, at, order=3, mode="nearest", prefilter=False), float)
 
 
 # What the 12 parameters are: end along the axis, roll of the bevel, swing across, mm, rad; logarithm of the
@@ -233,7 +224,7 @@ class TipProblem:
         # the tip may be found 4 mm from where it is looked for
         back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
-        self.rod = CachedRod(RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices))
+        self.rod = RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
         self.offsets = np.zeros((1, 3))
@@ -261,9 +252,9 @@ class TipProblem:
         spread = read_spread(theta[SPREAD])
         darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / DARKENING_LENGTH_MM))
         streak = np.exp(-np.maximum(s, 0) / STREAK_LENGTH_MM - (u**2 + v**2) / (2 * STREAK_RADIUS_MM**2))
-        end, total = (float(theta[ROLL]), float(theta[COT])), np.zeros(len(s))
-        for ds, du, dv in self.offsets:
-            image = self.rod.image(end, spread, (s + ds, u + du, v + dv))
+        places, total = np.stack([s, u, v]), np.zeros(len(s))
+        for offset in self.offsets:
+            image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places + offset[:, None])
             shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
             total += np.clip(shown, FLOOR_HU, self.ceiling)
         return total / len(self.offsets)
@@ -328,7 +319,7 @@ class TipProblem:
     def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
         """Return by which factor's logarithm the needle is wider than stated, to first order; its SD."""
         rod, loss = self.rod, (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** -0.75
-        self.rod = CachedRod(replace(rod.model, radius=rod.model.radius * float(np.exp(WIDTH_STEP))))
+        self.rod = replace(rod, radius=rod.radius * float(np.exp(WIDTH_STEP)))
         wider = loss * (self.residuals(best.x) - best.fun) / WIDTH_STEP
         self.rod = rod
         covariance, moved = self._sum_blocks(np.column_stack([best.jac, wider]), best.fun)
