@@ -15,7 +15,6 @@ from scipy.special import ndtr
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
 from needlefit.imaging.entry import (
-    EntryKnowledge,
     OutsideShaft,
     choose_entry,
     compare_poses,
@@ -117,32 +116,31 @@ def profile(*edges, width=0.5, noise=3.0, seed=1):
     return IntensityProfile(S, np.where(S <= TIP, 3000.0, 35.0), around)
 
 
-def choose(shown, depth=None, thickness=None, distance=None):
-    return choose_entry(shown, TIP, EntryKnowledge(depth, thickness, distance))
+def choose(shown, thickness=None, distance=None):
+    return choose_entry(shown, TIP, thickness, distance)
 
 
 def test_a_plate_is_passed_by_its_stated_thickness_and_asked_for_where_it_is_not_stated():
     for gap in [2.0, 3.0, 6.0, 11.0]:
         shown = profile((-8.0 - gap, -1000.0, 110.0), (-gap, 110.0, -1000.0), *FACE, width=0.7)
-        entry, warnings = choose(shown, thickness=8.0)
+        entry = choose(shown, thickness=8.0)
         assert abs(entry.at) < 0.15
         assert abs(entry.at) < 3 * entry.sd
-        assert warnings == ()
     shown = profile(*PLATE, *FACE)
     assert_allclose([one.depth for one in list_candidates(shown, TIP)], [59.0, 40.0], atol=0.15)
     for thickness in (None, 14.0):
         refused = refusal(DataError, "", choose, shown, thickness=thickness)
         assert refused.where == "guide.thickness_mm" and "59.0" in refused.what and "40.0" in refused.what
-    assert_allclose(choose(shown, thickness=0.0)[0].at, -19.0, atol=0.1)
+    assert_allclose(choose(shown, thickness=0.0).at, -19.0, atol=0.1)
 
 
 def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_the_gap():
     flush = profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0), (13.0, 35.0, -5.0))
-    entry, warnings = choose(flush, thickness=8.0)
+    entry = choose(flush, thickness=8.0)
     assert_allclose((entry.at, entry.depth), (0.0, 40.0), atol=0.15)
-    assert entry.sd > 0.1 and warnings == ()
-    assert_allclose(choose(flush)[0].at, -8.0, atol=0.1)
-    assert_allclose(choose(profile(*FACE), thickness=8.0, distance=0.7)[0].at, 8.7, atol=0.1)
+    assert entry.sd > 0.1
+    assert_allclose(choose(flush).at, -8.0, atol=0.1)
+    assert_allclose(choose(profile(*FACE), thickness=8.0, distance=0.7).at, 8.7, atol=0.1)
     assert refusal(DataError, "", choose, profile(*FACE), thickness=60.0).where == "guide.thickness_mm"
 
 

@@ -14,10 +14,9 @@ Choose where the needle enters the tissue, among the places where air turns into
 
 A guide plate, a template or the wall of a box is soft material, too. In this order the entry is
 
-1. the candidate nearest to the inserted length that somebody states for the scan (`expected_depth_mm`);
-2. the face behind the guide of stated thickness (`[guide] thickness_mm`; 0: there is none, and the first
+1. the face behind the guide of stated thickness (`[guide] thickness_mm`; 0: there is none, and the first
    soft material is the tissue); where no air shows behind the guide, `guide_distance_mm` farther on;
-3. the only candidate. Of several, one may be a guide: its thickness is asked for.
+2. the only candidate. Of several, one may be a guide: its thickness is asked for.
 """
 
 from collections.abc import Sequence
@@ -199,7 +198,6 @@ def _variance_across(covariance: Floats, direction: Floats) -> float:
 
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
 MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
-MAX_DEPTH_MISS_MM = 10.0  # a stated inserted length that misses every candidate by more fits none, mm
 
 
 @dataclass(frozen=True)
@@ -213,15 +211,6 @@ class EntryCandidate:
     run: MaterialRun  # the soft material that it begins
 
 
-@dataclass(frozen=True)
-class EntryKnowledge:
-    """What is stated about the place where the needle enters the tissue."""
-
-    depth: float | None  # about the inserted length, mm
-    guide_thickness: float | None  # along the needle, mm; 0: no guide
-    guide_distance: float | None  # from the guide to the entry, mm
-
-
 def list_candidates(profile: IntensityProfile, tip: float) -> tuple[EntryCandidate, ...]:
     """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along."""
     runs = find_runs(profile)
@@ -229,51 +218,31 @@ def list_candidates(profile: IntensityProfile, tip: float) -> tuple[EntryCandida
 
 
 def choose_entry(
-    profile: IntensityProfile, tip: float, known: EntryKnowledge
-) -> tuple[EntryCandidate, tuple[str, ...]] | None:
-    """Return where the needle enters the tissue, and warnings; None if nothing shows it.
+    profile: IntensityProfile, tip: float, guide_thickness: float | None, guide_distance: float | None
+) -> EntryCandidate | None:
+    """Return where the needle enters the tissue; None if nothing shows it.
+
+    `guide_thickness`: along the needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
 
     DataError if what is stated does not decide between several candidates, or fits none.
     """
     candidates = list_candidates(profile, tip)
     if not candidates:
         return None
-    if known.depth is not None:
-        return _choose_by_depth(candidates, known.depth)
-    if known.guide_thickness is not None and known.guide_thickness > 0:
-        return _find_behind_guide(profile, candidates, known.guide_thickness, known.guide_distance), ()
-    if known.guide_thickness is None and len(candidates) > 1:
+    if guide_thickness:
+        return _find_behind_guide(profile, candidates, guide_thickness, guide_distance)
+    if guide_thickness is None and len(candidates) > 1:
         raise refusal(f"""the needle meets soft material {len(candidates)} times, of which one may be a guide:
                 the tissue may begin {_list_in_words(candidates)}
-            expected: the thickness of the guide along the needle, or about how much of the needle is in the
-                tissue
+            expected: the thickness of the guide along the needle
             fix: state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the
-                tissue), or expected_depth_mm for this scan
+                tissue), or place the entry by hand (--corrections)
             where: guide.thickness_mm""")
-    return candidates[0], ()
+    return candidates[0]
 
 
 def _list_in_words(candidates: Sequence[EntryCandidate]) -> str:
     return " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
-
-
-def _choose_by_depth(
-    candidates: tuple[EntryCandidate, ...], depth: float
-) -> tuple[EntryCandidate, tuple[str, ...]]:
-    misses = [abs(one.depth - depth) for one in candidates]
-    best = int(np.argmin(misses))
-    if misses[best] > MAX_DEPTH_MISS_MM:
-        raise refusal(f"""the tissue may begin {_list_in_words(candidates)}, but {depth:g} mm are stated as
-                inserted
-            expected: within {MAX_DEPTH_MISS_MM:g} mm of one of them
-            fix: correct expected_depth_mm, or leave it empty
-            where: expected_depth_mm""")
-    near = [one for one, miss in zip(candidates, misses, strict=True) if miss < 2 * misses[best] + 1]
-    note = (
-        f"expected_depth_mm = {depth:g} fits {_list_in_words(near)} about as well: the nearest is taken as "
-        "the entry"
-    )
-    return candidates[best], (note,) * (len(near) > 1)
 
 
 def _find_behind_guide(
@@ -297,8 +266,8 @@ def _find_behind_guide(
         raise refusal(f"""no guide of {thickness:g} mm shows along the needle: the tissue may begin
                 {_list_in_words(candidates)}
             expected: soft material of that length before the tissue
-            fix: correct guide.thickness_mm (0: the scan shows no guide), or state expected_depth_mm for this
-                scan
+            fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
+                (--corrections)
             where: guide.thickness_mm""")
     behind_face = thickness + (distance or 0.0)
     sd = float(np.hypot(first.sd, GUIDE_SD_MM))

@@ -6,16 +6,14 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion_table import MIN_DEPTH_MM
@@ -28,7 +26,6 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
-    EntryKnowledge,
     OutsideShaft,
     choose_entry,
     compare_poses,
@@ -58,7 +55,6 @@ from needlefit.imaging.needle.segmentation import (
     median_tissue_hu,
     select_needle,
 )
-from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import (
     EntryPose,
     IntensityProfile,
@@ -68,17 +64,16 @@ from needlefit.imaging.reconstruction import (
     render_views,
 )
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET, motion_jacobian
+from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET
 from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
     register,
     scan_frame,
-    to_world,
 )
 from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, to_index
+from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -87,11 +82,9 @@ MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less oft
 MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
 # Degrees between the stated bevel and the one seen from which on something was mixed up.
 MAX_BEVEL_ANGLE_DEG = 30.0
-MIN_SHIFTED_MARKERS = 2  # markers on either side of a slice at which the table moved, at least
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
-TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
 # Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply.
 MAX_LAYER_SD_MM = 0.5
@@ -138,24 +131,7 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
-    if (further := _find_metal_beyond(one)) is not None:
-        notes.append(
-            f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "
-            "needle: rays may hide a part of it, and the tip lie further on; look at it"
-        )
     return notes
-
-
-def _find_metal_beyond(one: Reconstruction) -> float | None:
-    """Return how far beyond the tip the axis meets metal again, mm; None if it does not."""
-    profile = one.profile
-    excess = profile.core - profile.around
-    shaft = excess[(profile.s > one.depth - END_LENGTH_MM) & (profile.s < one.depth - TIP_CLEARANCE_MM)]
-    beyond = profile.s > one.depth + TIP_CLEARANCE_MM
-    if not np.isfinite(shaft).any():
-        return None
-    bright = np.flatnonzero(beyond & (excess > np.nanmedian(shaft) / 2))
-    return float(profile.s[bright[0]] - one.depth) if len(bright) else None
 
 
 def _input_warnings(one: Reconstruction) -> Iterator[str]:
@@ -347,29 +323,6 @@ def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionReco
         raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
 
 
-def _note_shifted_markers(
-    markers: MarkerResult, fit: Registration, volume: Volume, recipe: ReconstructionRecord
-) -> Iterator[str]:
-    """Yield that all markers beyond a slice are shifted, where that explains what the noise does not."""
-    pairs, number = fit.pairs[:, 0], len(fit.pairs)
-    heights = to_index(volume, markers.centers[pairs])[:, 2]
-    sd = np.hypot(markers.sd[pairs], recipe.markers.reference_sd_mm)[:, None, None]
-    moved = motion_jacobian(to_world(fit, markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
-    order = np.sort(heights)
-    for low, high in pairwise(order[MIN_SHIFTED_MARKERS - 1 : number - MIN_SHIFTED_MARKERS + 1]):
-        beyond = (heights > (low + high) / 2)[:, None, None] * np.eye(3)
-        design = (np.concatenate([moved, beyond], axis=2) / sd).reshape(3 * number, 9)
-        left = (fit.residuals[..., None] / sd).reshape(-1)
-        best = np.linalg.lstsq(design, left)[0]
-        chi2 = float(np.sum((left - design @ best) ** 2))
-        if fit.p_value <= MIN_P_VALUE < chdtrc(3 * number - 9, chi2):
-            yield (
-                f"the markers beyond a slice between {low:.0f} and {high:.0f} (counted from 0) are shifted "
-                f"by {np.linalg.norm(best[6:]):.2f} mm: table or specimen moved during the scan; scan again"
-            )
-            return
-
-
 def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
     """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
     # over four stations: the last step alone is too noisy a direction
@@ -381,7 +334,6 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
-T = TypeVar("T")
 
 
 class VolumeSearch:
@@ -389,37 +341,27 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = volume, recipe
-        self._found: dict[tuple[str, float | None, bytes], object] = {}
+        self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
 
-    def find_tubes(self) -> list[Component]:
-        """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
+    @cached_property
+    def tubes(self) -> list[Component]:
+        """The components that may be the needle; DataError as `segmentation.find_tubes`."""
+        return find_tubes(self.volume, self.recipe, self.bright)
 
-    @property
+    @cached_property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
-        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
+        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU)
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
-        work = partial(fit_sphere, volume, blob, radius)
-        return self._once(f"ball above {blob.level}", work, radius, blob.voxels.tobytes())
-
-    def _once(self, name: str, work: Callable[[], T], radius: float | None = None, own: bytes = b"") -> T:
-        key = name, radius, own
-        if key not in self._found:
-            try:
-                self._found[key] = work()
-            except DataError as error:
-                self._found[key] = error
-        found: Any = self._found[key]
-        if isinstance(found, DataError):
-            raise found
-        return cast(T, found)
+        key = blob.level, radius, blob.voxels.tobytes()
+        if key not in self._balls:
+            self._balls[key] = fit_sphere(volume, blob, radius)
+        return self._balls[key]
 
 
 def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
@@ -431,7 +373,7 @@ def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
     if points is not None:
         axis = follow_points(search.volume, points, recipe)
         return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
-    return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
+    return select_needle(search.volume, recipe, scan.needle_at, search.tubes)
 
 
 def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> MarkerResult | None:
@@ -454,22 +396,22 @@ def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> 
 
 def estimate_first_contact(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryPose, EntryPose | None, tuple[str, ...]]:
-    """Return the entry pose, the pose of the shaft outside the tissue where it is visible, and warnings."""
+) -> tuple[EntryPose, EntryPose | None]:
+    """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
     if scan.stage is None:
-        at, at_sd, notes = _locate_tissue(found, scan, surfaces, recipe)
+        at, at_sd = _locate_tissue(found, scan, surfaces, recipe)
         shaft = move_to_surface(
             pose_from_shaft(_select_outside_shaft(found, scan, recipe, at), at_sd), surfaces
         )
-        return shaft, shaft, notes
+        return shaft, shaft
     (here,) = found.patient.to_local(scan.stage.entry[None])
     stage = pose_from_stage(scan.stage, found.registration, here)
     outside = _select_outside_shaft(found, scan, recipe, find_entry_arc_length(found.world, stage))
     if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
-        return stage, None, ()
+        return stage, None
     other = pose_from_shaft(outside, stage.along_sd)
     compare_poses(stage, other)
-    return stage, other, ()
+    return stage, other
 
 
 def _select_outside_shaft(
@@ -491,8 +433,8 @@ def _select_outside_shaft(
 
 def _locate_tissue(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float, tuple[str, ...]]:
-    """Return where along the whole needle the tissue begins, how sure that is, mm, and warnings.
+) -> tuple[float, float]:
+    """Return where along the whole needle the tissue begins, and how sure that is, mm.
 
     A first contact placed by hand says it, else the tissue's own surface where there is one, else the
     change of brightness around the needle.
@@ -512,22 +454,21 @@ def _locate_tissue(
                 expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
                 where: entry of the corrections""")
-        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm, ()
+        return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
         at = float(own.min())
         _refuse_distant_surface(at, found)
-        return at, recipe.layers.surface_sd_mm, ()
-    known = EntryKnowledge(scan.expected_depth, recipe.guide.thickness_mm, scan.guide_distance)
-    choice = choose_entry(found.brightness, float(arc_length(found.world)[-1]), known)
-    if choice is None:
+        return at, recipe.layers.surface_sd_mm
+    length = float(arc_length(found.world)[-1])
+    entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
+    if entry is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
-    entry, warnings = choice
-    return entry.at, entry.sd, warnings
+    return entry.at, entry.sd
 
 
 def _refuse_distant_surface(at: float, found: Examination) -> None:
@@ -561,7 +502,7 @@ def derive_reconstruction(
     scan = found.scan
     surfaces = read_layers(scan, found.patient, grid, frame_of_reference)
     refuse_tunnels(surfaces, found.world)
-    pose, shaft, doubts = estimate_first_contact(found, scan, surfaces, recipe)
+    pose, shaft = estimate_first_contact(found, scan, surfaces, recipe)
     begin = find_entry_arc_length(found.world, pose)
     points, sd = _sample_inserted(found, begin, recipe.centerline.station_spacing_mm)
     frame, plane = _find_bending_frame(found, scan, pose, points, recipe)
@@ -595,7 +536,7 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    doubts += () if found.selection is None or found.scan.divided else found.selection.warnings
+    doubts = () if found.selection is None or found.scan.divided else found.selection.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 
@@ -704,9 +645,6 @@ def examine(
     with found.step():
         if found.markers is not None and scan.markers is not None:
             found.registration = register_scan(found.markers, scan.markers, recipe)
-            shifted = _note_shifted_markers(found.markers, found.registration, volume, recipe)
-            notes = (*shifted, *found.registration.warnings)
-            found.registration = replace(found.registration, warnings=notes)
     if found.needle_axis is not None:
         found.profile = sample_needle_profile(volume, found.needle_axis.points)
     if found.error is not None:

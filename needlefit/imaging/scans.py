@@ -6,8 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -19,10 +18,9 @@ from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_C
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
-from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -42,7 +40,7 @@ class StagePose:
 class LayerSource:
     """A file with a layer's surface (STL, PLY, OBJ), or with a segmentation of all layers.
 
-    Segmentations are NRRD, NIfTI, MetaImage or RTSTRUCT files, or a .zip of one.
+    Segmentations are NRRD, NIfTI or MetaImage files, or a .zip of one.
     """
 
     path: Path
@@ -105,8 +103,6 @@ class Scan:
     layers: int | None = None
     layers_alternative: int | None = None
     guide_distance: float | None = None  # as in `insertions.csv`, mm; 0: the guide lies on the tissue
-    # About how much of the needle is in the tissue, mm: it names the entry among several candidates.
-    expected_depth: float | None = None
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: bool = False  # whether the scan's other needles are insertions too: the program set `needle_at`
     origin: Literal["measured", "synthetic"] = "measured"
@@ -127,7 +123,7 @@ VECTORS = {
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
 COUNTS = ("layers", "layers_alternative")
-LENGTHS = {"guide_distance": "guide_distance_mm", "expected_depth": "expected_depth_mm"}
+LENGTHS = {"guide_distance": "guide_distance_mm"}
 FILES = ("mask", "markers", "fiducials")
 NUMBER_COLUMNS = (
     *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, *LENGTHS.values()),
@@ -188,9 +184,9 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if not is_file(path):
         return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
     mesh = path.suffix.lower() in MESH_SUFFIXES
-    if not mesh and not _may_be_segmentation(path):
+    if not mesh and not path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:
@@ -205,15 +201,6 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if match is None:
         return LayerSource(path)
     return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
-
-
-def _may_be_segmentation(path: Path) -> bool:
-    """Whether a file is an image file, an archive, or begins as DICOM; archives of PACS use no ending."""
-    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
-        return True
-    with suppress(DataError):  # one that may not be read
-        return begins_as_dicom(path)
-    return False
 
 
 def build_scan(row: ScanRow, id_: str) -> Scan:
@@ -259,12 +246,6 @@ def label_faults(name: str, given: str, where: str) -> Iterator[Fault]:
         yield Fault(where, f"{name} is {given!r}: {fault}", EXPECTED_NAME, "rename it")
 
 
-def unmatched_fiducials_fault(where: str, fix: str) -> Fault:
-    """Return the fault of fiducials without markers."""
-    what = "fiducials are given, but no markers: they would be laid on nothing"
-    return Fault(where, what, "the known places of the markers, too", fix)
-
-
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
     """Yield what is wrong with words and files of a row, what is expected, and the fix."""
     for name, words in CHOICE_COLUMNS.items():
@@ -281,8 +262,8 @@ def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
         if path is not None and not is_file(path):
             yield f"there is no file {path}", f"the {name} of this scan", fix
     if row.text["fiducials"] and not row.text["markers"]:
-        fault = unmatched_fiducials_fault(row.where, "fill the cell under markers")
-        yield fault.what, fault.expected, fault.fix
+        what = "fiducials are given, but no markers: they would be laid on nothing"
+        yield what, "the known places of the markers, too", "state them: --markers, or the cell under markers"
 
 
 def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
@@ -312,11 +293,9 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     alone = math.isnan(number["layers"]) and not math.isnan(number["layers_alternative"])
     what, fix = "layers_alternative is given without layers", "fill the cell under layers, too"
     yield alone, what, "both counts, or none", fix
-    distance, depth = (number[name] for name in LENGTHS.values())
+    distance = number["guide_distance_mm"]
     what, expected = f"guide_distance_mm is {distance:g}", "a length, or 0: the guide lies on the tissue"
     yield distance < 0, what, expected, "leave it empty: held at its base"
-    what, fix = f"expected_depth_mm is {depth:g}", "leave it empty: the last change from air"
-    yield depth <= 0, what, "a length above 0", fix
 
 
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
@@ -334,6 +313,16 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     table = read_table(path, SCANS_DOCUMENT)
     found = list(_column_faults(table))
     rows = _parse_rows(table, found)
+    if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
+        what = "`markers` is empty, but other scans have some"
+        expected = "one world for all: markers for every scan, or for none"
+        fix = "add the markers' places, or put this scan into a table of its own"
+        found += [Fault(row.where, what, expected, fix) for row in rows if not row.text["markers"]]
+    return _build_scans(rows, found, path)
+
+
+def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tuple[Scan, ...]:
+    """Return the scans of rows; DataError listing the faults that were `found`, and all others."""
     unread = {fault.where for fault in found}
     for row in rows:
         for name in ("id", "medium"):
@@ -344,11 +333,6 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         found += (layer for layer in row.layers() if isinstance(layer, Fault))
         if row.where not in unread:
             found += (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
-    if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
-        what = "`markers` is empty, but other scans have some"
-        expected = "one world for all: markers for every scan, or for none"
-        fix = "add the markers' places, or put this scan into a table of its own"
-        found += [Fault(row.where, what, expected, fix) for row in rows if not row.text["markers"]]
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
     found += _repeated_id_faults(ids, [row.where for row in rows])
     if found:
@@ -376,44 +360,16 @@ def make_scans(
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
     """
-    missing = partial(Fault, what="there is no such file or folder", fix="check the path")
-    found = [missing(str(path), expected=READABLE_VOLUMES) for path in volumes if not path_exists(path)]
-    given = {
-        "the known places of the markers": markers,
-        "the markers as placed in the scan": fiducials,
-        "the needle's voxels": mask,
-    }
-    for expected, path in given.items():
-        if path is not None and not is_file(path):
-            found.append(missing(str(path), what="there is no such file", expected=expected))
-    if fiducials and not markers:
-        fix = "name the file of their known places, too: --markers"
-        found.append(unmatched_fiducials_fault(str(fiducials), fix))
-    once = fiducials or mask or series or acquisition
-    if len(volumes) > 1 and once:
+    found: list[Fault] = []
+    if len(volumes) > 1 and (once := fiducials or mask or series or acquisition):
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
-    sources = [parse_layer_source(text, Path()) for text in layers]
-    found += [source for source in sources if isinstance(source, Fault)]
-    found += name_faults("medium", medium, "medium")
-    for volume in volumes:
-        found += label_faults("scan", volume.name, repr(str(volume)))
-    ids = [scan_id(volume) for volume in volumes]
-    found += _repeated_id_faults(ids, [str(volume) for volume in volumes])
-    if found:
-        raise as_error(found, Path(found[0].where))
-    shared = Scan(
-        "",
-        Path(),
-        medium,
-        series=series,
-        acquisition=acquisition,
-        mask=mask,
-        markers=markers,
-        fiducials=fiducials,
-        surfaces=tuple(source for source in sources if not isinstance(source, Fault)),
-        surfaces_in=surfaces_in,
-    )
-    return tuple(replace(shared, id=id_, volume=volume) for id_, volume in zip(ids, volumes, strict=True))
+    stated = {"medium": medium, "surfaces": ";".join(layers), "surfaces_in": surfaces_in}
+    stated |= {"series": series or "", "acquisition": acquisition or ""}
+    files = zip(FILES, (mask, markers, fiducials), strict=True)
+    stated |= {name: str(path) for name, path in files if path is not None}
+    text, number = dict.fromkeys(SCAN_COLUMNS, ""), dict.fromkeys(NUMBER_COLUMNS, math.nan)
+    rows = [ScanRow(str(volume), Path(), text | stated | {"scan": str(volume)}, number) for volume in volumes]
+    return _build_scans(rows, found, volumes[0])
 
 
 def scan_id(volume: Path) -> str:

@@ -1,17 +1,14 @@
-"""The image that a scanner makes of a ball: a table over the distances across and along the slices' normal.
+"""Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
 
 A hardened beam sees a ball darker in its middle. Where the signal of a ray falls short by its length squared,
 the image falls short by sqrt(1 - r^2 / R^2) in every slice, so that ball and shortfall are both spheres;
-their Fourier transforms are Bessel functions. The scanner multiplies these by its modulation transfer: in the
-slices (1 + b x^2) exp(-x^2), x = k sigma / sqrt(2), whose b lets edges over- and undershoot as sharp kernels
-do; across them that of a box with a Gaussian's edges.
+their Fourier transforms are Bessel functions, which the scanner multiplies by its modulation transfer. The
+image is a table over the distances across and along the slices' normal.
 
-Fit the image of a ball to the voxels around a marker: its centre, and the centre's standard deviation.
-
-The ball, hardened and blurred as a scanner shows it (`sphere_profile`), takes the place of the background
-where it is. The background is two levels with a soft step between them, as a marker glued on a phantom has
-it: a ramp or one level are steps that are wide or small. All is cut where the scanner's numbers end. What the
-voxels leave open, such as the height of a ball that is cut low, is held by what is known of scanners.
+The ball takes the place of the background where it is. The background is two levels with a soft step between
+them, as a marker glued on a phantom has it: a ramp or one level are steps that are wide or small. All is cut
+where the scanner's numbers end. What the voxels leave open, such as the height of a ball that is cut low, is
+held by what is known of scanners.
 """
 
 from dataclasses import dataclass
@@ -24,33 +21,26 @@ from scipy.spatial import cKDTree
 from scipy.special import j0, j1, ndtr
 
 from needlefit.arrays import Floats, Ints
+from needlefit.imaging.point_spread import (
+    HIGHEST,
+    LOWEST,
+    MIN_BLUR_MM,
+    MIN_SLICE_BLUR_MM,
+    PointSpread,
+    expected_spread,
+    read_spread,
+)
 from needlefit.imaging.volume import Volume, to_patient
 
 TABLE_STEP_MM = 0.1  # spacing of the table, mm; cubic splines join it
 FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images of a ball repeat every 25 mm
-BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
 MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
+STEP_SIZE = 1e-5  # of the parameters of which derivatives are differences
 MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are left out: 1e-9 of them passes
 # The tables: ball; shortfall; and the derivatives of ball + `shortfall` x shortfall by the distances across
 # and along, over these distances, 1/mm^2, and by the logarithm of the blur in the slices, b, and the
 # logarithms of the blur across them and of the radius.
 BALL, SHORTFALL, ACROSS, ALONG = range(4)
-# Deviation of a slice's profile over the slices' distance, and the least: a box has 0.29, helical scans more.
-SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
-
-
-def expected_slice_blur(distance: float) -> float:
-    """Return the blur across slices that their `distance` lets one expect, mm."""
-    return max(SLICE_BLUR_RATIO * distance, MIN_EXPECTED_SLICE_BLUR_MM)
-
-
-@dataclass(frozen=True)
-class PointSpread:
-    """A scanner's point spread: deviations `blur` and `slice_blur` (mm) in and across slices, and `boost`."""
-
-    blur: float
-    boost: float
-    slice_blur: float
 
 
 def _list_frequencies() -> tuple[Floats, Floats]:
@@ -60,21 +50,16 @@ def _list_frequencies() -> tuple[Floats, Floats]:
     return across, along
 
 
-@lru_cache(maxsize=4)
-def _transform_sphere(radius: float) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the Fourier transforms of a ball (mm) and its shortfall, times the measure of each frequency.
-
-    Then their derivatives by the logarithm of the radius.
-    """
+@lru_cache(maxsize=8)
+def _transform_sphere(radius: float) -> tuple[Floats, Floats]:
+    """Return the Fourier transforms of a ball (mm) and its shortfall, times the measure of each frequency."""
     across, along = _list_frequencies()
     x = radius * np.hypot(across[:, None], along)
     rings = across.copy()
     rings[0] *= 11 / 12  # the end term of Euler and Maclaurin: the integrand begins with a slope
     measure = rings[:, None] * FREQUENCY_STEP_PER_MM**2 / (2 * np.pi**2) * radius**3
-    first, sine = j1(x) / x, np.sin(x) / x
-    second = (2 * first - j0(x)) / x**2  # J2(x) / x^2
-    ball, dark = 4 * np.pi * measure, 2 * np.pi**2 * measure
-    return ball * (sine - np.cos(x)) / x**2, dark * second, ball * sine, dark * (first - second)
+    second = (2 * j1(x) / x - j0(x)) / x**2  # J2(x) / x^2
+    return 4 * np.pi * measure * (np.sin(x) / x - np.cos(x)) / x**2, 2 * np.pi**2 * measure * second
 
 
 @dataclass(frozen=True)
@@ -97,29 +82,34 @@ class SphereTables:
         across, along = _list_frequencies()
         # a wide blur lets only the lowest frequencies pass
         kept = np.searchsorted(across, MAX_PASSED_SD / spread.blur)
-        x2 = (spread.blur * across[:kept, None]) ** 2 / 2
-        y2 = (1 - BOX_PART) * (spread.slice_blur * along) ** 2 / 2
-        z = np.sqrt(3 * BOX_PART) * spread.slice_blur * along
-        box = np.sinc(z / np.pi)
-        gauss = np.exp(-x2 - y2)
-        fall = gauss * box
-        pass_ = (1 + spread.boost * x2) * fall
-        ball, dark, ball_growth, dark_growth = (part[:kept] for part in _transform_sphere(radius))
-        both = ball + shortfall * dark
+
+        def transfer(change: Floats) -> Floats:
+            moved = read_spread(spread.parameters + change)
+            return np.outer(moved.pass_in_slices(across[:kept] ** 2), moved.pass_across(along))
+
+        ball, dark = (part[:kept] for part in _transform_sphere(radius))
+        grown_ball, grown_dark = (
+            part[:kept] for part in _transform_sphere(radius * float(np.exp(STEP_SIZE)))
+        )
+        both, passed = ball + shortfall * dark, transfer(np.zeros(3))
+        growth = (grown_ball + shortfall * grown_dark - both) / STEP_SIZE
         wave, sloped, cosine, sine = self._waves
         wave, sloped = wave[:, :kept], sloped[:, :kept]
-        shown = both * pass_
         tables = [
-            wave @ (ball * pass_) @ cosine,
-            wave @ (dark * pass_) @ cosine,
-            sloped @ shown @ cosine,
-            wave @ shown @ sine,
-            wave @ (both * 2 * x2 * (spread.boost - 1 - spread.boost * x2) * fall) @ cosine,
-            wave @ (both * x2 * fall) @ cosine,
-            wave @ (both * (1 + spread.boost * x2) * gauss * (np.cos(z) - box - 2 * y2 * box)) @ cosine,
-            wave @ ((ball_growth + shortfall * dark_growth) * pass_) @ cosine,
+            wave @ (ball * passed) @ cosine,
+            wave @ (dark * passed) @ cosine,
+            sloped @ (both * passed) @ cosine,
+            wave @ (both * passed) @ sine,
+            *(
+                wave @ (both * (transfer(step) - passed)) @ cosine / STEP_SIZE
+                for step in STEP_SIZE * np.eye(3)
+            ),
+            wave @ (growth * passed) @ cosine,
         ]
         return [spline_filter(table, mode="mirror") for table in tables]
+
+
+make_tables = lru_cache(maxsize=8)(SphereTables)
 
 
 def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
@@ -132,8 +122,8 @@ def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
 # sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
 # of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
 # 1/mm, and its offset; logarithm of the ball's radius, mm.
-CENTER, FACE, OFFSET, RADIUS = slice(0, 3), slice(10, 13), 13, 14
-HEIGHT, DARK, BLUR, BOOST, SLICE, LEVEL, STEP = range(3, 10)
+CENTER, SPREAD, FACE, OFFSET, RADIUS = slice(0, 3), slice(5, 8), slice(10, 13), 13, 14
+HEIGHT, DARK, _, _, _, LEVEL, STEP = range(3, 10)
 
 
 @dataclass(frozen=True)
@@ -165,22 +155,16 @@ class SphereVoxels:
 
 def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
     """Return the image (N,), HU, of a ball, and its derivatives (N, 15)."""
-    tables = _make_tables(near.reach).render(float(np.exp(theta[RADIUS])), theta[DARK], _read_spread(theta))
-    offsets = _pixel_points(near.spacing)
-    total = np.zeros((len(near.places), 2 + 3 + 4))
-    for offset in offsets:
-        d = near.places - theta[CENTER] + offset
-        across = np.hypot(d[:, 0], d[:, 1])
-        along = np.abs(d[:, 2])
-        seen = [look_up(table, across, along) for table in tables]
-        total[:, 0] += seen[BALL]
-        total[:, 1] += seen[SHORTFALL]
-        total[:, 2:4] -= seen[ACROSS][:, None] * d[:, :2]
-        total[:, 4] -= seen[ALONG] * d[:, 2]
-        total[:, 5:] += np.column_stack(seen[ALONG + 1 :])
-    total /= len(offsets)
-    part = total[:, 0] + theta[DARK] * total[:, 1]
-    dark, moved, shaped, grown = total[:, 1], total[:, 2:5], total[:, 5:8], total[:, 8]
+    tables = make_tables(near.reach).render(
+        float(np.exp(theta[RADIUS])), theta[DARK], read_spread(theta[SPREAD])
+    )
+    d = near.places - theta[CENTER]
+    across, along = np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])
+    seen = [look_up(table, across, along) for table in tables]
+    part, dark = seen[BALL] + theta[DARK] * seen[SHORTFALL], seen[SHORTFALL]
+    moved = -np.column_stack([seen[ACROSS][:, None] * d[:, :2], seen[ALONG] * d[:, 2]])
+    *shapes, grown = seen[ALONG + 1 :]
+    shaped = np.column_stack(shapes)
     depth = near.places @ theta[FACE] + theta[OFFSET]
     beyond = ndtr(depth)
     rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
@@ -199,19 +183,6 @@ def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
     return np.clip(shown, near.floor, near.ceiling), slopes
 
 
-def _read_spread(theta: Floats) -> PointSpread:
-    return PointSpread(float(np.exp(theta[BLUR])), float(theta[BOOST]), float(np.exp(theta[SLICE])))
-
-
-def _pixel_points(spacing: Floats) -> Floats:
-    """Return points (P, 3), mm, over which a voxel is averaged: pixels are oblong in resampled scans only."""
-    if abs(spacing[0] / spacing[1] - 1) < SQUARE_PIXELS:
-        return np.zeros((1, 3))
-    corners = np.array([[i, j, 0] for i in (-1, 1) for j in (-1, 1)])
-    return np.asarray(corners * spacing / np.sqrt(12))
-
-
-SQUARE_PIXELS = 0.02  # relative difference of a pixel's edges below which it counts as square
 # How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
 FIT_MARGIN_MM = 1.5
 GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
@@ -221,17 +192,12 @@ SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count les
 # 58 rendered balls were no nearer to the truth (0.014 mm), and took 2.6 times as long.
 FIRST_TOLERANCE, FINAL_TOLERANCE = 1e-3, 1e-4
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
-# Deviation of the blur in the slices, mm; a fit that ends at the latter shows no ball.
-MIN_BLUR_MM, MAX_BLUR_MM = 0.15, 1.2
-MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
     *3 * [(-np.inf, np.inf, 0.2)],
     (np.log(10.0), np.log(1e5), 0.3),
     (-0.7, 0.1, 0.2),
-    (np.log(MIN_BLUR_MM), np.log(MAX_BLUR_MM), 0.2),
-    (-0.2, 5.0, 0.5),
-    (np.log(MIN_SLICE_BLUR_MM), np.log(MAX_SLICE_BLUR_MM), 0.3),
+    *zip(LOWEST, HIGHEST, (0.2, 0.5, 0.3), strict=True),
     (-5e3, 1e4, 100.0),
     (0.0, 3e3, 100.0),
     *3 * [(-3.0, 3.0, 0.3)],
@@ -239,11 +205,9 @@ _RANGES = (
     (np.log(0.1), np.log(25.0), 0.1),
 )
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
-PRIOR_COLUMNS = [HEIGHT, DARK, BLUR, BOOST, SLICE]
-PRIOR_MEANS = np.array([np.log(1e4), -0.1, np.log(0.45), 0.5])
-# What is known before: metal and glass lie between 2 000 and 50 000 HU; scanners' kernels; the slices' blur
-# is that of `expected_slice_blur`.
-PRIOR_SD = np.array([1.0, 0.2, 0.3, 1.0, 0.3])
+PRIOR_COLUMNS = [HEIGHT, DARK, *range(5, 8)]
+# What is known before: metal and glass lie between 2 000 and 50 000 HU.
+PRIOR_MEANS, PRIOR_SDS = (np.log(1e4), -0.1), (1.0, 0.2)
 CORRELATION_LENGTH_MM = 1.0  # errors of voxels farther apart than this are unrelated, mm
 # What the formal deviation is multiplied by, and what no scatter shows, mm.
 FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
@@ -272,45 +236,40 @@ def fit_sphere(volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
     """Fit a ball of `radius` (mm) to the voxels around `blob`; None: of any."""
     start = blob.diameter / 2 if radius is None else radius
     near = select_voxels(volume, blob, start)
-    fit = _fit_model(near, _guess_parameters(near, start), RADIUS if radius else RADIUS + 1)
-    own, spread = float(np.exp(fit.theta[RADIUS])), _read_spread(fit.theta)
-    height = max(1.0, float(min(np.exp(fit.theta[HEIGHT]), near.ceiling) - fit.theta[LEVEL]))
-    inside = np.linalg.norm(near.places - fit.theta[CENTER], axis=1) < own + near.spacing.max()
-    left = fit.residuals[inside] if inside.any() else fit.residuals
+    first = _guess_parameters(near, start)
+    theta, residuals, covariance = _fit_model(near, first, RADIUS if radius else RADIUS + 1)
+    own, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
+    height = max(1.0, float(min(np.exp(theta[HEIGHT]), near.ceiling) - theta[LEVEL]))
+    inside = np.linalg.norm(near.places - theta[CENTER], axis=1) < own + near.spacing.max()
+    left = residuals[inside] if inside.any() else residuals
     misfit = float(np.sqrt(np.mean(left**2))) / height
     # thick slices average rays before the logarithm
     systematic = np.hypot(SLICE_ERROR * near.spacing[2] ** 2 / own, MISFIT_ERROR * misfit * spread.blur)
-    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(fit.covariance[CENTER, CENTER]) / 3))
+    formal = FORMAL_SD_FACTOR * float(np.sqrt(np.trace(covariance[CENTER, CENTER]) / 3))
     return SphereFit(
-        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ fit.theta[CENTER],
+        center=to_patient(volume, blob.voxels.mean(axis=0)[None])[0] + near.axes @ theta[CENTER],
         sd=float(np.linalg.norm([formal, systematic, SYSTEMATIC_SD_MM])),
         spread=spread,
         misfit=misfit,
-        noise=_spread(fit.residuals[~inside] if np.count_nonzero(~inside) > 20 else fit.residuals) / height,
+        noise=_spread(residuals[~inside] if np.count_nonzero(~inside) > 20 else residuals) / height,
         diameter=2 * own,
-        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(fit.covariance[RADIUS, RADIUS])),
+        diameter_sd=0.0 if radius else 2 * own * float(np.sqrt(covariance[RADIUS, RADIUS])),
     )
 
 
-@dataclass(frozen=True)
-class _ModelFit:
-    """The least squares of the model of a ball's image."""
+def _fit_model(near: SphereVoxels, first: Floats, count: int) -> tuple[Floats, Floats, Floats]:
+    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust.
 
-    theta: Floats  # (15,)
-    residuals: Floats  # (N,); HU
-    covariance: Floats  # (P, P); of the parameters that were fitted
-
-
-def _fit_model(near: SphereVoxels, first: Floats, count: int) -> _ModelFit:
-    """Fit the first `count` parameters, from `first` (15,) on: without noise, then with it and robust."""
+    Return all parameters (15,), residuals (N,), HU, and the covariance (count, count) of those fitted.
+    """
     noise = FIRST_NOISE_PART * float(min(np.exp(first[HEIGHT]), near.ceiling) - first[LEVEL])
     best = _minimize(near, first, count, noise, robust=False)
-    noise = max(1.0, noise * _spread(_residuals(best, near)))
+    noise = max(1.0, noise * _spread(best.fun[: len(near.values)]))
     best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
-    theta, residuals = np.append(best.x, first[count:]), noise * _residuals(best, near)
+    theta, residuals = np.append(best.x, first[count:]), noise * np.asarray(best.fun[: len(near.values)])
     slopes = render_sphere(near, theta)[1][:, :count]
     known = np.zeros(count)
-    known[PRIOR_COLUMNS] = (noise / PRIOR_SD) ** 2
+    known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
     bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
     scores = slopes * residuals[:, None]
     length = max(CORRELATION_LENGTH_MM, float(near.spacing.max()))
@@ -318,21 +277,12 @@ def _fit_model(near: SphereVoxels, first: Floats, count: int) -> _ModelFit:
     apart = tree.sparse_distance_matrix(tree, length, output_type="ndarray")
     weight = (1 - apart["v"] / length)[:, None]
     meat = scores[apart["i"]].T @ (weight * scores[apart["j"]])
-    return _ModelFit(theta, residuals, bread @ (meat + np.diag(known)) @ bread)
+    return theta, residuals, bread @ (meat + np.diag(known)) @ bread
 
 
 def _spread(values: Floats) -> float:
     """Return the deviation of a Gaussian with this median of absolute values."""
     return 1.48 * float(np.median(np.abs(values)))
-
-
-def _residuals(best: OptimizeResult, near: SphereVoxels) -> Floats:
-    return np.asarray(best.fun[: len(near.values)])
-
-
-@lru_cache(maxsize=8)
-def _make_tables(reach: float) -> SphereTables:
-    return SphereTables(reach)
 
 
 def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
@@ -378,13 +328,15 @@ def _guess_parameters(near: SphereVoxels, radius: float) -> Floats:
     steep = min(2.5 * size / step, 1.7)
     share = float(np.clip((values.mean() - low) / step, 0.02, 0.98))
     face = float(np.quantile(places @ slope / size, 1 - share))
-    begin = [
-        np.log(max(1.5 * peak, 100.0)),
-        *PRIOR_MEANS[1:],
-        np.log(expected_slice_blur(float(near.spacing[2]))),
-    ]
+    begin = [np.log(max(1.5 * peak, 100.0)), *_list_prior(near)[0][1:]]
     face_slope = steep * slope / size
     return np.array([0.0, 0.0, 0.0, *begin, low, step, *face_slope, -steep * face, np.log(radius)])
+
+
+def _list_prior(near: SphereVoxels) -> tuple[Floats, Floats]:
+    """Return means and deviations of the parameters of which something is known before."""
+    spread = expected_spread(float(near.spacing[2]))
+    return np.array([*PRIOR_MEANS, *spread.parameters]), np.array([*PRIOR_SDS, *spread.sds])
 
 
 def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, robust: bool) -> OptimizeResult:
@@ -392,9 +344,9 @@ def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, ro
 
     In deviations of the noise (HU); what is known comes last.
     """
-    means = np.append(PRIOR_MEANS, np.log(expected_slice_blur(float(near.spacing[2]))))
+    means, sds = _list_prior(near)
     held = np.zeros((len(PRIOR_COLUMNS), count))
-    held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / PRIOR_SD
+    held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / sds
     free = slice(count)
 
     @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
@@ -403,7 +355,7 @@ def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, ro
 
     def residuals(theta: Floats) -> Floats:
         left = (seen(tuple(theta.tolist()))[0] - near.values) / noise
-        return np.append(left, (theta[PRIOR_COLUMNS] - means) / PRIOR_SD)
+        return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
 
     def slopes(theta: Floats) -> Floats:
         return np.vstack([seen(tuple(theta.tolist()))[1][:, free] / noise, held])

@@ -143,24 +143,6 @@ def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
     return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
 
 
-def reverse_axis(axis: AxisSpline) -> AxisSpline:
-    """Return the same curve, parametrised from its other end."""
-    spline = axis.spline
-    turned = BSpline(axis.length - spline.t[::-1], spline.c[::-1], 3)
-    s = axis.length - axis.s[::-1]
-    covariance = axis.covariance[::-1, ::-1]
-    return AxisSpline(
-        turned,
-        axis.length,
-        axis.variance,
-        covariance,
-        s,
-        axis.points[::-1],
-        axis.weights[::-1],
-        axis.final_weights[::-1],
-    )
-
-
 def find_step(volume: Volume, axis: AxisSpline) -> tuple[int, float, float] | None:
     """Return the most significant step of the axis between two slices; None where none can be tested.
 

@@ -24,13 +24,12 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
     fit_sections,
     in_volume,
-    reverse_axis,
     sample_planes,
     select_sections,
 )
-from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
+from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, follow_points
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, TIP_ERROR_MM, fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
     MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
@@ -40,8 +39,8 @@ from needlefit.imaging.needle.tip import (
     bevel_length,
     fit_tip,
 )
+from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.refusals import refusal
-from needlefit.imaging.spheres import PointSpread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -115,19 +114,19 @@ def trace_needle(
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
-    rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
+    rough = component if isinstance(component, AxisSpline) else find_rough_axis(volume, component, recipe)
     axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
         axis = refine_axis(volume, axis, recipe, heel, end.at)
-        placed = _place_in_slices(volume, axis, recipe, end.at)
+        placed = _place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
-        axis = axis if last <= base else reverse_axis(axis)
+        axis = axis if last <= base else _reverse_axis(axis, recipe)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
-        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0])) is not None:
+        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
@@ -147,7 +146,7 @@ def trace_needle(
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
-    return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
+    return replace(_sample_centerline(axis, end, recipe), warnings=tuple(notes))
 
 
 def _list_warnings(volume: Volume, axis: AxisSpline, end: TipFit, diameter: float) -> Iterator[str]:
@@ -190,8 +189,8 @@ def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
     return at + along, float(np.linalg.norm(away - along * frame.tangents[0]))
 
 
-def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
-    """Fit a spline through the bright centroids of slices of the component along its main axis."""
+def find_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the axis through the bright centroids of pieces of the component, as far as the needle shows."""
     points = to_patient(volume, component.voxels)
     i, j, k = component.voxels.T
     bright = volume.values[k, j, i].astype(np.float64)
@@ -201,8 +200,7 @@ def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionR
     piece = np.floor((along - along.min()) / BIN_LENGTH_MM).astype(int)
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
-    pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
-    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_spacing_mm)
+    return follow_points(volume, moments[mass > 0] / mass[mass > 0, None], recipe)
 
 
 def refine_axis(
@@ -247,7 +245,7 @@ def refine_axis(
 
 
 def _place_in_slices(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float
+    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float, spread: PointSpread | None
 ) -> tuple[AxisSpline, TipFit] | None:
     """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
 
@@ -256,7 +254,7 @@ def _place_in_slices(
     knot = recipe.centerline.knot_spacing_mm
     if not runs_in_slices(volume, axis, knot):
         return None
-    found = fit_slices(volume, axis, recipe.needle, knot, tip)
+    found = fit_slices(volume, axis, recipe.needle, knot, tip, spread)
     if found is None:
         return None
     points = found.place(axis.points)
@@ -307,7 +305,13 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
             expected: the tip and some tissue beyond it in the scan
             fix: scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction
             where: ends at L, P, S = {where} mm""")
-    return axis if forward else reverse_axis(axis)
+    return axis if forward else _reverse_axis(axis, recipe)
+
+
+def _reverse_axis(axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
+    """Return the rough axis from its other end."""
+    s = axis.length - axis.s[::-1]
+    return fit_axis(s, axis.points[::-1], axis.weights[::-1], 2 * recipe.centerline.knot_spacing_mm)
 
 
 def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool_]:
@@ -317,36 +321,15 @@ def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool
     return shown
 
 
-def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> float:
-    """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
-
-    The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
-    shows that, and thin slices show the needle in several.
-    """
-    thick, wide = volume.grid.slice_distance, recipe.needle.diameter_mm
-    if thick <= MIN_SLICE_MM:
-        return 0.0
-    ends = axis.spline(np.array([0.0, axis.length]))
-    steep = float((ends[1] - ends[0]) @ volume.grid.normal) / float(np.linalg.norm(ends[1] - ends[0]))
-    left = recipe.centerline.knot_spacing_mm * steep / thick
-    return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
-
-
-def _sample_centerline(
-    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
-) -> Centerline:
+def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
     count = int(np.ceil(end.at / recipe.centerline.station_spacing_mm)) + 1
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
-    if axis.normal_sd is None:
-        hidden = slice_sd(volume, axis, recipe)
-        more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
-    else:  # in the spline's own deviation already
-        hidden, more = float(np.sqrt(np.mean(axis.normal_sd**2) / 2)), SYSTEMATIC_SD_MM
-    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
+    # what neighbours share of a needle near thick slices; in the spline's own deviation already
+    hidden = 0.0 if axis.normal_sd is None else float(np.sqrt(np.mean(axis.normal_sd**2) / 2))
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), SYSTEMATIC_SD_MM)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     sections = axis.s[:-1]  # the last is the tip
     beside = axis.points[:-1] - axis.spline(sections)

@@ -42,7 +42,7 @@ MIN_SHOWN_FRACTION = 0.5  # part of the way between the points on which the need
 def read_mask_points(volume: Volume, path: Path) -> Floats:
     """Return points (N, 3), LPS, mm, along the needle that a mask marks: what is above 0 in a volume.
 
-    The mask is an image or an RTSTRUCT file, or a .zip of one; it may stand on other voxels than the scan's.
+    The mask is an image file, or a .zip of one; it may stand on other voxels than the scan's.
 
     DataError if it marks nothing, or states another frame of reference than the scan.
     """

@@ -8,6 +8,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Floats, Ints
+from needlefit.imaging.point_spread import PointSpread
 
 COLUMN_MM, CELL_MM = 0.75, 0.25  # pieces of the rod along it, and cells of the detector, mm
 PLANE_MM, PLANE_STEP = 0.17, 6  # distance of planes at most, mm; a slice has a multiple of so many
@@ -146,8 +147,12 @@ class Rod:
         return csr_array((values.astype(np.float32), columns, np.cumsum(ends)), (len(ends) - 1, count.sum()))
 
     def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
-        """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays."""
-        attenuation, variance, scatter, linear, cutoff = np.exp(scan[:5])
+        """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays.
+
+        `scan`: (11,); see `slice_fit`.
+        """
+        attenuation, variance, scatter, linear, blur = np.exp(scan[:5])
+        spread = PointSpread(float(blur), float(scan[5]), self.thick)
         away = np.abs(np.arange(1 - self.in_slice, self.in_slice)) / self.in_slice
         profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
         mix = np.zeros((len(self.heights), len(self.planes)), dtype=np.float32)
@@ -167,8 +172,7 @@ class Rod:
         for view, part in enumerate(np.split(seen, np.cumsum(count)[:-1], axis=1)):
             logs[:, view, low[view] : low[view] + count[view]] = part
         frequencies, ramp = self._ramp
-        x2 = (frequencies / cutoff) ** 2
-        window = (ramp * (1 + scan[5] * x2) * np.exp(-x2)).astype(np.float32)
+        window = (ramp * spread.pass_in_slices((2 * np.pi * frequencies) ** 2)).astype(np.float32)
         _, weights = self.views
         length = 2 * (len(frequencies) - 1)
         filtered = irfft(rfft(logs, length) * window, length)[..., : 2 * self.half]

@@ -8,7 +8,7 @@ and the kernel are fitted together, by projecting a rod and reconstructing the s
 what exceeds the scanner's numbers is cut in the model too.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,8 @@ from scipy.sparse import csr_array
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, correlation_factor
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
+from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
@@ -36,18 +37,14 @@ KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
 SHEAR_SD_N, STEEL_MPA = 8.0, 200e3
 END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip itself carries no moment, mm
-# Of what the beam and the scanner do: logarithms of the attenuation, 1/mm, of its relative variance over the
-# spectrum, of the scatter in parts of the open beam, of a factor by which the slices are more linear than
-# a scanner's, and of the kernel's cutoff, 1/mm; the kernel's boost; and logarithms of the sensitivity of the
-# planes of a slice over that of its middle. Means and deviations.
-SCAN_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0, np.log(0.6), 0.5, 0, 0, -0.7, -2.5, -4.0])
-SCAN_SDS = np.array([0.25, 0.35, 0.6, 0.3, 0.25, 1.5, 0.4, 0.4, 0.5, 1.0, 1.5])
+# What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
+# scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
+# Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
+# planes of a slice over that of its middle; both as the point spread has them.
+BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
+BEAM_SDS, PROFILE_SDS = np.array([0.25, 0.35, 0.6, 0.3]), (0.4, 0.4, 0.5, 1.0, 1.5)
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
-# Expected parameters of a scanner that averages over the slice and, where the error of the first fit is not
-# smaller than this, of a simulated one with few rays in a slice.
-FEW_RAYS = np.append(SCAN_MEANS[:6], [-5.0, 0.0, -5.0, -5.0, -5.0])
-STARTS, GOOD_ERROR = (SCAN_MEANS, FEW_RAYS), 0.3
 # Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, and how often.
 HOPS, ROLL_HOPS, TRIED_HOPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 4, 4
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
@@ -109,7 +106,12 @@ def runs_in_slices(volume: Volume, axis: AxisSpline, knot: float) -> bool:
 
 
 def fit_slices(
-    volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord, knot: float, tip: float
+    volume: Volume,
+    axis: AxisSpline,
+    needle: ScannedNeedleRecord,
+    knot: float,
+    tip: float,
+    spread: PointSpread | None = None,
 ) -> SliceFit | None:
     """Fit the axis of the needle, with knots every `knot` mm; `tip` is about where it ends, mm along `axis`.
 
@@ -124,7 +126,7 @@ def fit_slices(
     origin = points[-1] - way * needle.length_mm / 2
     origin = origin + normal * ((volume.origin - origin) @ normal)  # heights count from the first slice
     x, y, z = ((points - origin) @ frame.T).T
-    problem = _make_problem(volume, needle, frame, origin, x, y, z, knot)
+    problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread)
     if problem is None:
         return None
     theta, covariance, error = problem.solve()
@@ -178,11 +180,11 @@ def _make_problem(
     needle: ScannedNeedleRecord,
     frame: Floats,
     origin: Floats,
-    x: Floats,
-    y: Floats,
-    z: Floats,
+    axis: tuple[Floats, Floats, Floats],
     knot: float,
+    spread: PointSpread | None,
 ) -> "_SliceProblem | None":
+    x, y, z = axis
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
     knots = make_knots(x[0], x[-1], KNOT_FACTOR * knot)
     basis = _basis(knots)
@@ -237,6 +239,7 @@ def _make_problem(
         seen,
         np.abs(line) > RIM_MM,
         cut,
+        spread or expected_spread(thick),
     )
 
 
@@ -269,7 +272,18 @@ class _SliceProblem:
     seen: Bools  # (K, S)
     rim: Bools  # (U,); what shows the surroundings
     cut: Floats  # (2,); smallest and largest that the scanner shows
-    means: Floats = field(default_factory=SCAN_MEANS.copy)  # expected parameters of the scan
+    spread: PointSpread  # what is known of it before
+
+    @cached_property
+    def means(self) -> Floats:
+        """Expected parameters of the scan (11,)."""
+        profile = np.log(self.spread.weigh_planes(SENSITIVITY_AT[1:] * self.rod.thick))
+        return np.concatenate([BEAM_MEANS, self.spread.parameters[:2], profile])
+
+    @cached_property
+    def sds(self) -> Floats:
+        """Their deviations (11,)."""
+        return np.concatenate([BEAM_SDS, self.spread.sds[:2], PROFILE_SDS])
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
@@ -280,7 +294,7 @@ class _SliceProblem:
         """Return what is known before, in its deviations; linear in the parameters."""
         across, along, end, scan = self.split(theta)
         return np.concatenate(
-            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / SCAN_SDS]
+            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
         )
 
     def project(self, theta: Floats) -> csr_array:
@@ -313,15 +327,8 @@ class _SliceProblem:
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance and the model's relative error."""
-        found = []
-        for means in STARTS:
-            problem = replace(self, means=means)
-            theta, image, _ = problem.descend(problem.find_start(), self.first_scale, ROBUST_SD[0])
-            found.append((problem.first_misfit(theta), problem, theta))
-            if self.error(image) < GOOD_ERROR:
-                break
-        _, problem, theta = min(found, key=lambda one: one[0])
-        return problem.fit(theta)
+        theta, *_ = self.descend(self.find_start(), self.first_scale, ROBUST_SD[0])
+        return self.fit(theta)
 
     def find_start(self) -> Floats:
         """Return a start with the scan as expected, or less metal, its course along the normal moved."""

@@ -1,8 +1,7 @@
 """Find the needle's tip: fit the image of a bevelled rod to the voxels around the end, and check it.
 
-A scanner shows the rod times its modulation transfer: in the slices (1 + b x^2) exp(-x^2), x = k sigma /
-sqrt(2), whose b lets edges over- and undershoot; across them that of a box with a Gaussian's edges.
-Coordinates are the needle's: s along it from the tip, u and v across.
+A scanner shows the rod times its modulation transfer (`point_spread`). Coordinates are the needle's: s along
+it from the tip, u and v across.
 
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
 scan show of them and by what metal and scanners can have: of a needle that is cut low its image alone leaves
@@ -10,6 +9,7 @@ them open. Where rays run along the shaft, the hardened beam sees it darker than
 beyond: both are fitted.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -24,8 +24,8 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
+from needlefit.imaging.point_spread import HIGHEST, LOWEST, PointSpread, expected_spread, read_spread
 from needlefit.imaging.refusals import refusal
-from needlefit.imaging.spheres import BOX_PART, PointSpread, expected_slice_blur
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
@@ -77,7 +77,7 @@ class RodModel:
             np.asarray(spline, dtype=np.float32),
         )
 
-    def transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
+    def _transform(self, roll: float, cotangent: float) -> NDArray[np.complex64]:
         """Return the Fourier transform of the rod, its bevel's point at the angle `roll` from u."""
         along, across = self._axes
         (rows, columns), fibres, weights = self._fibres
@@ -101,48 +101,35 @@ class RodModel:
         inside = (self.radius - np.hypot(*fibres)) / (GRID_STEP_MM / FIBRES) + 0.5
         return (rows, columns), fibres, np.clip(inside, 0, 1)
 
-    def splines(self, transform: NDArray[np.complex64], spread: PointSpread) -> Singles:
-        """Return the spline coefficients of the blurred rod of height 1."""
+    @cached_property
+    def _splines(self) -> Callable[[float, float, PointSpread], Singles]:
+        """Spline coefficients of the blurred rod of height 1; of a step's derivatives most are of one rod."""
         in_slice, normal, spline = self._squares
-        x2 = in_slice * np.float32(spread.blur**2 / 2)
-        passed = (1 + np.float32(spread.boost) * x2) * np.exp(
-            -x2 - normal**2 * np.float32((1 - BOX_PART) * spread.slice_blur**2 / 2)
-        )
-        passed *= np.sinc(normal * np.float32(np.sqrt(3 * BOX_PART) * spread.slice_blur / np.pi)) * spline
+        transform = lru_cache(maxsize=4)(self._transform)
         along, across = self._axes
         shape = (len(along), len(across), len(across))
-        return np.asarray(irfftn(transform * passed, shape))
 
-    def sample(self, splines: Singles, s: Floats, u: Floats, v: Floats) -> Floats:
-        """Return the image (N,) at places (N,) from the tip."""
+        @lru_cache(maxsize=8)
+        def blur(roll: float, cotangent: float, spread: PointSpread) -> Singles:
+            passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
+            return np.asarray(irfftn(transform(roll, cotangent) * passed, shape))
+
+        return blur
+
+    def image(self, roll: float, cotangent: float, spread: PointSpread, places: Floats) -> Floats:
+        """Return the image (N,) of a rod of height 1 at places s, u, v (3, N) from its tip."""
         along, across = self._axes
-        place = np.stack([s - along[0], u - across[0], v - across[0]]) / GRID_STEP_MM
-        return np.asarray(map_coordinates(splines, place, order=3, mode="nearest", prefilter=False), float)
-
-
-class CachedRod:
-    """A rod model that keeps its last images: of a step's derivatives most are of the same rod."""
-
-    def __init__(self, model: RodModel) -> None:
-        self.model = model
-        self._transform = lru_cache(maxsize=4)(model.transform)
-        self._splines = lru_cache(maxsize=8)(self._blur)
-
-    def _blur(self, roll: float, cotangent: float, blur: float, boost: float, slice_blur: float) -> Singles:
-        return self.model.splines(self._transform(roll, cotangent), PointSpread(blur, boost, slice_blur))
-
-    def image(
-        self, end: tuple[float, float], spread: PointSpread, places: tuple[Floats, Floats, Floats]
-    ) -> Floats:
-        """Return the image (N,) of a rod that ends with `end` (roll, cotangent) at places s, u, v (N,)."""
-        return self.model.sample(self._splines(*end, spread.blur, spread.boost, spread.slice_blur), *places)
+        at = (places - np.array([along[0], across[0], across[0]])[:, None]) / GRID_STEP_MM
+        splines = self._splines(roll, cotangent, spread)
+        return np.asarray(map_coordinates(splines, at, order=3, mode="nearest", prefilter=False), float)
 
 
 # What the 12 parameters are: end along the axis, roll of the bevel, swing across, mm, rad; logarithm of the
 # metal's height at the tip, and the background, HU; cotangent of the bevel; logarithms of the blurs in and
 # across slices, mm, and between them the kernel's boost; by which factor's logarithm the shaft is darker than
 # its end; the streak beyond it, HU.
-TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, BOOST, SLICE, DARK, STREAK = range(12)
+TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, DARK, STREAK = range(12)
+SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm.
 REACH_BEFORE_MM, REACH_AFTER_MM = 3.0, 4.0
 # Radius around the axis that the fit uses, mm, and that from which on voxels count less: streaks.
@@ -170,10 +157,6 @@ ARTEFACT_FACTOR = 30.0
 ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
 # Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000.
 MEAN_HEIGHT_HU, HEIGHT_SD = 20_000.0, 0.7
-# Scanners' blur and boost and their deviations (of logarithms for blurs).
-MEAN_BLUR_MM, BLUR_SD, MEAN_BOOST, BOOST_SD, SLICE_BLUR_SD = 0.45, 0.3, 0.5, 1.0, 0.5
-# Deviations of these where balls in the same scan show them.
-BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD = 0.04, 0.15, 0.08
 # Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm.
 SWING_SD_MM = 0.1
 # Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
@@ -185,13 +168,11 @@ BEVEL_RAY_MM = 6.0
 END_LENGTH_MM = 15.0  # length of a needle's end, mm, along which rays hide its tip
 MAX_RAY_MM = 30.0  # rays pass more of a needle in the slices than counts: it is bent, mm
 FLOOR_HU = -1024.0  # where scanners' numbers begin, HU
-LOWER_BOUNDS = np.array(
-    [*4 * [-np.inf], np.log(4e3), -1100, 0, np.log(0.15), -0.2, np.log(0.08), -0.3, -3000]
-)
-UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, np.log(1.2), 5, np.log(2), 2, 3000])
+LOWER_BOUNDS = np.array([*4 * [-np.inf], np.log(4e3), -1100, 0, *LOWEST, -0.3, -3000])
+UPPER_BOUNDS = np.array([*4 * [np.inf], np.log(5e4), 1000, 6, *HIGHEST, 2, 3000])
 # Bounds and typical changes of the parameters. No metal of needles exceeds 50 000 HU.
 PARAMETER_SCALES = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50, 0.3, 0.1, 0.3, 0.2, 0.1, 100])
-HELD = [U, V, HEIGHT, COT, BLUR, BOOST, SLICE, DARK, STREAK]  # parameters of which something is known before
+HELD = [U, V, HEIGHT, COT, *range(7, 10), DARK, STREAK]  # parameters of which something is known before
 # What is known before is not left by more deviations: artefacts would be taken for the needle's image.
 MAX_PRIOR_SD = 3.0
 
@@ -243,7 +224,7 @@ class TipProblem:
         # the tip may be found 4 mm from where it is looked for
         back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
-        self.rod = CachedRod(RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices))
+        self.rod = RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
         self.ceiling = top if np.count_nonzero(near.values == top) > 3 else np.inf
         self.offsets = np.zeros((1, 3))
@@ -268,12 +249,12 @@ class TipProblem:
 
     def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
         """Return what the scanner shows (N,), HU, at places from the tip."""
-        spread = PointSpread(float(np.exp(theta[BLUR])), float(theta[BOOST]), float(np.exp(theta[SLICE])))
+        spread = read_spread(theta[SPREAD])
         darker = theta[DARK] * (1 - np.exp(np.minimum(s, 0) / DARKENING_LENGTH_MM))
         streak = np.exp(-np.maximum(s, 0) / STREAK_LENGTH_MM - (u**2 + v**2) / (2 * STREAK_RADIUS_MM**2))
-        end, total = (float(theta[ROLL]), float(theta[COT])), np.zeros(len(s))
-        for ds, du, dv in self.offsets:
-            image = self.rod.image(end, spread, (s + ds, u + du, v + dv))
+        places, total = np.stack([s, u, v]), np.zeros(len(s))
+        for offset in self.offsets:
+            image = self.rod.image(float(theta[ROLL]), float(theta[COT]), spread, places + offset[:, None])
             shown = theta[LEVEL] + np.exp(theta[HEIGHT] - darker) * image + theta[STREAK] * streak
             total += np.clip(shown, FLOOR_HU, self.ceiling)
         return total / len(self.offsets)
@@ -338,7 +319,7 @@ class TipProblem:
     def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
         """Return by which factor's logarithm the needle is wider than stated, to first order; its SD."""
         rod, loss = self.rod, (1 + (best.fun / SOFT_LOSS_SD) ** 2) ** -0.75
-        self.rod = CachedRod(replace(rod.model, radius=rod.model.radius * float(np.exp(WIDTH_STEP))))
+        self.rod = replace(rod, radius=rod.radius * float(np.exp(WIDTH_STEP)))
         wider = loss * (self.residuals(best.x) - best.fun) / WIDTH_STEP
         self.rod = rod
         covariance, moved = self._sum_blocks(np.column_stack([best.jac, wider]), best.fun)
@@ -427,15 +408,9 @@ def _prior(
     cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if rolled else BLUNT_COTANGENT_SD
     cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
     dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
-    if spread is None:
-        slice_blur = np.log(expected_slice_blur(volume.grid.slice_distance))
-        seen = [np.log(MEAN_BLUR_MM), MEAN_BOOST, slice_blur]
-        seen_sd = [BLUR_SD, BOOST_SD, SLICE_BLUR_SD]
-    else:
-        seen = [np.log(spread.blur), spread.boost, np.log(spread.slice_blur)]
-        seen_sd = [BALL_BLUR_SD, BALL_BOOST_SD, BALL_SLICE_BLUR_SD]
-    means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *seen, 0.0, 0.0])
-    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *seen_sd, dark_sd, STREAK_SD_HU])
+    known = spread or expected_spread(volume.grid.slice_distance)
+    means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *known.parameters, 0.0, 0.0])
+    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, STREAK_SD_HU])
 
 
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:

@@ -1,0 +1,84 @@
+"""The point spread of a scanner: one model for balls, shaft, tip and slices.
+
+In the slices the modulation transfer is (1 + b x^2) exp(-x^2), x = k sigma / sqrt(2), whose b lets edges
+over- and undershoot as sharp kernels do; across them it is that of a box with a Gaussian's edges, the profile
+of a slice. What is known of scanners is where a fit begins (`expected_spread`); balls in the scan replace it
+(`average_spreads`), and the shaft refines it where tip or slices are fitted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from needlefit.arrays import Floats
+
+BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
+# Scanners' blur, mm, and boost; deviation of a slice's profile over the slices' distance, and the least, mm:
+# a box has 0.29, helical scans more. Deviations of the logarithm of the blur, of the boost, and of the
+# logarithm of the blur across slices; and the same where balls in the scan show them.
+MEAN_BLUR_MM, MEAN_BOOST = 0.45, 0.5
+SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
+EXPECTED_SDS, BALL_SDS = (0.3, 1.0, 0.5), (0.04, 0.15, 0.08)
+# Ranges of blur, boost and blur across slices that scanners have, mm.
+MIN_BLUR_MM, MAX_BLUR_MM, MIN_BOOST, MAX_BOOST = 0.15, 1.2, -0.2, 5.0
+MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
+LOWEST = np.array([np.log(MIN_BLUR_MM), MIN_BOOST, np.log(MIN_SLICE_BLUR_MM)])
+HIGHEST = np.array([np.log(MAX_BLUR_MM), MAX_BOOST, np.log(MAX_SLICE_BLUR_MM)])
+Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are
+
+
+@dataclass(frozen=True)
+class PointSpread:
+    """A scanner's point spread: deviations `blur` and `slice_blur` (mm) in and across slices, and `boost`."""
+
+    blur: float
+    boost: float
+    slice_blur: float
+    # Standard deviations of `parameters`.
+    sds: tuple[float, float, float] = EXPECTED_SDS
+
+    @property
+    def parameters(self) -> Floats:
+        """Logarithm of the blur, boost, and logarithm of the blur across slices (3,)."""
+        return np.array([np.log(self.blur), self.boost, np.log(self.slice_blur)])
+
+    def pass_in_slices(self, squared: Reals) -> Reals:
+        """Return what passes of squared angular frequencies in the slices, 1/mm^2."""
+        x2 = squared * (self.blur**2 / 2)
+        return np.asarray((1 + self.boost * x2) * np.exp(-x2))
+
+    def pass_across(self, frequency: Reals) -> Reals:
+        """Return what passes of angular frequencies along the slices' normal, 1/mm."""
+        y = frequency * self.slice_blur
+        box = np.sinc(y * float(np.sqrt(3 * BOX_PART) / np.pi))
+        return np.asarray(np.exp(-(y**2) * ((1 - BOX_PART) / 2)) * box)
+
+    def weigh_planes(self, away: Floats) -> Floats:
+        """Return the sensitivity of a slice at distances from its middle, mm, over that of its middle."""
+        half, edge = np.sqrt(3 * BOX_PART) * self.slice_blur, np.sqrt(1 - BOX_PART) * self.slice_blur
+        return np.asarray(
+            (ndtr((half - away) / edge) - ndtr((-half - away) / edge)) / (2 * ndtr(half / edge) - 1)
+        )
+
+
+def read_spread(parameters: Floats) -> PointSpread:
+    """Return the point spread of `PointSpread.parameters` (3,)."""
+    return PointSpread(float(np.exp(parameters[0])), float(parameters[1]), float(np.exp(parameters[2])))
+
+
+def expected_spread(slice_distance: float) -> PointSpread:
+    """Return what one expects of a scanner whose slices are `slice_distance` mm apart."""
+    slice_blur = max(SLICE_BLUR_RATIO * slice_distance, MIN_EXPECTED_SLICE_BLUR_MM)
+    return PointSpread(MEAN_BLUR_MM, MEAN_BOOST, slice_blur)
+
+
+def average_spreads(spreads: Sequence[PointSpread]) -> PointSpread | None:
+    """Return the median of what balls in a scan show; None if there is no ball."""
+    if not spreads:
+        return None
+    middle = read_spread(np.median([one.parameters for one in spreads], axis=0))
+    return PointSpread(middle.blur, middle.boost, middle.slice_blur, BALL_SDS)
