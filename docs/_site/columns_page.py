@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator
 from importlib.resources import files
 from itertools import groupby
+from pathlib import Path
 
 from pages import keep
 from sphinx.application import Sphinx
@@ -30,7 +31,7 @@ def _page() -> Iterator[str]:
     for title, where in (("Columns of files", ""), ("Columns of printed tables alone", "print")):
         yield f"\n## {title}\n\n| column | heading | unit | meaning |\n|---|---|---|---|"
         yield from (_row(one) for one in columns if one.where == where)
-    text = files("needlefit.schemas").joinpath("input_tables.csv").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("input_tables.csv").read_text(encoding="utf-8")
     for table, members in groupby(csv.DictReader(text.splitlines()), lambda one: one["table"]):
         yield f"\n## `{table}`, which you write\n\n| column | meaning | an empty cell |\n|---|---|---|"
         yield from (f"| `{one['column']}` | {one['meaning']} | {one['default']} |" for one in members)

@@ -212,7 +212,8 @@ def _show(
             screen.print_text(remark)
         scenes = sorted(path.name for path in out.glob("scenes/*.toml"))
         then = f"Predict it: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else ""
-        screen.print_text(f"What to do. {then or found.answer.advice}")
+        path = str(out) if out.is_absolute() else f"./{out}"
+        screen.print_text(f"What to do. {then or found.answer.advice.replace('DATASET', path)}")
         screen.print_written(out, f" (figures of each scan in {out}/quality/)")
 
 

@@ -4,8 +4,6 @@ from pydantic import Field
 
 from needlefit.schemas.base import Name, Record
 
-Vector = tuple[float, float, float]
-
 
 class ObstacleRecord(Record):
     """A circle in the plane, or a sphere in space, that the needle must avoid."""

@@ -1,6 +1,5 @@
 """A scene: a needle, its layers, guides and controls, and the steps of its insertion."""
 
-import difflib
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -365,9 +364,8 @@ class SceneRecord(FileRecord):
         for n, step in enumerate(self.steps, start=1):
             for name in step.guides:
                 if name not in names:
-                    near = difflib.get_close_matches(name, names, n=1) or names
-                    known = f"did you mean `{', '.join(near)}`?" if near else "the scene has no guides"
-                    raise ValueError(f"key `steps.{n}.guides.{name}`: there is no such guide; {known}")
+                    known = f"only {', '.join(names) or 'none'}"
+                    raise ValueError(f"key `steps.{n}.guides.{name}`: there is no such guide, {known}")
         return self
 
 

@@ -4,7 +4,6 @@ Drawn are the needle, the specimens, and the deviations of insertions from plan;
 calibration also the media (`Population`).
 """
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import Surface, make_cylinder, make_sheet
 from needlefit.mechanics.needle import Needle
+from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 
 BOX_MM = 80.0  # edge of the box, mm
@@ -205,10 +204,7 @@ def select_planned_insertions(names: Sequence[str]) -> tuple[PlannedInsertion, .
     known = {planned.id: planned for planned in (*list_planned_insertions(), SAMPLE_INSERTION)}
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or list(known)
-            raise ConfigError(
-                f"no insertion of the twin is called `{name}`", expected=f"one of {', '.join(near)}"
-            )
+            raise unknown_name_error("insertion of the twin", name, list(known), "")
     return tuple(known[name] for name in dict.fromkeys(names)) or list_planned_insertions()
 
 
