@@ -10,6 +10,8 @@ from needlefit.schemas.scene import NeedleRecord
 
 DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
 
+MIN_MODULUS_MPA = 500.0  #: polymers have 1000 to 5000; a smaller number is one in GPa
+
 
 def is_bounded(*values: float) -> bool:
     """Return whether all values are numbers of at most `MAX_NUMBER`; False for anything else."""
@@ -56,6 +58,9 @@ class Needle:
                 f"outer diameter, Young's modulus and inner diameter of the needle are {given} (mm, MPa, mm)",
                 expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm, and a finite modulus",
             )
+        if youngs_modulus < MIN_MODULUS_MPA:
+            what = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
+            raise ModelError(what, expected=f"{MIN_MODULUS_MPA:g} or more; 200 GPa are 2e5 MPa")
         second_moment = math.pi * (outer_diameter**4 - inner_diameter**4) / 64
         return cls(length, youngs_modulus * second_moment)
 

@@ -65,6 +65,8 @@ class Stated:
         unit = unit or self.unit
         if value in (1.0, -1.0) and not unit:
             return 90.0 - 90.0 * value
+        if unit == "deg" and value % 1 and abs(value) < 2 * np.pi + 0.01 and not word.endswith(" deg"):
+            raise self.error("bevel side", f"degrees; in radians it would be {np.degrees(value):.4g}")
         if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
             return value if unit == "deg" else 30.0 * (value % 12)
         expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
