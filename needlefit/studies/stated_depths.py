@@ -12,7 +12,9 @@ from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row
 
 DEPTHS_KEY = "stated_depths"  #: key in `run.json`
-STEP_MM = 0.2  #: of a boundary, for derivatives
+STEP_MM = (
+    1.0  #: of a boundary, either way, for derivatives: that of constraint points, between which they jump
+)
 
 
 def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
@@ -34,13 +36,16 @@ def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
     moduli = [k for k, name in enumerate(problem.names) if name.startswith("mu")]
     rows: list[Row] = []
     for k in range(max(len(one.boundaries) for one in exact)):
-        steps = [STEP_MM * (np.arange(len(one.boundaries)) == k) for one in exact]
-        moved = [shift_depths(one, np.zeros(1), by, 0.0)[0] for one, by in zip(exact, steps, strict=True)]
-        off = linearize(replace(problem, insertions=tuple(moved)), theta)[0]
-        by = (off - residuals) / STEP_MM
-        taken = covariance @ (slope.T @ by) / scale  # what the parameters take up of a mm
-        left = by - slope @ taken
-        known = float(left @ by) / scale
+        ends = []
+        for step in (STEP_MM, -STEP_MM):
+            by = [step * (np.arange(len(one.boundaries)) == k) for one in exact]
+            pairs = zip(exact, by, strict=True)
+            moved = tuple(shift_depths(one, np.zeros(1), shift, 0.0)[0] for one, shift in pairs)
+            ends.append(linearize(replace(problem, insertions=moved), theta)[0])
+        by_depth = (ends[0] - ends[1]) / (2 * STEP_MM)
+        taken = covariance @ (slope.T @ by_depth) / scale  # what the parameters take up of a mm
+        left = by_depth - slope @ taken
+        known = float(left @ by_depth) / scale
         if not known > 0 or not moduli:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
