@@ -131,7 +131,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
     if errors and away > max(errors, MIN_TWIST * bend):
         names = [one.insertion.id for twist, one in own if twist > errors]
-        what = f"{join_names(names, MAX_NAMED_INSERTIONS)} bend in no plane, by {away:.2g} mm at the tip (rms)"
+        what = f"{join_names(names, MAX_NAMED_INSERTIONS)} bend in no plane, by {away:.2g} mm at tips (rms)"
         fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, listed[0].where, fix)
 
