@@ -55,6 +55,16 @@ def test_shallow_tests_and_mirror_images_identify_nothing() -> None:
     assert not found["identified"] and " or " in found["region_95"]
 
 
+def test_a_curve_that_no_one_term_law_describes_does_not_fit() -> None:
+    """Soft at first and stiff later, as a gel between rough plates; noise alone is no misfit."""
+    x, y = load_specimen(-4.0, 0.8, 0.002)
+    toe = y * (1 - np.exp(-(((1 - x) / 0.1) ** 2)))
+    found = FUNCTIONS["fit_specimen"]("toe", x, toe, "nominal", 401)
+    assert found["law"] == "does not fit" and not found["identified"]
+    noisy = FUNCTIONS["fit_specimen"]("noisy", *load_specimen(-4.0, 0.8, 0.05), "nominal", 401)
+    assert noisy["law"] == "fits"
+
+
 @pytest.mark.parametrize("neighbours", [0.0, 0.9])
 def test_intervals_cover_the_true_alpha_also_where_errors_are_correlated(neighbours: float) -> None:
     rng, covered = np.random.default_rng(1), 0

@@ -264,6 +264,18 @@ def test_tips_out_of_the_planes_of_their_bevels_come_with_the_direction_that_fit
     assert ["0.00, 0.82, 0.57" in one.fix for one in found] == [True] * (turn > 0)
 
 
+@pytest.mark.parametrize("twist", [0.0, 1.0])
+def test_free_shapes_that_bend_in_no_plane_are_named(tmp_path, twist):
+    """Two needles that bend by 20 mm, and from the middle on across that plane."""
+    turned = np.clip(X - 25.0, 0.0, None)
+    curve = np.column_stack([X, 8e-3 * (X**2 - twist * turned**2), twist * 8e-3 * turned**2])
+    rows = [into_gel(name, **FREE) for name in "ab"]
+    tables = {"frame": {"name": "free", "pose": "free"}}
+    path = write_rows(tmp_path, *rows, curves=dict.fromkeys("ab", curve), **tables)
+    assert ("bevel_plane" in kinds(path)) == bool(twist)
+    assert len(measure_out_of_plane(read(path))) == 2
+
+
 def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_path):
     """A box without the face where the needles enter, and the same box elsewhere."""
     box = trimesh.creation.box(extents=(80, 60, 60))
@@ -280,6 +292,11 @@ def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_pa
         assert words in found.fix
 
 
+def resample_line(curve, points):
+    at = np.linspace(0, len(curve) - 1, points)
+    return np.column_stack([np.interp(at, np.arange(len(curve)), axis) for axis in curve.T])
+
+
 def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path):
     """Measured once, and exported again with scatter, without a point, or mirrored; and measured twice."""
     random = np.random.default_rng(11)
@@ -288,6 +305,7 @@ def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path
         "scatter": once + random.normal(0.0, 1e-3, CURVE.shape),
         "dropped": np.delete(once, 40, axis=0),
         "mirrored": once * [1, -1, 1],
+        "sampled again": resample_line(once, 151),
         "twice": twice,
     }
     for name, curve in others.items():

@@ -4,8 +4,10 @@ import ast
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import inference_cases
 import numpy as np
 import pandas as pd
 import pytest
@@ -27,6 +29,7 @@ from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.run import Run
+from needlefit.studies.stated_depths import DEPTHS_KEY, examine_depths
 
 
 def warn(key: str, results: Run):
@@ -110,6 +113,34 @@ def test_a_residual_that_all_insertions_share_is_named(signs, count):
     bend = 0.02 * (shapes["simulated_x_mm"] - 60) ** 2 / 60
     shapes = shapes.assign(measured_y_mm=shapes["simulated_y_mm"] + turn * bend)
     assert len(warn("shared_residual", results.with_frames(shapes=shapes))) == count
+
+
+@pytest.mark.parametrize(("shift", "count"), [(-5.0, 1), (5.0, 1), (2.0, 0)])
+def test_a_boundary_that_the_data_put_elsewhere_and_a_modulus_of_no_tissue_are_named(shift, count):
+    results = study(1)
+    row = {"boundary": 1, "shift_mm": shift, "sd_mm": 1.0, "stated_sd_mm": 0.2}
+    assert len(warn("boundary_shift", replace(results, run={**results.run, DEPTHS_KEY: [row]}))) == count
+    assert warn("units", results) == []
+    parameters = results.frames["parameters"]
+    is_mu = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
+    stiff = parameters.assign(value=parameters["value"].mask(is_mu, 1.6e8))
+    assert len(warn("units", results.with_frames(parameters=stiff))) == 1
+
+
+@pytest.mark.parametrize("shift", [-3.0, 0.0, 3.0])
+def test_a_boundary_is_put_back_where_it_was_when_the_data_were_made(shift):
+    """By the residuals at the true parameters, with the boundary stated elsewhere."""
+    truth = {"mu1_pa": 2e5, "alpha1": 1.0, "mu2_pa": 3e4, "alpha2": 1.0, "bevel_mm": 0.12}
+    tissue = inference_cases.medium(alpha2={"fixed": 1.0})
+    made = [
+        inference_cases.measure(truth, tissue, inference_cases.insertion(depth, (20.0,), (1, 2), side))
+        for depth, side in ((50.0, 1), (60.0, -1), (70.0, 1))
+    ]
+    stated = [replace(one, boundaries=one.boundaries + shift) for one in made]
+    problem = inference_cases.problem(tissue, stated)
+    (row,) = examine_depths(problem, problem.parameters.theta(truth))
+    assert row["shift_mm"] == pytest.approx(-shift, rel=0.3, abs=1e-3)
+    assert row["sd_mm"] > 0 and row["factor_per_mm"] > 1 and row["parameter"] in problem.names
 
 
 def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out(tmp_path):

@@ -128,6 +128,7 @@ def test_headers_are_known_in_five_languages(text, meaning):
             ("270", "deg", 270),
         ),
         *(("12 o'clock", "", 0), ("6 Uhr", "", 180), ("3h", "", 90), ("9", "clock", 270), ("3点", "", 90)),
+        *(("3.14159", "deg", None), ("1.57", "deg", None), ("1.2", "deg", 1.2), ("1.57 deg", "", 1.57)),
         *(("0", "", None), ("2", "", None), ("180", "", None), ("A", "", None), ("13 o'clock", "", None)),
     ],
 )
@@ -732,6 +733,13 @@ def test_questions_are_asked_with_a_guess_and_faults_named_at_their_place(tmp_pa
 
 
 # ---- several files
+
+
+def test_names_that_differ_by_case_alone_are_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{name},{x},{y},{z}" for name in ("n1", "N1") for x, y, z in CURVES[0]]
+    path.write_text("\n".join(["needle,x,y,z", *rows]))
+    assert "n1" in refusal(DataError, "case", lambda: read_content([path])).what
 
 
 def test_a_table_of_needles_belongs_to_curves_of_their_names(tmp_path):

@@ -10,6 +10,7 @@ from scipy.integrate import solve_bvp
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch, simulate_batches
+from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, count_element_solves, plan_stops
@@ -157,6 +158,12 @@ REFUSED = [
     (lambda: simulate(NEEDLE, TISSUE, Bevel(0.1), 5.0, rules=ANGLE), "alone"),
     (lambda: simulate(NEEDLE, TISSUE, Bevel(cut_angle=0.1), 5.0), "alone"),
     (lambda: make_layers(mu=[0.2, -1.0]), "layer 2 .*mu -1 MPa"),
+    (lambda: make_layers(mu=[0.2, 842.0]), "layer 2 .*mu 842 MPa.*Pa"),  # Pa of brain
+    (lambda: Needle.from_tube(150.0, 1.27, 80.0), "80 MPa.*GPa"),
+    (lambda: compute_stress(1.0, 1.0, np.array([80.0, 100.0]), "true"), "%"),
+    (lambda: compute_stress(1.0, 1.0, np.array([0.0, 1.0]), "true"), "above 0"),
+    (lambda: compute_stress(1.0, 1.0, np.array([0.9, 1.0]), "cauchy"), "nominal"),
+    (lambda: simulate_batches([1]), "Batch"),
     (lambda: make_layers(thickness=[0.0, 40.0]), "layer 1 .*thickness 0 mm"),
     (lambda: make_layers(friction=[0.0, -0.1]), r"layer 2 .*friction -0\.1"),
     (lambda: Tissue([0.2, 3.0], {"alpha": [1.0, 60.0]}, [10.0], law="fung"), "layer 2.*alpha.*60.*0 to 50"),

@@ -3,6 +3,7 @@
 import os
 import re
 import socket
+import time
 from contextlib import chdir
 from pathlib import Path
 
@@ -83,6 +84,12 @@ def test_nesting_without_end_is_refused(levels):
     refused(parse_json, '{"a":' * levels + "1" + "}" * levels, "f")
     for text in ("[" * levels + "1" + "]" * levels, "{b=" * levels + "1" + "}" * levels):
         refused(parse_toml, f"a = {text}", "f", error=ConfigError)
+    for key in ("a" + ".9" * levels, '"a"' + ' . "b"' * levels):
+        began = time.process_time()
+        refused(parse_toml, f"{key} = 1", "f", error=ConfigError)
+        refused(parse_toml, f"x = {{{key} = 1}}", "f", error=ConfigError)
+        assert time.process_time() - began < 1.0
+    assert parse_toml("a = [" + "1.25, " * levels + '"' + ". " * levels + '"]', "f")
 
 
 @pytest.mark.parametrize("digits", [5000, 100_000])

@@ -25,6 +25,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import find_file
+from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
@@ -157,10 +158,10 @@ def test_a_change_that_draws_would_replace_is_refused(job):
         make_scene(SceneRecord.model_validate(table), "scene", job.medium)
 
 
-def predict_with(job, monkeypatch, draws, inputs=None, **options):
+def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, **options):
     monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
     monkeypatch.setattr(prediction, "draw_parameters", lambda *_: Draws(np.array(draws), "importance"))
-    scene = load(find_file("scene", "study2"), SceneRecord)
+    scene = load(find_file("scene", "study2"), SceneRecord).model_copy(update={"depth_mm": depth})
     record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
     return find_kind("prediction").run("gel", record, Settings(inputs=inputs or Inputs()))
 
@@ -178,6 +179,14 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
         for one in (found, same, new)
     ]
     assert widths[2] > 2 * widths[0] and widths[0] == widths[1]
+
+
+@pytest.mark.parametrize(("depth", "count"), [(1.1, 0), (1.5, 1), (0.3, 1)])
+def test_a_depth_that_was_not_fitted_is_named(job, monkeypatch, depth, count):
+    """`depth`: over that of an insertion that was fitted."""
+    depth *= job.folds[0].tune[0].depth
+    found = predict_with(job, monkeypatch, [theta(job)] * 5, depth=depth)
+    assert sum(one.kind == "extrapolation" for one in read_warnings(found.run)) == count
 
 
 def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):

@@ -276,7 +276,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     if dataset is not None and not invocation.json:
         _show(dataset, measured, holes)
         if away := [f"{name} {mm:.2f} ({sds:.1f})" for name, mm, sds in planes]:
-            screen.print_text(f"Out of the bevel's plane at the tip, mm (SD): {join_names(away, 8)}.")
+            screen.print_text(f"Out of the plane at the tip, mm (SD): {join_names(away, 8)}.")
     if faults:
         raise typer.Exit(DataError.exit_code)
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
@@ -62,6 +61,7 @@ REVERSED_SD = 4.0
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
 # Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
 MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
+MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
@@ -207,14 +207,17 @@ def measure_scatter(one: Insertion) -> float:
 
 
 def measure_likeness(one: Insertion, other: Insertion) -> float:
-    """Return the median distance of points of the shorter curve from the nearest ones of the other, mm.
+    """Return the median distance of points of one curve from the line through those of the other, mm.
 
-    Each curve lies in the frame of its own entry; one may be the mirror image of the other.
+    Each curve lies in the frame of its own entry; one may be the mirror image of the other, or have other
+    points of the same line.
     """
-    a, b = (np.column_stack([curve.planar, curve.out_of_plane]) for curve in (one, other))
-    short, tree = (a, KDTree(b)) if len(a) < len(b) else (b, KDTree(a))
-    mirrors = ([1, 1, 1], [1, -1, 1], [1, 1, -1], [1, -1, -1])
-    return min(float(np.median(tree.query(short * mirror)[0])) for mirror in mirrors)
+    curves = [np.column_stack([curve.planar, curve.out_of_plane]) for curve in (one, other)]
+    gaps = []
+    for a, b in (curves, curves[::-1]):
+        line = np.column_stack([np.interp(a[:, 0], b[:, 0], axis) for axis in b[:, 1:].T])
+        gaps += [np.median(np.linalg.norm(a[:, 1:] * sign - line, axis=1)) for sign in MIRRORS]
+    return float(min(gaps))
 
 
 def find_insertion_warnings(

@@ -18,6 +18,7 @@ from needlefit.project.result_warnings import ResultWarning
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
 MIN_BEND_SLOPE = 0.005
+MIN_TWIST = 0.05  # of tips out of the planes of their curves, as part of the deflection, rms
 MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
 PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degrees
@@ -81,10 +82,9 @@ def _project_turns(insertion: Insertion) -> Insertion:
 def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
 
-    None of free shapes and tracks, whose plane is that of the shape itself, and of needles that were turned.
+    That of a free shape is the plane nearest to it. None of tip tracks and of needles that were turned.
     """
-    posed = dataset.pose == "known"
-    known = [one for one in dataset.insertions if posed and one.pose_source != "none" and not one.turns]
+    known = [one for one in dataset.insertions if dataset.pose != "tracker" and not one.turns]
     sds = [compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
     away = [abs(float(one.out_of_plane[-1])) for one in known]
     found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
@@ -94,7 +94,8 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions whose tips leave the planes of their bevels.
 
-    It proposes the direction of side 1 that fits their tips, and says whether one fits all.
+    It proposes the direction of side 1 that fits their tips, and says whether one fits all. Without any it
+    names those whose tips are far out of the planes nearest to their own curves.
     """
     tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
     places, worst = [], 0.0
@@ -123,3 +124,19 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
         fix += "; state turns of the bevel by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, places[0], fix)
+        return
+    own = [(_measure_twist(one.insertion), one) for one in listed if not one.insertion.turns]
+    squares = [(away**2, one.insertion.deflection**2) for away, one in own]
+    away, bend = np.sqrt(np.mean(squares, axis=0)) if squares else (0.0, 0.0)
+    errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
+    if errors and away > max(errors, MIN_TWIST * bend):
+        names = [one.insertion.id for twist, one in own if twist > errors]
+        what = f"{join_names(names, MAX_NAMED_INSERTIONS)} bend in no plane, by {away:.2g} mm at tips (rms)"
+        fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
+        yield ResultWarning("bevel_plane", what, listed[0].where, fix)
+
+
+def _measure_twist(insertion: Insertion) -> float:
+    """Return how far the tip is out of the plane nearest to the whole curve, mm."""
+    points = insertion.centerline - insertion.centerline.mean(axis=0)
+    return abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))

@@ -17,7 +17,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -542,6 +542,7 @@ def make_tissue(
         boundaries=np.asarray(boundaries, dtype=np.float64),
         thickness=np.array([medium.thickness_mm]),
         law=medium.law,
+        max_mu=MAX_MU_MPA,
     )
 
 

@@ -17,7 +17,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import (
     Columns,
     Evaluation,
@@ -493,6 +493,9 @@ def linearize_batches(
 def _run(
     batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
 ) -> list[tuple[Evaluation, NeedleShapes]]:
+    require_type("batches", batches, Sequence)
+    for batch in batches:
+        require_type("a batch", batch, Batch)
     evaluations = [_evaluate(batch, wrt) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]

@@ -19,20 +19,30 @@ whose k is positive. Written with h = ln lambda,
 nothing is divided by alpha: at alpha = 0 this is 3 mu h, Hencky's solid.
 """
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.errors import ModelError
 
 #: force over the area before compression (engineering stress), or over the area now (Cauchy's)
 StressMeasure = Literal["nominal", "true"]
 
+MAX_STRETCH = 10.0
 SERIES_LIMIT = 1e-2  #: |x| below which two terms of a series are more exact than the closed form
 
 
 def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: StressMeasure) -> Floats:
-    """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`."""
+    """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`.
+
+    ModelError for another measure, and for stretches (height over initial height) at or below 0, or in %.
+    """
+    if measure not in get_args(StressMeasure):
+        raise ModelError(f"measure is {measure!r:.20}", expected="nominal or true")
+    if not 0 < np.min(stretch) <= np.max(stretch) <= MAX_STRETCH:
+        what = f"stretches are {np.min(stretch):g} to {np.max(stretch):g}"
+        raise ModelError(what, expected=f"above 0, at most {MAX_STRETCH:g}; 80 % are 0.8")
     h = np.log(stretch)
     true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)
     return true_stress / stretch if measure == "nominal" else true_stress

@@ -10,6 +10,8 @@ from needlefit.schemas.scene import NeedleRecord
 
 DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
 
+MIN_MODULUS_MPA = 500.0  #: polymers have 1000 to 5000; a smaller number is one in GPa
+
 
 def is_bounded(*values: float) -> bool:
     """Return whether all values are numbers of at most `MAX_NUMBER`; False for anything else."""
@@ -23,6 +25,17 @@ def require_type(name: str, value: object, kind: type) -> None:
     """Raise ModelError unless an argument is of its type."""
     if not isinstance(value, kind):
         raise ModelError(f"{name} is {value!r:.60}", expected=f"a {kind.__name__}")
+
+
+def compute_rigidity(outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0) -> float:
+    """Return EI, N mm^2, of a round tube; diameters in mm, the modulus in MPa."""
+    given = (outer_diameter, youngs_modulus, inner_diameter)
+    if not is_bounded(*given) or not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
+        raise ModelError(
+            f"outer diameter, Young's modulus and inner diameter of the needle are {given} (mm, MPa, mm)",
+            expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm, and a finite modulus",
+        )
+    return youngs_modulus * (math.pi * (outer_diameter**4 - inner_diameter**4) / 64)
 
 
 @dataclass(frozen=True)
@@ -50,14 +63,10 @@ class Needle:
         cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
     ) -> Self:
         """Return the needle made of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
-        given = (outer_diameter, youngs_modulus, inner_diameter)
-        if not is_bounded(*given) or not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
-            raise ModelError(
-                f"outer diameter, Young's modulus and inner diameter of the needle are {given} (mm, MPa, mm)",
-                expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm, and a finite modulus",
-            )
-        second_moment = math.pi * (outer_diameter**4 - inner_diameter**4) / 64
-        return cls(length, youngs_modulus * second_moment)
+        if is_bounded(youngs_modulus) and youngs_modulus < MIN_MODULUS_MPA:
+            what = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
+            raise ModelError(what, expected=f"{MIN_MODULUS_MPA:g} or more; 200 GPa are 2e5 MPa")
+        return cls(length, compute_rigidity(outer_diameter, youngs_modulus, inner_diameter))
 
     @classmethod
     def from_record(cls, record: NeedleRecord) -> Self:
@@ -65,9 +74,5 @@ class Needle:
         if record.flexural_rigidity_nmm2 is not None:
             return cls(record.length_mm, record.flexural_rigidity_nmm2)
         assert record.outer_diameter_mm is not None and record.youngs_modulus_gpa is not None
-        return cls.from_tube(
-            record.length_mm,
-            record.outer_diameter_mm,
-            record.youngs_modulus_gpa * 1e3,
-            record.inner_diameter_mm,
-        )
+        outer, inner = record.outer_diameter_mm, record.inner_diameter_mm
+        return cls(record.length_mm, compute_rigidity(outer, record.youngs_modulus_gpa * 1e3, inner))

@@ -16,15 +16,16 @@ from needlefit.mechanics.needle import is_bounded, require_type
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.scene import LayerRecord
 
-MAX_MU_MPA = 1e4  #: 10 GPa: no tissue is as stiff, and few moduli in Pa are as small
+MAX_MU_MPA = 1e4  #: 10 GPa: no tissue is as stiff
+LIKELY_MU_MPA = 100.0  #: a greater modulus is more likely one in Pa, of which no tissue has so few
 
 
 @dataclass(frozen=True, init=False)
 class Tissue:
     """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
 
-    `mu` is in MPa (N/mm^2), a millionth of its value in files, where it is in Pa; `boundaries` and
-    `thickness` are in mm, `torsional_friction` in N.
+    `mu` is in MPa (N/mm^2), a millionth of its value in files, where it is in Pa: greater ones than `max_mu`
+    are refused. `boundaries` and `thickness` are in mm, `torsional_friction` in N.
     """
 
     mu: Floats  #: (n,) effective foundation modulus of each layer, MPa; not a material constant
@@ -49,6 +50,7 @@ class Tissue:
         *,
         alpha: ArrayLike | None = None,
         torsional_friction: float = 0.0,
+        max_mu: float = LIKELY_MU_MPA,
     ) -> None:
         mu = _to_floats("mu", mu)
         n = np.size(mu)
@@ -72,8 +74,8 @@ class Tissue:
                 f"layer boundaries are {self.boundaries.tolist()} mm",
                 expected="depths that increase, none negative",
             )
-        words = f"above 0, at most {MAX_MU_MPA:g} MPa; 2e5 Pa are 0.2 MPa"
-        _require("mu", " MPa", self.mu, lambda value: 0 < value <= MAX_MU_MPA, words)
+        words = f"above 0, at most {max_mu:g} MPa; 2e5 Pa are 0.2 MPa"
+        _require("mu", " MPa", self.mu, lambda value: 0 < value <= max_mu, words)
         _require("thickness", " mm", self.thickness, lambda value: value > 0, "above 0")
         _require("friction", "", self.friction, lambda value: value >= 0, "0 or above")
 
@@ -106,6 +108,7 @@ class Tissue:
             friction=np.array([layer.friction for layer in layers]),
             law=law,
             torsional_friction=torsional_friction,
+            max_mu=MAX_MU_MPA,
         )
 
 

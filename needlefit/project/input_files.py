@@ -5,6 +5,7 @@ Only regular files are opened, and only up to a stated size: a device may never 
 
 import json
 import os
+import re
 import stat
 import tomllib
 from collections.abc import Iterator
@@ -107,6 +108,8 @@ def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -
 
 
 MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
+# A key of thousands of parts, of which the parser would take the square.
+_DEEP_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+\.\s*+){{{MAX_NESTING}}}""")
 
 
 def _list_members(value: object) -> list[Any]:
@@ -116,11 +119,11 @@ def _list_members(value: object) -> list[Any]:
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` and else as `read_toml`."""
     try:
-        tables = tomllib.loads(text)
+        tables = {} if (is_deep := _DEEP_KEY.search(text)) else tomllib.loads(text)
         level: list[Any] = [tables]
         for _ in range(MAX_NESTING):
             level = [inner for one in level for inner in _list_members(one)]
-        if level:
+        if level or is_deep:
             raise ValueError(f"nested more than {MAX_NESTING} deep")
         return tables
     except (RecursionError, ValueError) as fault:

@@ -18,9 +18,10 @@ LENGTH_TO_DIAMETER = (20.0, 1000.0)  # of a needle, least and most: 60 mm of 3, 
 RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
-MU_PA = (300.0, 1e10)
+MU_PA = (300.0, 1e8)
 """Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
-Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu."""
+Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu. The
+stiffest layer of the paper has 33 MPa."""
 MU_UNITS = {"kPa": 1e3, "MPa": 1e6}  # pascals in each
 ALPHA = (0.05, 60.0)
 """Size of an Ogden exponent, least and most: W divides by its square, and at 0 the law is of another form.

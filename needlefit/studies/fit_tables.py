@@ -41,6 +41,7 @@ from needlefit.studies.fit_frames import (
 )
 from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
+from needlefit.studies.stated_depths import DEPTHS_KEY
 
 TEXT = KindText("cross_validation")
 
@@ -341,6 +342,7 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
+        "leaning": [one for one in results.run.get(DEPTHS_KEY, []) if one["sd_mm"] > one["stated_sd_mm"]],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 

@@ -18,12 +18,14 @@ from needlefit.inference.identifiability.directions import (
 )
 from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
 from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
+from needlefit.studies.stated_depths import DEPTHS_KEY
 from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:
@@ -109,6 +111,7 @@ def _describe_bound(
 
 #: factor between in-sample errors and their noise floor, either way, below which no warning is given
 FAR_FROM_FLOOR = 2.0
+SHIFT_SD = 3.0  #: standard deviations beyond which a boundary lies elsewhere than stated
 CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
 
@@ -151,6 +154,22 @@ def _find_shared_residual(results: Run) -> Iterator[Row]:
             return
 
 
+def _find_shifted_boundaries(results: Run) -> Iterator[Row]:
+    """Yield the boundaries at stated depths that the data put elsewhere, beyond their errors."""
+    for one in results.run.get(DEPTHS_KEY, ()):
+        sd = math.hypot(one["sd_mm"], one["stated_sd_mm"])
+        if abs(one["shift_mm"]) > SHIFT_SD * sd:
+            yield {**one, "sd": sd}
+
+
+def _find_implausible_moduli(results: Run) -> Iterator[Row]:
+    """Yield the moduli that no tissue has."""
+    fits = select_free(results.frames["parameters"])
+    for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
+        if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
+            yield {"parameter": str(name), "value": value, "text": "modulus"}
+
+
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
 #: the text, for each case found
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
@@ -159,4 +178,6 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,
+    "boundary_shift": _find_shifted_boundaries,
+    "units": _find_implausible_moduli,
 }

@@ -61,10 +61,13 @@ class Stated:
         """
         text = self.text.replace("\u2212", "-").strip()
         word = find_meaning("value", {"+": "up", "-": "down"}.get(text, text))
-        value, unit = read_quantity(word if word.endswith(" deg") else text) or (float("nan"), "")
-        unit = unit or self.unit
+        value, own = read_quantity(word if word.endswith(" deg") else text) or (float("nan"), "")
+        unit = own or self.unit
         if value in (1.0, -1.0) and not unit:
             return 90.0 - 90.0 * value
+        turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
+        if unit == "deg" and not own and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
+            raise self.error("bevel side", f"degrees; in radians it would be {np.degrees(value):.4g}")
         if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
             return value if unit == "deg" else 30.0 * (value % 12)
         expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"

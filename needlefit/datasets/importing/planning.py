@@ -342,7 +342,9 @@ class Planner:
         inner, modulus = self.settle("inner diameter"), self.settle("modulus")
         number, unit = read_quantity(outer.text) or (0.0, "")
         if unit == "G":
-            outer = replace(outer, text=f"{GAUGES_MM.get(int(number), 0.0)}")
+            if number not in GAUGES_MM:
+                raise outer.error("diameter", f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
+            outer = replace(outer, text=f"{GAUGES_MM[int(number)]}")
         diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner diameter")
         if bore >= diameter:
             raise inner.error("inner diameter", f"less than {diameter:g} mm")

@@ -66,6 +66,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.simulated_data import find_true_value
+from needlefit.studies.stated_depths import DEPTHS_KEY, examine_depths
 from needlefit.studies.validity import MOSTLY_OUTSIDE, VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
@@ -118,6 +119,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             **describe_insertions(job),
             **_find_truth(job),
             "search_faults": going.search_faults,
+            **({DEPTHS_KEY: going.depths} if going.depths else {}),
             VALIDITY_KEY: going.counts.table(),
         },
         timing={"dataset": str(job.dataset.path)},
@@ -184,6 +186,7 @@ class _StudyRun:
     counts: ValidityCounts = field(default_factory=ValidityCounts)
     outside: dict[str, float] = field(default_factory=dict)  #: by fold the share of draws outside validity
     needles: dict[str, NeedleInScan] = field(default_factory=dict)
+    depths: list[Row] = field(default_factory=list)  #: of the first fold
     #: posteriors of single specimens, which folds share
     specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
     parts: dict[tuple[int, str], float] = field(default_factory=dict)  #: done, of each phase of each fold
@@ -447,6 +450,7 @@ class _StudyRun:
                 posterior = None  # the sampler's has one set of parameters, specimens several
         verdict = identify(problem, fit, draws.certified if draws else None, further)
         if fit.minimized == "posterior":
+            self.depths = self.depths or examine_depths(problem, np.array(fit.theta))
             self.rows["directions"] += [
                 {
                     **{"fold": fold.name, "parameters": one.parameters},
