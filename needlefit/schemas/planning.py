@@ -10,7 +10,7 @@ class ObstacleRecord(Record):
 
     name: Name
     """Name of the obstacle in tables."""
-    centre_mm: tuple[float, float] | Vector
+    centre_mm: tuple[float, float] | tuple[float, float, float]
     """Centre: x and y in the plane, in space z too."""
     radius_mm: float = Field(gt=0)
     """Radius."""

@@ -260,6 +260,7 @@ class WeightedDraws:
     #: logarithm of the density's integral within the bounds: of the mean weight before smoothing
     log_evidence: float
     proposal: Proposal | None = None  #: from which the last round was drawn: wide, with what the draws taught
+    interpolated: InterpolatedDensity | None = None  #: by which the densities were evaluated
 
     @property
     def effective_sample_size(self) -> float:
@@ -489,7 +490,8 @@ def sample_about_modes(
     approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
     nodes = None if problem.approach("posterior") is None else InterpolatedDensity(problem, jobs)
     evaluator = Evaluator(problem, jobs, interpolated=nodes)
-    return sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
+    found = sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
+    return replace(found, interpolated=nodes)
 
 
 def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:

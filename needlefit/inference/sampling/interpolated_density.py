@@ -1,17 +1,18 @@
-"""Evaluate many densities by the needles as measured, and interpolate what moved depths and bevels do.
+"""Evaluate many densities, and interpolate between the residuals of those that were simulated.
 
 A density simulates every insertion at 3 to 11 nodes (`likelihood.nodes`): as measured, and with each
 uncertain depth and the bevel moved to both sides. How the residuals of the others differ from the first's
-varies smoothly with theta. They are simulated at some 100 thetas, and between these interpolated by cubic
-radial basis functions.
+varies smoothly with theta. They are simulated at some 100 thetas, and between these interpolated by quintic
+radial basis functions. The needles as measured are simulated at some 800 thetas; where all of these had a
+solution, further ones are interpolated too.
 
 Of every call some thetas are evaluated exactly as well, more of those with a large density. Where these err
-by more than `MAX_RMS_ERROR` they join the points that are interpolated between; where that does not help, all
-thetas of the call that matter are evaluated exactly.
+by more than `MAX_RMS_ERROR` the needles as measured are simulated, and the thetas join the points that are
+interpolated between; where that does not help, all thetas of the call that matter are evaluated exactly.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.problem import SETS_AT_ONCE, Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
+SIMULATED_POINTS = 800  #: thetas at which the needles as measured are simulated first
+MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
 THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
 MAX_RMS_ERROR = 0.02  #: largest rms error of the log density of these
 MAX_REFINEMENTS = 4  #: times that checked thetas of one call may join the points
@@ -29,38 +32,32 @@ NEGLIGIBLE_FALL = 10.0
 
 
 class InterpolatedDensity:
-    """The log posterior of a problem by interpolated nodes.
+    """The log posterior of a problem by interpolated residuals."""
 
-    Given the thetas `points` (n, P), it interpolates between these alone, and checks nothing by itself.
-    """
-
-    def __init__(self, problem: Problem, jobs: int, points: Floats | None = None) -> None:
+    def __init__(self, problem: Problem, jobs: int) -> None:
         self._problem, self._density, self._jobs = problem, problem.density, jobs
-        self._fixed = points is not None
         #: the coordinates that needles depend on
         self._columns = [k for k, name in enumerate(problem.names) if name not in HYPERPARAMETERS]
         self._nodes = [len(one.nodes.insertions) for one in self._density.observations]
-        self._points = np.empty((0, len(self._columns)))
-        self._moves: list[Floats] = []  # (n, F) of all insertions
-        if points is not None:
-            self._learn(points, self._evaluate(points)[1])
+        #: what moved nodes add to the residuals (F,), and the residuals (R,) as measured, of all insertions
+        self._moves, self._first = _Interpolation(), _Interpolation()
+        self.fixed = False  #: whether nothing is added any more, and calls check nothing
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (N,) of thetas (N, P) within the bounds; NaN where a solve fails."""
         found, exact = np.full(len(thetas), np.nan), np.zeros(len(thetas), dtype=bool)
-        count = 0 if self._fixed else min(max(FIRST_POINTS - len(self._points), 0), len(thetas))
+        count = 0 if self.fixed else min(max(FIRST_POINTS - self._moves.count, 0), len(thetas))
         if count:
             found[:count], moves = self._evaluate(thetas[:count])
             exact[:count] = True
-            self._learn(thetas[:count], moves)
-        sets = [self._problem.values(theta) for theta in thetas]
-        first = list(self._density.whitened_residuals(sets, self._jobs, as_measured=True))
+            self._moves.add(thetas[:count, self._columns], moves)
+        sets, at = [self._problem.values(theta) for theta in thetas], thetas[:, self._columns]
+        simulated = self._first.failed or self._first.count < SIMULATED_POINTS
+        first = self._simulate(at, sets) if simulated else self._first(at)
         for _ in range(MAX_REFINEMENTS):
             rest = np.flatnonzero(~exact)
-            found[rest] = self._interpolate(
-                thetas[rest], [sets[k] for k in rest], [one[rest] for one in first]
-            )
-            rows = np.arange(0) if self._fixed else self._choose_checks(found, exact)
+            found[rest] = self._add_up(at[rest], [sets[k] for k in rest], first[rest])
+            rows = np.arange(0) if self.fixed else self._choose_checks(found, exact)
             if not len(rows):
                 return found
             claimed = found[rows]
@@ -68,7 +65,9 @@ class InterpolatedDensity:
             exact[rows] = True
             if find_rms(found[rows] - claimed) <= MAX_RMS_ERROR:
                 return found
-            self._learn(thetas[rows], moves)
+            self._moves.add(at[rows], moves)
+            if not simulated:
+                first, simulated = self._simulate(at, sets), True
         rest = np.flatnonzero(~exact & (found > np.nanmax(found) - NEGLIGIBLE_FALL))
         found[rest] = self._evaluate(thetas[rest])[0]
         return found
@@ -95,34 +94,61 @@ class InterpolatedDensity:
             moves.append(np.concatenate([part.reshape(len(sets), -1) for part in parts], axis=1))
         return np.concatenate(densities), np.concatenate(moves) if moves else np.empty((0, 0))
 
-    def _learn(self, thetas: Floats, moves: Floats) -> None:
-        """Interpolate between these points too, where all their nodes have a solution."""
-        from scipy.interpolate import RBFInterpolator  # late: it takes 0.3 s to load
+    def _simulate(self, at: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Return the residuals (N, R) of the needles as measured, from simulations; keep them."""
+        parts = self._density.whitened_residuals(sets, self._jobs, as_measured=True)
+        first = np.concatenate([one[:, 0] for one in parts], axis=1)
+        if not self.fixed:
+            self._first.add(at, first)
+        return first
 
-        solved = np.isfinite(moves).all(axis=1)
-        self._points = np.concatenate([self._points, thetas[solved][:, self._columns]])
-        self._moves.append(moves[solved])
-        if len(self._points) > len(self._columns):
-            self._function = RBFInterpolator(
-                self._points, np.concatenate(self._moves), kernel="cubic", degree=1
-            )
-
-    def _interpolate(
-        self, thetas: Floats, sets: Sequence[Mapping[str, float]], first: Sequence[Floats]
-    ) -> Floats:
-        """Return the log densities (N,), given the residuals (N, 1, R) of the needles as measured."""
+    def _add_up(self, at: Floats, sets: Sequence[Mapping[str, float]], first: Floats) -> Floats:
+        """Return the log densities (N,), given the residuals (N, R) of the needles as measured."""
         densities = [np.empty(0)]
-        for start in range(0, len(thetas), SETS_AT_ONCE):
+        for start in range(0, len(at), SETS_AT_ONCE):
             some = slice(start, start + SETS_AT_ONCE)
-            moves, white, place = self._function(thetas[some][:, self._columns]), [], 0
-            for one, nodes, observation in zip(first, self._nodes, self._density.observations, strict=True):
-                shape = len(moves), nodes - 1, observation.rows
-                end = place + shape[1] * shape[2]
-                moved = one[some] + moves[:, place:end].reshape(shape)
-                white.append(append_pose_curves(observation, np.concatenate([one[some], moved], axis=1)))
-                place = end
+            moves, white, place, row = self._moves(at[some]), [], 0, 0
+            for nodes, observation in zip(self._nodes, self._density.observations, strict=True):
+                rows = observation.rows
+                shape, end = (len(moves), nodes - 1, rows), place + (nodes - 1) * rows
+                one = first[some, None, row : row + rows]
+                moved = one + moves[:, place:end].reshape(shape)
+                white.append(append_pose_curves(observation, np.concatenate([one, moved], axis=1)))
+                place, row = end, row + rows
             densities.append(self._density.add_up(white, sets[some]))
         return np.concatenate(densities)
+
+
+class _Interpolation:
+    """Values at points, interpolated between the last `MAX_POINTS` of those that are finite."""
+
+    def __init__(self) -> None:
+        self._points: list[Floats] = []
+        self._values: list[Floats] = []
+        self._function: Callable[[Floats], Floats] | None = None
+        self.count = 0  #: points
+        self.failed = False  #: whether there were points of other values
+
+    def add(self, points: Floats, values: Floats) -> None:
+        """Interpolate between these points (N, P) and values (N, F) too."""
+        solved = np.isfinite(values).all(axis=1)
+        self._points.append(points[solved])
+        self._values.append(values[solved])
+        self.count += int(solved.sum())
+        self.failed |= not solved.all()
+        self._function = None
+
+    def __call__(self, points: Floats) -> Floats:
+        """Return the values (N, F) at points (N, P)."""
+        if self._function is None:
+            from scipy.interpolate import RBFInterpolator  # late: it takes 0.3 s to load
+
+            known, values = (np.concatenate(part)[-MAX_POINTS:] for part in (self._points, self._values))
+            # a quadratic has so many terms, and wants as many points again
+            smooth = len(known) >= (known.shape[1] + 1) * (known.shape[1] + 2)
+            kernel, degree = ("quintic", 2) if smooth else ("cubic", 1)
+            self._function = RBFInterpolator(known, values, kernel=kernel, degree=degree)
+        return np.asarray(self._function(points), dtype=np.float64)
 
 
 def find_rms(errors: Floats) -> float:

@@ -16,11 +16,7 @@ from needlefit.arrays import Floats
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
-from needlefit.inference.sampling.interpolated_density import (
-    FIRST_POINTS,
-    MAX_RMS_ERROR,
-    InterpolatedDensity,
-)
+from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -48,7 +44,7 @@ def sample(
     """Return the posterior by an ensemble of walkers; None after a stop before the first step.
 
     Walkers start from draws by importance, none twice while these suffice. Where these are not certified, the
-    first half of the steps is burn-in; else most nodes are `interpolated` between draws by importance, and if
+    first half of the steps is burn-in; else densities are `interpolated` as those of the draws were, and if
     that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`, nor on
     where a run was interrupted that goes on from the chain that `checkpoint` keeps under `name`.
     """
@@ -62,10 +58,9 @@ def sample(
     random = np.random.RandomState(int(rng.integers(2**32))).get_state()  # the kind that emcee takes
     assert begin.proposal is not None
     proposal = begin.proposal.add_fitted(begin, rng, COMPONENTS, FITTED_SHARE, FITS)
-    nodes = None
-    if interpolated and begin.certified and problem.approach("posterior") is not None:
-        points = begin.thetas[np.unique(importance.resample(begin, FIRST_POINTS, rng))]
-        nodes = InterpolatedDensity(problem, callbacks.jobs, points)
+    nodes = begin.interpolated if interpolated and begin.certified else None
+    if nodes is not None:
+        nodes.fixed = True
     evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
     backend, work = None, f"posterior of {name}"
     if checkpoint.folder is not None:
