@@ -13,6 +13,7 @@ interpolated between; where that does not help, all thetas of the call that matt
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -146,8 +147,8 @@ class _Interpolation:
             known, values = (np.concatenate(part)[-MAX_POINTS:] for part in (self._points, self._values))
             # a quadratic has so many terms, and wants as many points again
             smooth = len(known) >= (known.shape[1] + 1) * (known.shape[1] + 2)
-            kernel, degree = ("quintic", 2) if smooth else ("cubic", 1)
-            self._function = RBFInterpolator(known, values, kernel=kernel, degree=degree)
+            kernel: Literal["quintic", "cubic"] = "quintic" if smooth else "cubic"
+            self._function = RBFInterpolator(known, values, kernel=kernel, degree=1 + smooth)
         return np.asarray(self._function(points), dtype=np.float64)
 
 
