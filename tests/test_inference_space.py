@@ -12,9 +12,10 @@ from test_datasets import CURVE, record, row
 from needlefit.datasets.planes import leaves_plane, set_planes, turns_out_of_plane
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, DataError
 from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.predict import find_geometric_median
 from needlefit.inference.problem import make_problem
 from needlefit.mechanics.shape import sample_inserted_points
@@ -160,6 +161,43 @@ def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
         residuals = in_space([seen]).compute_misfits(theta)
         squares.append(float(residuals @ residuals))
     assert np.mean(squares) == pytest.approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
+
+
+SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4, 2e-5)])
+
+
+def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
+    """By curvatures with an error of 2e-5 1/mm alone, tips lie within 0.1 mm of the measured ones."""
+    rng, how = np.random.default_rng(7), LikelihoodRecord(bevel_spread=0.0, measurement="curvature")
+    planned = [turned(40.0, curvature=SENSORS), turned(45.0, ((20.0, -90.0),), curvature=SENSORS, side=-1)]
+    data = replace(dataset(planned), planes=2)
+    seen = [simulate_measurement(data, one, TRUTH, medium(), rng) for one in planned]
+    made = [replace(one, curvature=other.curvature) for one, other in zip(planned, seen, strict=True)]
+    p = in_space(made, how)
+    assert [one.rows for one in p.density.observations] == [8, 8]
+    begin = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "mu2_pa": 1e7, "bevel_mm": 0.1})
+    assert_one_density(p, begin)
+    found = minimize_squares(p, begin)
+    assert found.converged
+    assert max(curves.distances_3d[-1] for curves in p.compare(found.theta)) < 0.1
+    both = in_space(made, FREE)
+    assert [one.rows for one in both.density.observations] == [2 * 101 + 8] * 2
+    assert_one_density(both, begin)
+    with pytest.raises(DataError):
+        in_space([turned()], how).log_posterior(begin)
+
+
+def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tmp_path):
+    sensors = np.array([[5.0, 1e-3, 2e-3, 1e-5]])
+    one = row("a", "given", layers=2, bevel=np.array([0.0, 1, 0]), roll=math.pi / 2)
+    tables = {**TURNED, "insertions": {"file": "insertions.csv", "curvature": "fbg.csv"}}
+    file = write_dataset(tmp_path, record(**tables), [one], {"a": CURVE}, {}, checksums=False)
+    head = "id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm\n"
+    (tmp_path / "fbg.csv").write_text(head + "a,5,1e-3,2e-3,1e-5\n")
+    np.testing.assert_allclose(read(file).insertions[0].curvature, sensors[:, [0, 2, 1, 3]] * [1, 1, -1, 1])
+    for line in ("b,5,1e-3,2e-3,1e-5", "a,0.5,1e-3,2e-3,1e-5", "a,60,0,0,1e-5", "a,5,0,0,0", "a,5,x,0,1e-5"):
+        (tmp_path / "fbg.csv").write_text(f"{head}{line}\n")
+        assert any("fbg.csv:2" in fault.where for fault in check(file))
 
 
 def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():

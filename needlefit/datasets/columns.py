@@ -38,6 +38,9 @@ HOLE_COLUMN = "hole"
 BASE_SHIFT_COLUMN = "base_moved_mm"
 ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
 TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
+# Of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its deviation.
+CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1_per_mm")
+MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and entry, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
 # The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
@@ -103,3 +106,5 @@ class InsertionRow:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     # turns during the insertion: depth (mm) from which on the bevel has a roll (rad)
     turns: tuple[tuple[float, float], ...] = ()
+    # (n, 4); of each sensor the numbers of `CURVATURE_COLUMNS`
+    curvature: Floats | None = None

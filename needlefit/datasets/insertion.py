@@ -119,6 +119,9 @@ class Insertion:
         Standard deviation of the bevel's roll about x, rad.
     turns : tuple of (float, float)
         Depth, mm, from which on the bevel has a roll, degrees, counted from that at first contact.
+    curvature : (n, 4) array or None
+        Of each sensor its distance from the tip, mm, the curvatures along y and z of C, and their standard
+        deviation, 1/mm.
     """
 
     id: str
@@ -150,6 +153,7 @@ class Insertion:
     bevel_factor: float = 1.0
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     turns: tuple[tuple[float, float], ...] = ()
+    curvature: Floats | None = None
 
     def with_planar(self, planar: Floats, out_of_plane: Floats | None = None) -> Self:
         """Return the insertion as if its measured points were `planar` (N, 2) in C, at z = 0 by default."""

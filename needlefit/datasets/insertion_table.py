@@ -10,10 +10,12 @@ import scipy
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BEVEL_COLUMNS,
+    CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     HOLE_COLUMN,
     ID_PATTERN,
+    MIN_SENSOR_MM,
     NUMBER_COLUMNS,
     POSE_COLUMNS,
     POSE_SOURCES,
@@ -79,6 +81,28 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
             found.append(Fault(table.where(n), what, expected, "correct depth_mm, or remove the line"))
         own.append((float(depth[n]), math.radians(roll[n])))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
+
+
+def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
+    """Return the rows with the curvatures that a table lists; note the faults of that table."""
+    if note_missing_columns(table, list(CURVATURE_COLUMNS), found):
+        return list(rows)
+    ids = np.array(table.cells["id"], dtype=object)
+    values = np.column_stack([parse_numbers(table, name, found) for name in CURVATURE_COLUMNS[1:]])
+    known = {row.id: row for row in rows}
+    for n, (name, (s, *_, sd)) in enumerate(zip(ids, values.tolist(), strict=True)):
+        row = known.get(name)
+        if row is None:
+            fix = "correct the id, or remove the line"
+            found.append(Fault(table.where(n), f"is of insertion {name!r:.60}", "an id of the table", fix))
+        elif not MIN_SENSOR_MM <= s <= row.depth - MIN_SENSOR_MM:
+            expected = f"{MIN_SENSOR_MM:g} to {row.depth - MIN_SENSOR_MM:g} mm from the tip"
+            fix = "correct s_mm: from the tip, inside the tissue"
+            found.append(Fault(table.where(n), f"has a sensor at {s:g} mm", expected, fix))
+        elif not sd > 0:
+            fix = "state the standard deviation of the curvature, 1/mm"
+            found.append(Fault(table.where(n), f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
+    return [replace(row, curvature=own) if len(own := values[ids == row.id]) else row for row in rows]
 
 
 def _is_finite(row: InsertionRow) -> bool:

@@ -176,6 +176,7 @@ def reduce_insertion(
             "sections": sections,
             "side": row.side if row.roll is None else 1,
             "turns": _count_from_contact(row),
+            "curvature": _turn_curvature(row),
         }
     )
 
@@ -194,6 +195,15 @@ def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
         return frame
     (x, y, z), (cos, sin) = frame.rotation.T, (math.cos(row.roll), math.sin(row.roll))
     return make_entry_frame(row.entry, x, cos * y + sin * z)
+
+
+def _turn_curvature(row: InsertionRow) -> Floats | None:
+    """Return the curvatures along y and z of C, where these were turned to the bevel at first contact."""
+    if row.curvature is None or row.roll is None:
+        return row.curvature
+    cos, sin = math.cos(row.roll), math.sin(row.roll)
+    s, y, z, sd = row.curvature.T
+    return np.column_stack([s, cos * y + sin * z, cos * z - sin * y, sd])
 
 
 def _count_from_contact(row: InsertionRow) -> tuple[tuple[float, float], ...]:

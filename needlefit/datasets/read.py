@@ -41,7 +41,7 @@ from needlefit.datasets.insertion import (
     find_free_reach,
     make_track,
 )
-from needlefit.datasets.insertion_table import add_turns, parse_rows
+from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
 from needlefit.datasets.layers import (
     ListedInsertion,
     SharedSurfaces,
@@ -209,7 +209,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     insertions = [one.insertion for one in listed]
     reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
     pattern = record.centerlines.pattern
-    named = (record.insertions.file, record.insertions.turns, record.centerlines.file)
+    listed_tables = record.insertions
+    named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, record.centerlines.file)
     tables = [name for name in named if name is not None]
     own = [pattern.replace("{id}", one.id) for one in insertions] if pattern is not None else []
     own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
@@ -243,9 +244,10 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
     reading.warnings += find_column_warnings(record, map(str, table.cells.columns), table.path)
     headers: set[tuple[str, ...]] = set()
     rows = parse_rows(table, record, found)
-    if record.insertions.turns is not None:
-        turns = reading.read_table(root / record.insertions.turns)
-        rows = [] if turns is None else add_turns(rows, turns, found)
+    for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_curvature)):
+        if name is not None:
+            beside = reading.read_table(root / name)
+            rows = [] if beside is None else add(rows, beside, found)
     for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or make_patient_frame(record.frame)
         faults: list[Fault] = []

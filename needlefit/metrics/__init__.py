@@ -100,7 +100,7 @@ MAX_IPE = Metric(
 
 IPE_3D = Metric(
     "ipe_3d_mm",
-    "IPE in space",
+    "IPE 3D",
     "mm",
     "Mean distance in space between simulated and measured points at equal fractions of the length.",
     compute=lambda curves: float(np.mean(curves.distances_3d)),
@@ -122,7 +122,7 @@ TE = Metric(
 
 TE_3D = Metric(
     "te_3d_mm",
-    "TE in space",
+    "TE 3D",
     "mm",
     "Distance between the simulated and the measured tip in space.",
     compute=lambda curves: float(curves.distances_3d[-1]),
@@ -152,7 +152,7 @@ EDP = Metric(
 
 EDP_3D = Metric(
     "edp_3d_percent",
-    "EDP in space",
+    "EDP 3D",
     "%",
     "Tip error in space as a percentage of the tip's measured displacement across the entry axis.",
     compute=lambda curves: _relate(float(curves.distances_3d[-1]), curves.deflection_3d),

@@ -162,6 +162,9 @@ class InsertionsRecord(Record):
     turns: str | None = None
     """Table of the bevel's turns during insertions, with columns id, depth_mm and bevel_roll_deg: from that
     depth on the bevel has that roll."""
+    curvature: str | None = None
+    """Table of curvatures along needles, as optical fibres measure them, with columns id, s_mm (from the
+    tip), kappa_y_1_per_mm, kappa_z_1_per_mm and sd_1_per_mm."""
 
 
 class CenterlinesRecord(Record):
@@ -312,8 +315,8 @@ class DatasetRecord(SourceRecord):
             raise ValueError("without insertions.file, insertions.id_template must name the insertions")
         if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
             raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
-        if self.frame.pose == "free" and self.insertions.turns is not None:
-            raise ValueError('turns of the bevel need the pose of its needle: frame.pose = "known"')
+        if self.frame.pose == "free" and (self.insertions.turns or self.insertions.curvature):
+            raise ValueError('turns and curvatures need the pose of their needle: frame.pose = "known"')
         if self.frame.pose == "free" and self.measurement is not None and self.measurement.sections:
             raise ValueError(
                 'cross-sections stand in the world: with frame.pose = "free" give measurement.knot_spacing_mm'

@@ -64,9 +64,9 @@ class LikelihoodRecord(Record):
     "independent": every point errs by itself."""
     depths: Literal["fixed", "linear"] = "linear"
     """Errors of layer depths and insertion depth: ignored, or linearised."""
-    measurement: Literal["stored", "points"] = "stored"
+    measurement: Literal["stored", "points", "curvature"] = "stored"
     """"stored": the smoothing that the dataset states is applied to the simulation too. "points": stored
-    points are compared as they are."""
+    points are compared as they are. "curvature": curvatures alone are compared, and no points."""
     noise_scale: Annotated[float, Field(gt=0)] | Literal["estimated"] = 1.0
     """Factor on the standard deviations of the points, or "estimated" with the parameters."""
     bevel_spread: float = Field(default=0.1, ge=0, le=1)

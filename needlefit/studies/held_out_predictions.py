@@ -429,8 +429,8 @@ class _Predictor:
         rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         planes = job.dataset.planes
         # in space the roll is drawn: it turns the needle as a whole
-        unrolled = replace(insertion, roll_sd=0.0) if planes == 2 else insertion
-        observation = make_observation(job.dataset, unrolled, likelihood=self.likelihood)
+        points = replace(insertion, curvature=None, roll_sd=0.0 if planes == 2 else insertion.roll_sd)
+        observation = make_observation(job.dataset, points, likelihood=self.likelihood)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
@@ -448,10 +448,10 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        points = pad_planes(found.points[solved], planes)
+        needles = pad_planes(found.points[solved], planes)
         if planes == 2:
-            points = turn_about_x(points, insertion.roll_sd * rng.standard_normal(len(points)))
-        aligned = align(observation.pose, points, observation.measured)
+            needles = turn_about_x(needles, insertion.roll_sd * rng.standard_normal(len(needles)))
+        aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance = _measurement_covariance(observation, factor)
         measured = observation.stack(observation.measured)

@@ -22,7 +22,9 @@ from needlefit.inference.compared_points import pad_planes, read_points, turn_ab
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
+    SENSOR_STEP_MM,
     SectionData,
+    append_sensors,
     points_covariance,
     pose_modes,
     pose_modes_in_space,
@@ -34,7 +36,7 @@ from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, find_bevel
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
@@ -89,6 +91,8 @@ def simulate_measurement(
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
+    if insertion.curvature is not None:
+        insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
     points, planes = read_points(true, shape, at), dataset.planes
     if planes == 2:
         points = turn_about_x(pad_planes(points, 2), insertion.roll_sd * rng.standard_normal())
@@ -117,6 +121,16 @@ def simulate_measurement(
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
     return insertion.with_planar(planar, across[:, 1] if planes == 2 else None)
+
+
+def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.Generator) -> Floats:
+    """Return the curvatures (n, 4) that the insertion's sensors measure on a shape, with noise."""
+    assert insertion.curvature is not None
+    s, *_, sd = insertion.curvature.T
+    about = append_sensors(insertion, np.empty(0))
+    across = pad_planes(read_points(insertion, shape, about), 2)[:, 1:].reshape(-1, 3, 2)
+    kappa = (across[:, 0] - 2 * across[:, 1] + across[:, 2]) / SENSOR_STEP_MM**2
+    return np.column_stack([s, kappa + sd[:, None] * rng.standard_normal(kappa.shape), sd])
 
 
 def _pose_modes(points: Floats, slopes: Floats | None = None) -> Floats:

@@ -28,6 +28,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
 from needlefit.arrays import Bools, Floats
+from needlefit.datasets.columns import MIN_SENSOR_MM
 from needlefit.datasets.insertion import (
     DEFAULT_MEASUREMENT,
     Dataset,
@@ -129,6 +130,8 @@ class Discrepancy:
         return one if planes == 1 else np.asarray(block_diag(one, one))
 
 
+#: to both sides of a sensor, over which the simulated curvature is taken, mm
+SENSOR_STEP_MM = MIN_SENSOR_MM
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
 #: prior deviation of a session's slope and of its headings' offset, rad: registrations err by less
@@ -308,13 +311,15 @@ def make_observation(
     except np.linalg.LinAlgError:
         raise _without_errors(dataset, insertion) from None
     varies = likelihood.bevel_spread > 0
-    nodes = make_nodes(insertion, s, likelihood.depths, bevel=varies, constants=len(curves))
+    places = append_sensors(insertion, s)
+    nodes = make_nodes(insertion, places, likelihood.depths, bevel=varies, constants=len(curves))
     offset: Floats | float = 0.0
     if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
         stored = measured[:, 1:].T.ravel()
         offset = whitening @ (_apply(operator, stored) - stored)
     whitening = whitening if operator is None else whitening @ operator
-    return Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves, offset)
+    found = Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves, offset)
+    return add_curvature(found, likelihood.measurement == "curvature")
 
 
 def _observe_track(
@@ -445,9 +450,63 @@ def _observe_sections(
     free = np.empty((len(pose), 0))
     whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
     varies = likelihood.bevel_spread > 0
-    nodes = make_nodes(insertion, known.s, likelihood.depths, bevel=varies, constants=len(curves))
+    places = append_sensors(insertion, known.s)
+    nodes = make_nodes(insertion, places, likelihood.depths, bevel=varies, constants=len(curves))
     whitening = whitening @ operator
-    return Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves)
+    found = Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves)
+    return add_curvature(found, only=False)
+
+
+def append_sensors(insertion: Insertion, s: Floats) -> Floats:
+    """Return beam coordinates `s` (K,), mm, and behind them three about each sensor of curvature."""
+    if insertion.curvature is None:
+        return s
+    at = insertion.depth - insertion.curvature[:, 0]
+    return np.concatenate([s, (at[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])).ravel()])
+
+
+def add_curvature(one: Observation, only: bool) -> Observation:
+    """Return an observation with the curvatures of its insertion, or of them `only`.
+
+    A curvature is the second difference of the deflections about its sensor, over `SENSOR_STEP_MM`. The
+    places about a sensor are given deflections with the measured curvature.
+
+    Raises DataError if nothing else counts, and no curvature was measured.
+    """
+    known = one.insertion.curvature
+    if known is None:
+        if only:
+            raise DataError(
+                f"insertion `{one.insertion.id}` has no curvature",
+                expected='those of every insertion (`measurement = "curvature"`)',
+                fix="name their table under insertions.curvature",
+            )
+        return one
+    (_, *kappa, sd), planes, step = known.T, one.planes, SENSOR_STEP_MM
+    sensors, points = len(sd), len(one.measured)
+    shape = np.kron(np.ones(sensors), 0.5 * step**2 * np.array([1.0, 0.0, 1.0]))
+    about = [one.nodes.s[0, points:], *(shape * np.repeat(part, 3) for part in kappa[:planes])]
+    rows, whole = (0 if only else one.rows), points + 3 * sensors
+    whitening = np.zeros((rows + planes * sensors, planes * whole))
+    second = np.kron(np.diag(1 / sd), np.array([1.0, -2.0, 1.0]) / step**2)  # (n, 3 n)
+    for plane in range(planes):
+        of_points, of_sensors = whole * plane, whole * plane + points
+        kept = one.whitening[:rows, points * plane : points * (plane + 1)]
+        whitening[:rows, of_points : of_points + points] = kept
+        first = rows + plane * sensors
+        whitening[first : first + sensors, of_sensors : of_sensors + 3 * sensors] = second
+    log_norm = -planes * float(np.sum(np.log(sd)) + 0.5 * sensors * math.log(2 * math.pi))
+    nothing = np.zeros(planes * sensors)
+    offset = 0.0 if only or isinstance(one.offset, float) else np.concatenate([one.offset, nothing])
+    curves = one.pose_curves[:, :rows]
+    return replace(
+        one,
+        measured=np.concatenate([one.measured, np.column_stack(about)]),
+        whitening=whitening,
+        log_norm=log_norm + (0.0 if only else one.log_norm),
+        offset=offset,
+        pose_curves=np.column_stack([curves, np.zeros((len(curves), len(nothing)))]),
+    )
 
 
 def _whiten_known(
