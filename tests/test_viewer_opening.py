@@ -18,7 +18,6 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import (
     ParameterDraws,
-    make_scene_record,
     make_simulation_inputs,
 )
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -37,7 +36,7 @@ from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
-from needlefit.viewer.measured import choose_start_parameters
+from needlefit.viewer.measured import choose_start_parameters, make_scene_record
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 
@@ -148,7 +147,7 @@ def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
     start = problem.values(problem.parameters.expected) | begun.values
     mode = minimize_squares(problem, problem.parameters.theta(start))
     fitted, rng = problem.values(mode.theta), np.random.default_rng(1)
-    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
+    effort = Effort(draws=200, rounds=2, min_ess=100.0)
     draws = resample_draws(sample_about_modes(problem, [mode], rng, efforts=(effort,)), 100, rng)
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     found = [*(layer.mu_pa for layer in viewed_scene.record.layers), viewed_scene.record.bevel.offset_mm]
