@@ -147,7 +147,7 @@ def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
     start = problem.values(problem.parameters.expected) | begun.values
     mode = minimize_squares(problem, problem.parameters.theta(start))
     fitted, rng = problem.values(mode.theta), np.random.default_rng(1)
-    effort = Effort(draws=200, rounds=2, min_ess=100.0)
+    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
     draws = resample_draws(sample_about_modes(problem, [mode], rng, efforts=(effort,)), 100, rng)
     table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
     found = [*(layer.mu_pa for layer in viewed_scene.record.layers), viewed_scene.record.bevel.offset_mm]

@@ -183,6 +183,7 @@ class Effort:
     #: independent draws that those of the last proposal must be worth; else those of the rounds are taken,
     #: if they are worth `ADAPTED_ESS`
     min_ess: float = 1000.0
+    profiles: bool = True  #: whether the first draws are made along the profiles too, beside the modes
 
     @property
     def components(self) -> int:
@@ -482,7 +483,7 @@ def sample_about_modes(
 ) -> WeightedDraws:
     """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
     uniform = find_uninformed(problem, modes[0])
-    traced = trace_profiles(problem, modes[0], jobs, uniform)
+    traced = trace_profiles(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
     points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
