@@ -6,13 +6,14 @@ from inference_cases import BEVEL, MU, assert_one_density, insertion, measure, p
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.fit import Fit, Start
-from needlefit.inference.forward_model import make_scene_record, predict
+from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.identify import (
     identify,
 )
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.schemas.medium import MediumRecord
+from needlefit.viewer.measured import make_scene_record
 
 SHAPE = {
     "linear": {},

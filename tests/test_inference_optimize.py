@@ -18,7 +18,7 @@ from inference_cases import (
 )
 from refusals import refusal
 
-from needlefit.errors import ConfigError, FitError, ModelError, NeedlefitError
+from needlefit.errors import FitError, ModelError, NeedlefitError
 from needlefit.inference.fit import (
     Callbacks,
     ObjectiveFunction,
@@ -92,7 +92,6 @@ def test_starts_go_through_json_and_more_of_them_fill_the_box():
     assert np.array_equal(few, many[:8])
     cells = np.histogram2d(*many.T, bins=4, range=[[0, 1], [10, 20]])[0]
     assert cells.min() >= 1  # 64 points leave none of 16 cells empty
-    refusal(ConfigError, "newton", lambda: minimize(box(bowl), recipe(algorithm="newton"), rng()))
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
 

@@ -9,7 +9,7 @@ from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
-from needlefit.inference.forward_model import PreparedModel, make_batch, make_scene_record
+from needlefit.inference.forward_model import PreparedModel, make_batch
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
@@ -20,6 +20,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.viewer.measured import make_scene_record
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
 RULES = ModelOptions(advance="path_angle")

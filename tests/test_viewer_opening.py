@@ -18,7 +18,6 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import (
     ParameterDraws,
-    make_scene_record,
     make_simulation_inputs,
 )
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -37,7 +36,7 @@ from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
-from needlefit.viewer.measured import choose_start_parameters
+from needlefit.viewer.measured import choose_start_parameters, make_scene_record
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 

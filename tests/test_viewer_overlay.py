@@ -14,7 +14,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.compared_points import compare_points
-from needlefit.inference.forward_model import ParameterDraws, make_scene_record, predict, select_layer_draws
+from needlefit.inference.forward_model import ParameterDraws, predict, select_layer_draws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
@@ -22,6 +22,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.export import PAGE
+from needlefit.viewer.measured import make_scene_record
 from needlefit.viewer.messages import encode_measured
 from needlefit.viewer.overlays import compute_band, make_measured_overlay
 

@@ -69,19 +69,17 @@ def estimate_tolerance(
     drawn = [one.drawn for one in parts if one.drawn is not None]
     if len(drawn) == len(parts):
         replicates = (_join(parts, off) for off in zip(*drawn, strict=True))
-        by_noise = _find_quantile([one.excess(*bounds) for one in replicates])
+        by_noise = float(np.quantile([one.excess(*bounds) for one in replicates], PROBABILITY))
     _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
     count = int(group.max()) + 1
     if count >= MIN_GROUPS:
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
         off, repeats = [one.off for one in parts], counts[:, group] * (len(group) / count)
-        by_insertions = _find_quantile([_join(parts, off, row).excess(*bounds) for row in repeats])
+        by_insertions = float(
+            np.quantile([_join(parts, off, row).excess(*bounds) for row in repeats], PROBABILITY)
+        )
     smallest = max(MIN_RELATIVE_TOLERANCE * problem.objective(theta), MIN_TOLERANCE_MM)
     return ErrorTolerance(by_noise, by_insertions, smallest)
-
-
-def _find_quantile(excesses: Sequence[float]) -> float:
-    return float(np.quantile(excesses, PROBABILITY))
 
 
 @dataclass(frozen=True)

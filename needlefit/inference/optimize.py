@@ -22,7 +22,7 @@ make a posterior whose modes lie next to those of the whole one, at a fraction o
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -53,7 +53,7 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import TaskStop
-from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
+from needlefit.schemas.recipe import AlgorithmName, ObjectiveName, RecipeRecord
 
 FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, as a part of each parameter's range
 #: step, likewise, under which a search by gradients for the peak of a posterior ends
@@ -331,25 +331,14 @@ class Algorithm:
     needs: Literal["gradient", "jacobian"]  #: what of the objective function it evaluates
 
 
-#: algorithms that a recipe may name
-ALGORITHMS = {
+ALGORITHMS: Mapping[AlgorithmName, Algorithm] = {
     "leastsquares": Algorithm(run_least_squares, "jacobian"),
     "slsqp": Algorithm(run_slsqp, "gradient"),
 }
 
 
-def select_algorithm(name: str, objective_function: ObjectiveFunction) -> Algorithm:
-    """Return the algorithm that a recipe's `algorithm` names.
-
-    Raises ConfigError if it is unknown, or needs a derivative that the objective function lacks.
-    """
-    if name not in ALGORITHMS:
-        raise ConfigError(
-            f"there is no algorithm `{name}`",
-            where="recipe, key `algorithm`",
-            expected=f"one of {', '.join(ALGORITHMS)}",
-            fix="correct its name",
-        )
+def select_algorithm(name: AlgorithmName, objective_function: ObjectiveFunction) -> Algorithm:
+    """Return the algorithm of this name; ConfigError if the objective function lacks its derivative."""
     if getattr(objective_function, ALGORITHMS[name].needs) is None:
         raise ConfigError(
             f"`{name}` needs a {ALGORITHMS[name].needs}, which what is minimised has not",
@@ -502,12 +491,12 @@ def minimize(
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
 
-    Raises ConfigError if the recipe asks for an unknown algorithm; FitError if no evaluation of any start
-    succeeded, or finished starts belong to another fit.
+    Raises ConfigError if the objective lacks the algorithm's derivative; FitError if no evaluation succeeded,
+    or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
     whole = _SearchTask(problem, recipe)
-    # an unknown algorithm is an error before anything is computed
+    # a derivative that is missing is an error before anything is computed
     select_algorithm(recipe.algorithm, whole.objective_function)
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     done = {index: start for index, start in callbacks.finished.items() if index < len(design)}

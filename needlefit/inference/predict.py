@@ -243,13 +243,6 @@ class Proportion:
     low: float
     high: float
 
-    @property
-    def exact(self) -> tuple[float, float]:
-        """The exact 95 % interval with groups as trials (C. J. Clopper, E. S. Pearson, 1934)."""
-        hits, misses = self.rate * self.groups, (1 - self.rate) * self.groups
-        low = float(scipy.special.betaincinv(hits, misses + 1, 0.025)) if hits > 0 else 0.0
-        return low, float(scipy.special.betaincinv(hits + 1, misses, 0.975)) if misses > 0 else 1.0
-
 
 def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
     """Estimate a proportion from trials; in the interval every group of repeats has the same weight."""

@@ -14,6 +14,7 @@ from needlefit.schemas.limits import (
 )
 
 ObjectiveName = Literal["posterior", "metric"]
+AlgorithmName = Literal["leastsquares", "slsqp"]
 
 
 class WeightsRecord(Record):
@@ -112,7 +113,7 @@ class RecipeRecord(FileRecord):
     """Whether verdicts say that results of this recipe are preliminary."""
     minimize: ObjectiveName = "posterior"
     """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
-    algorithm: str = "leastsquares"
+    algorithm: AlgorithmName = "leastsquares"
     """Optimiser of the fit: `leastsquares`, or `slsqp` by gradients."""
     metric: bool = False
     """Whether a second fit minimises the weighted errors, by `slsqp`; it is reported beside the first."""

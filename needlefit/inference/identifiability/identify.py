@@ -110,8 +110,8 @@ def identify(
     # pinv: a direction without information has no variance to add to
     wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
     found = principal_directions(wider.astype(np.float64), names, before)
-    together = _find_together(names, information, before)
-    ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
+    together = find_together(names, information, before)
+    ends = [s.theta for s in fit.starts if within_tolerance(s, fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
@@ -167,20 +167,11 @@ def identify(
     )
 
 
-def find_together(problem: Problem, theta: Floats) -> dict[str, bool]:
-    """Return which parameters the data determine while all others are held, by the information at `theta`."""
-    return _find_together(problem.names, compute_sds(problem, theta)[1], prior_information(problem))
-
-
-def _find_together(names: Sequence[str], information: Floats, prior: Floats) -> dict[str, bool]:
+def find_together(names: Sequence[str], information: Floats, prior: Floats) -> dict[str, bool]:
+    """Return which parameters the data determine while all others are held, by information (P, P)."""
     # the diagonal of the information is that on each parameter given all others
     held = zip(names, *(1 / np.sqrt(np.diag(one)) for one in (information, prior)), strict=True)
     return {name: is_determined_by_data(name, sd, prior_sd) for name, sd, prior_sd in held}
-
-
-def select_within_tolerance(fit: Fit) -> tuple[Start, ...]:
-    """Return the starts whose objective is within tolerance of the optimum."""
-    return tuple(start for start in fit.starts if within_tolerance(start, fit))
 
 
 def within_tolerance(start: Start, fit: Fit) -> bool:

@@ -14,7 +14,6 @@ parameters may come to rest at their bounds.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -221,7 +220,7 @@ class _ProfileSide:
 
     def _compute_point(self, last: LocalMinimum, place: float) -> LocalMinimum:
         """Return the best with the parameter held at `place`, by more starts if the search fails or jumps."""
-        (point,) = self._minimize_each([self._extrapolate(last, place)], place)
+        point = self._minimize(self._extrapolate(last, place), place)
         before, after = self._deviance_root(last), self._deviance_root(point)
         # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
         lead = abs(place - float(last.theta[self.k])) * abs(float(last.slope[self.k])) / self.scale
@@ -229,17 +228,12 @@ class _ProfileSide:
         # a fall of the root, or a jump, means that the search has changed to another branch
         if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
             return point
-        starts = (last.theta, self.optimum.theta)
-        return select_best([point, *self._minimize_each(starts, place)])
+        return select_best([point, *(self._minimize(one.theta, place) for one in (last, self.optimum))])
 
-    def _minimize_each(self, starts: Sequence[Floats], place: float) -> list[LocalMinimum]:
-        search = partial(minimize_squares, self.target, held=self.k, min_gain=self.steps.min_gain)
-        return map_side_by_side(search, [self._set_held(start, place) for start in starts])
-
-    def _set_held(self, start: Floats, place: float) -> Floats:
+    def _minimize(self, start: Floats, place: float) -> LocalMinimum:
         theta = start.copy()
         theta[self.k] = place
-        return theta
+        return minimize_squares(self.target, theta, held=self.k, min_gain=self.steps.min_gain)
 
     def _extrapolate(self, last: LocalMinimum, place: float) -> Floats:
         """Return where the others go, to first order, as the held parameter goes to `place`."""
