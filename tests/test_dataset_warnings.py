@@ -335,6 +335,17 @@ def test_points_that_scatter_more_or_less_than_their_stated_noise_contradict_it(
     assert measure_scatter(read(path).insertions[0]) == pytest.approx(0.04, rel=0.25)
 
 
+def test_names_that_differ_by_case_alone_are_faults(tmp_path):
+    """Two specimens would count as independent, and two centrelines be one file on some systems."""
+    for folder, rows in (
+        ("same", [into_gel("a", specimen="gel"), into_gel("b", specimen="gel")]),
+        ("specimen", [into_gel("a", specimen="gel"), into_gel("b", specimen="Gel")]),
+        ("id", [into_gel("a", specimen="gel"), into_gel("A", specimen="gel")]),
+    ):
+        found = check(write_rows(tmp_path / folder, *rows))
+        assert [one.where.endswith("insertions.csv:3") for one in found] == [True] * (folder != "same")
+
+
 def test_insertions_in_inches_are_named(tmp_path):
     tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
     path = write_curves(tmp_path, tables, [into_gel(depth=50 / 25.4)], {"a": CURVE / 25.4}, {})
