@@ -167,7 +167,7 @@ def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_ro
 @pytest.mark.parametrize(
     ("key", "wrong", "right"),
     [
-        ("registration_mean_mm", (178, 1.78e-4, 1.2), (0.9,)),  # the needles bend by 1 mm
+        ("registration_mean_mm", (178, 1.78e-4), (0.9,)),
         ("correlation_length_mm", (151,), (0.5, 150)),
     ],
 )
@@ -333,6 +333,17 @@ def test_points_that_scatter_more_or_less_than_their_stated_noise_contradict_it(
     )
     assert sum(one.kind in ("noise", "units") for one in find_warnings(path)) == count
     assert measure_scatter(read(path).insertions[0]) == pytest.approx(0.04, rel=0.25)
+
+
+def test_names_that_differ_by_case_alone_are_faults(tmp_path):
+    """Two specimens would count as independent, and two centrelines be one file on some systems."""
+    for folder, rows in (
+        ("same", [into_gel("a", specimen="gel"), into_gel("b", specimen="gel")]),
+        ("specimen", [into_gel("a", specimen="gel"), into_gel("b", specimen="Gel")]),
+        ("id", [into_gel("a", specimen="gel"), into_gel("A", specimen="gel")]),
+    ):
+        found = check(write_rows(tmp_path / folder, *rows))
+        assert [one.where.endswith("insertions.csv:3") for one in found] == [True] * (folder != "same")
 
 
 def test_insertions_in_inches_are_named(tmp_path):

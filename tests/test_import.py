@@ -735,13 +735,6 @@ def test_questions_are_asked_with_a_guess_and_faults_named_at_their_place(tmp_pa
 # ---- several files
 
 
-def test_names_that_differ_by_case_alone_are_refused(tmp_path):
-    path = tmp_path / "a.csv"
-    rows = [f"{name},{x},{y},{z}" for name in ("n1", "N1") for x, y, z in CURVES[0]]
-    path.write_text("\n".join(["needle,x,y,z", *rows]))
-    assert "n1" in refusal(DataError, "case", lambda: read_content([path])).what
-
-
 def test_a_table_of_needles_belongs_to_curves_of_their_names(tmp_path):
     import_cases.write_european_csv(tmp_path / "points.csv", CURVES)
     rows = ["Nadel;Tiefe", "Nadel 1;61", "Nadel 2;62", "Nadel_3;63", "4;64", ";9"]

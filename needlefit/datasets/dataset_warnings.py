@@ -53,7 +53,6 @@ MIN_POINT_SD_MM = 5e-4
 # another unit, with a greater one curves cannot be compared.
 MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
-CHECK_UNIT = "check its unit, mm"
 
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
 # single one is limited to this.
@@ -264,20 +263,12 @@ def _find_noise_warnings(
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
     larger = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
-    shift, shift_key = record.noise.registration_mean_mm, "noise.registration_mean_mm"
     hides = (
         sd > MAX_NOISE_FRACTION * largest,
         "noise",
         f"noise.{larger}",
         f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
         "check its unit, mm; such data determine nothing",
-    )
-    exceeds = (
-        record.frame.pose == "known" and largest < shift <= MAX_POSE_SD_MM,
-        "noise",
-        shift_key,
-        f"`{shift_key}` is {shift:g} mm, more than the largest deflection, {largest:.3g} mm",
-        CHECK_UNIT,
     )
     missing = (
         not noise.stated and any(one.sd is None for one in insertions),
@@ -286,7 +277,7 @@ def _find_noise_warnings(
         "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
         "write `noise.point_sd_mm`, the standard deviation of a point per axis",
     )
-    yield from _warn([hides, exceeds, missing], where)
+    yield from _warn([hides, missing], where)
     if not hides[0]:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         yield from find_scatter_warnings(insertions, noise, where, is_smoothed)

@@ -280,10 +280,16 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
 
 
 def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
+    """Yield ids that stand there twice, and specimens that the case alone tells apart."""
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
-        if name in first:
-            what = f"id {name!r} stands on line {first[name]} already"
+        if name.casefold() in first:
+            what = f"id {name!r} stands on line {first[name.casefold()]} already"
             fix = "rename one of the two, and its centreline with it, or remove the row that is there twice"
             yield Fault(table.where(n), what, "a different id for every insertion", fix)
-        first.setdefault(name, int(table.lines[n]))
+        first.setdefault(name.casefold(), int(table.lines[n]))
+    spelled: dict[str, str] = {}
+    for n, name in enumerate(table.cells.get("specimen", ())):
+        if (other := spelled.setdefault(name.casefold(), name)) != name:
+            fix = "write both alike, or give them names that differ"
+            yield Fault(table.where(n), f"specimen is {name!r}, and {other!r} above", "one spelling", fix)

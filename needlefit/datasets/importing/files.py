@@ -68,10 +68,6 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
     by_name = {name.lower(): one for name, one in curves.items()}
-    if len(by_name) < len(curves):  # of files, some systems know no case
-        names = [name for name, one in curves.items() if by_name[name.lower()] is not one]
-        what, fix = f"the case alone tells {names[0]} from another needle", "give it another name"
-        raise DataError(what, where=str(paths[0]), expected="names that differ", fix=fix)
     for name, stated in content.needles:
         if (own := by_name.get(make_id(name, name)[:MAX_NAME_CHARS].lower())) is None:
             content.unused.append((f"row of needle {name}", "no curve has its name"))
