@@ -141,5 +141,5 @@ def test_options_of_volumes_named_one_by_one_are_checked(folder):
     assert "table of scans" in error.value.fix
     with pytest.raises(DataError, match="has 3 faults") as error:
         make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
-    for words in ("none: ", "none.csv: ", "none.stl"):
+    for words in ("none: ", "none.csv", "none.stl"):
         assert words in str(error.value)
