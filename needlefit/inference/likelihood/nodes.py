@@ -258,8 +258,8 @@ def group_nodes(
     counts = Counter(surface for surfaces in crossed for surface in surfaces)
     groups: dict[object, list[int]] = {}
     for place, surfaces in enumerate(crossed):
-        common = {surface for surface in surfaces if counts[surface] > 1}
-        key = BEVEL if centred and surfaces & bevels else next(iter(common))[0] if common else place
+        twice = {surface for surface in surfaces if counts[surface] > 1}
+        key = BEVEL if centred and surfaces & bevels else next(iter(twice))[0] if twice else place
         groups.setdefault(key, []).append(place)
     found = []
     for members in groups.values():
