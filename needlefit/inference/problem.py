@@ -71,7 +71,7 @@ from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRec
 Values = Mapping[str, float]
 
 
-SETS_AT_ONCE = 256  #: sets of values whose needles are held at once: those of thousands would take gigabytes
+NEEDLES_AT_ONCE = 25_000  #: needles of sets of values that are held at once: each takes 6 kB
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,15 @@ class PosteriorDensity:
 
     def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
-        parts = [sets[start : start + SETS_AT_ONCE] for start in range(0, len(sets), SETS_AT_ONCE)]
+        parts = [sets[some] for some in self.split(len(sets))]
         return np.concatenate(
             [self.add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
         )
+
+    def split(self, count: int) -> list[slice]:
+        """Return the parts of so many sets of values whose needles are held at once."""
+        most = max(1, NEEDLES_AT_ONCE // sum(len(one.nodes.insertions) for one in self.observations))
+        return [slice(start, start + most) for start in range(0, count, most)]
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""

@@ -25,7 +25,7 @@ from needlefit.inference.identifiability.precision import (
     linearize,
     prior_and_noise_information,
 )
-from needlefit.inference.likelihood.marginal import load_effects, log_marginals, weigh_linear
+from needlefit.inference.likelihood.marginal import stack_residuals
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem
 
@@ -59,17 +59,19 @@ class PredictedData:
 
     def log_likelihoods(self, outer_draws: NDArray[np.intp], rng: np.random.Generator) -> Floats:
         """Return the log likelihood (O, B) of every draw, of data predicted by draws `outer_draws` (O,)."""
-        found, (nodes,) = [], self.group.nodes
+        at = self.scales, self.spreads
+        # (B, R) and (B, D, R), both in standard deviations of each draw's own noise
+        first, slopes = stack_residuals([self.white], self.group, *at)
+        stiff = np.eye(slopes.shape[1]) + slopes @ slopes.transpose(0, 2, 1)
+        weights = np.linalg.solve(stiff, slopes)  # the same for all data
+        _, log_det = np.linalg.slogdet(stiff)
+        norm, found = -first.shape[1] * np.log(self.scales) - 0.5 * log_det, []
         for draw in outer_draws:
-            spread = self.spreads[draw : draw + 1]
-            first, *slopes = weigh_linear(nodes, spread)[0] @ self.white[draw]  # (R,), d times (R,)
-            loads = load_effects(nodes, spread)[0]
-            moved = np.array([*slopes, *(loads[:, None] * (nodes.effects @ self.white[draw]))])
-            data = first + rng.standard_normal(len(moved)) @ moved.reshape(-1, len(first))
-            data = data + self.scales[draw] * rng.standard_normal(len(first))
-            off = self.white.copy()
-            off[:, : len(nodes.insertions)] -= data  # the constant curves of a pose have no origin
-            found.append(log_marginals([off], self.group, self.scales, self.spreads))
+            data = first[draw] + rng.standard_normal(slopes.shape[1]) @ slopes[draw]
+            data = self.scales[draw] * (data + rng.standard_normal(len(data)))
+            off = first - data / self.scales[:, None]
+            explained = (slopes @ off[..., None]) * (weights @ off[..., None])
+            found.append(norm - 0.5 * (np.sum(off**2, axis=1) - explained.sum(axis=(1, 2))))
         return np.array(found)
 
 

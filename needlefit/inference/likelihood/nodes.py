@@ -9,13 +9,14 @@ the tip and all boundaries alike. The effects of two errors add up almost exactl
 and each term is a line through simulated nodes: r(t) = sum_k phi_k(t) r_k.
 """
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, Ints
 from needlefit.datasets.insertion import Insertion, TipTrack, split_boundary_sd
 
 DepthTreatment = Literal["fixed", "linear"]
@@ -186,8 +187,9 @@ class NodeGroup:
 
     nodes: tuple[Nodes, ...]
     surfaces: tuple[tuple[str, int, int | str], ...]  #: the k that at least two of them cross
-    #: whether all bevels, which are then among `surfaces`, are deviations from their mean
-    centred: bool = False
+    #: bevels that belong to a block of insertions each: to those that were made in one, at several depths
+    bevels: tuple[tuple[str, int, int | str], ...] = ()
+    centred: bool = False  #: whether these are deviations from their mean
 
     @cached_property
     def own(self) -> tuple[Floats, ...]:
@@ -197,15 +199,32 @@ class NodeGroup:
     @cached_property
     def shared(self) -> tuple[Floats, ...]:
         """What a standard deviation of each surface adds to each insertion's depths: (d, k)."""
-        bevels = np.array([surface[1] == BEVEL for surface in self.surfaces])
         found = []
         for one in self.nodes:
             shares = np.zeros((len(one.axes), len(self.surfaces)))
             for row, axis in zip(shares, one.axes, strict=True):
                 row += self._split(axis)[1] * np.array([axis.surface == each for each in self.surfaces])
-                if self.centred and axis.of_bevel:
-                    row -= bevels / bevels.sum()
             found.append(shares)
+        return tuple(found)
+
+    @cached_property
+    def blocks(self) -> "tuple[Block, ...]":
+        """The blocks of insertions that have a bevel together, or stand alone."""
+        places, bevels = {surface: k for k, surface in enumerate(self.surfaces)}, set(self.bevels)
+        members: dict[object, list[int]] = {}
+        for k, one in enumerate(self.nodes):
+            own = [axis.surface for axis in one.axes if axis.surface in bevels]
+            members.setdefault(own[0] if own else k, []).append(k)
+        found = []
+        for key, some in members.items():
+            nodes = tuple(self.nodes[k] for k in some)
+            crossed = {axis.surface for one in nodes for axis in one.axes}
+            bevel = tuple(one for one in (key,) if one in bevels)
+            here = [k for surface, k in places.items() if surface in crossed]
+            group = NodeGroup(nodes, (*bevel, *(self.surfaces[k] for k in here)))
+            # the condition that all bevels' deviations sum to zero stands behind the surfaces
+            held = [len(places)] * bool(bevel and self.centred)
+            found.append(Block(tuple(some), group, len(bevel), np.array([*here, *held], dtype=np.intp)))
         return tuple(found)
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
@@ -213,6 +232,18 @@ class NodeGroup:
         if axis.surface in self.surfaces:
             return axis.own, axis.shared
         return float(np.hypot(axis.own, axis.shared)), 0.0
+
+
+@dataclass(frozen=True)
+class Block:
+    """Insertions of a group that have a bevel together, or one that has none or its own."""
+
+    members: tuple[int, ...]  #: places in the group
+    group: NodeGroup  #: of these alone; their bevel is the first of its surfaces
+    bevels: int  #: 1, or 0 without a common one
+    #: places among the group's surfaces of those that they cross, and behind them of the condition that all
+    #: bevels sum to zero
+    places: Ints
 
 
 def group_nodes(
@@ -223,18 +254,20 @@ def group_nodes(
     With `centred`, the deviations of all bevels sum to zero, so that all that have one are in one group.
     """
     crossed = [{axis.surface for axis in one.axes if axis.surface} for one in nodes]
-    bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel and centred}
+    bevels = {axis.surface for one in nodes for axis in one.axes if axis.of_bevel}
+    counts = Counter(surface for surfaces in crossed for surface in surfaces)
     groups: dict[object, list[int]] = {}
     for place, surfaces in enumerate(crossed):
-        others = set().union(*(more for k, more in enumerate(crossed) if k != place))
-        common = surfaces & others
-        key = BEVEL if surfaces & bevels else next(iter(common))[0] if common else place
+        twice = {surface for surface in surfaces if counts[surface] > 1}
+        key = BEVEL if centred and surfaces & bevels else next(iter(twice))[0] if twice else place
         groups.setdefault(key, []).append(place)
     found = []
     for members in groups.values():
-        counted = [surface for place in members for surface in sorted(crossed[place])]
-        common = {surface for surface in counted if counted.count(surface) > 1 or surface in bevels}
-        group = NodeGroup(tuple(nodes[place] for place in members), tuple(sorted(common)), centred)
+        every = sorted({surface for place in members for surface in crossed[place]})
+        common = [one for one in every if counts[one] > 1 or (centred and one in bevels)]
+        shared, own = ([one for one in common if (one in bevels) == of] for of in (False, True))
+        some = tuple(nodes[place] for place in members)
+        group = NodeGroup(some, tuple(shared), tuple(own), centred and bool(own))
         found.append((tuple(members), group))
     return tuple(found)
 

@@ -20,7 +20,7 @@ import numpy as np
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.inference.likelihood.observation import append_pose_curves
 from needlefit.inference.parameters import HYPERPARAMETERS
-from needlefit.inference.problem import SETS_AT_ONCE, Problem
+from needlefit.inference.problem import Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
 SIMULATED_POINTS = 800  #: thetas at which the needles as measured are simulated first
@@ -87,8 +87,8 @@ class InterpolatedDensity:
     def _evaluate(self, thetas: Floats) -> tuple[Floats, Floats]:
         """Return the exact log densities (N,), and what the moved nodes add to the residuals, (N, F)."""
         densities, moves = [np.empty(0)], list[Floats]()
-        for start in range(0, len(thetas), SETS_AT_ONCE):
-            sets = [self._problem.values(theta) for theta in thetas[start : start + SETS_AT_ONCE]]
+        for some in self._density.split(len(thetas)):
+            sets = [self._problem.values(theta) for theta in thetas[some]]
             white = list(self._density.whitened_residuals(sets, self._jobs))
             densities.append(self._density.add_up(white, sets))
             parts = [one[:, 1:nodes] - one[:, :1] for one, nodes in zip(white, self._nodes, strict=True)]
@@ -97,8 +97,11 @@ class InterpolatedDensity:
 
     def _simulate(self, at: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Return the residuals (N, R) of the needles as measured, from simulations; keep them."""
-        parts = self._density.whitened_residuals(sets, self._jobs, as_measured=True)
-        first = np.concatenate([one[:, 0] for one in parts], axis=1)
+        found = []
+        for some in self._density.split(len(sets)):
+            parts = self._density.whitened_residuals(sets[some], self._jobs, as_measured=True)
+            found.append(np.concatenate([one[:, 0] for one in parts], axis=1))
+        first = np.concatenate(found)
         if not self.fixed:
             self._first.add(at, first)
         return first
@@ -106,8 +109,7 @@ class InterpolatedDensity:
     def _add_up(self, at: Floats, sets: Sequence[Mapping[str, float]], first: Floats) -> Floats:
         """Return the log densities (N,), given the residuals (N, R) of the needles as measured."""
         densities = [np.empty(0)]
-        for start in range(0, len(at), SETS_AT_ONCE):
-            some = slice(start, start + SETS_AT_ONCE)
+        for some in self._density.split(len(at)):
             moves, white, place, row = self._moves(at[some]), [], 0, 0
             for nodes, observation in zip(self._nodes, self._density.observations, strict=True):
                 rows = observation.rows
