@@ -1,7 +1,5 @@
 """What a prediction takes from the medium's record, the needle's and the scene's: every number arrives."""
 
-import math
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -142,28 +140,6 @@ def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
     assert errors == sorted(errors, reverse=True)
     refusal(ConfigError, "spline", lambda: fit_baseline("spline", "known", 0.0, [measured(50.0, ())]))
     refusal(ConfigError, "no insertion", fit_baseline, "straight", "known", 0.0, [])
-
-
-@pytest.mark.skipif(
-    "NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set: no real needles"
-)
-def test_the_real_stereo_shapes_give_the_known_baselines():
-    from needlefit.datasets.read import read
-    from needlefit.geometry.curves import compare_curves
-    from needlefit.project.locate import find_file
-
-    shapes = read(find_file("dataset", "stereo_shapes"))
-    pose, drop = shapes.pose, shapes.drop_proximal
-    deep = [i for i in shapes.insertions if i.depth == 120]
-    fits = fit_baselines(pose, drop, [i for i in shapes.insertions if i.depth < 120])
-    errors = {
-        name: np.mean([compare_curves(*compare_points(pose, drop, i, b.curve(i))).distances for i in deep])
-        for name, b in fits.items()
-    }
-    assert errors["straight"] == pytest.approx(0.59, abs=0.02)
-    assert errors["constant_curvature"] == pytest.approx(0.068, abs=0.005)
-    assert errors["linear_curvature"] == pytest.approx(0.036, abs=0.005)
-    assert math.isfinite(fits["straight"].rms)
 
 
 def test_the_interval_of_a_share_is_wilson_s():

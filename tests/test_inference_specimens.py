@@ -17,7 +17,6 @@ from needlefit.inference.specimens import (
     differentiate_log_tip,
     draw_population,
     draw_specimens,
-    make_population,
     make_specimen,
     make_spread_model,
 )
@@ -208,19 +207,6 @@ def test_what_is_stated_of_a_parameter_counts_once():
     found = draw_population(stated, MODEL, posteriors, 4000, np.random.default_rng(1))
     none = draw_population(free, MODEL, posteriors, 4000, np.random.default_rng(1))
     assert np.std(found.mean[:, 0]) < 0.5 and np.std(none.mean[:, 0]) < np.std(found.mean[:, 0])
-
-
-def test_a_population_counts_what_is_stated_once():
-    """1 / 0.2 = 1 / 1 + 1 / 0.25: the data of each specimen leave a variance of 0.25."""
-    stated = replace(one_layer(), prior=make_gaussian_prior(("mu1_pa",), np.array([11.0]), np.array([[1.0]])))
-    draws = [gaussian(np.array([10.2, -3.0]), np.diag([0.2, 0.01]), n) for n in range(20)]
-    found = make_population(stated, MODEL, draws)
-    variances, means = zip(*((one.covariance[0, 0], one.mean[0]) for one in found.specimens), strict=True)
-    assert np.mean(variances) == pytest.approx(0.25, rel=0.1)
-    assert np.mean(means) == pytest.approx(10.0, abs=0.05)  # 10.2 / 0.2 = 11 / 1 + 10 / 0.25
-    at = np.array([[10.0, -3.0, -1.0, -1.0, 0.0], [12.0, -3.0, -1.0, -1.0, 0.0]])
-    with_prior, without = (one.log_density(at) for one in (found, replace(found, stated=None)))
-    assert with_prior - without == pytest.approx([-0.5, -0.5])
 
 
 def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():

@@ -183,23 +183,6 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     assert asked.log_posterior(THETA) == pytest.approx(expected, rel=1e-7)
 
 
-@pytest.mark.parametrize("headings", [False, True])
-def test_a_model_error_enters_the_covariance_of_tips_and_headings(runs, headings):
-    (run,) = in_session(runs[:1]) if headings else runs[:1]
-    known = replace(dataset([run]), noise=SESSION_NOISE if headings else NOISE)
-    error = observation.Discrepancy(5.0, 15.0)
-    plain, wide = (observation.make_observation(known, run, model_error=one) for one in (None, error))
-    added = wide.point_covariance - plain.point_covariance
-    count = len(DEPTH)
-    assert added[:count, :count] == pytest.approx(error.covariance(DEPTH), rel=1e-9)
-    # a heading is a derivative: the process' slope has deviation sd / length
-    assert np.sqrt(np.diag(added)[count:]) == pytest.approx(np.full(len(added) - count, 5 / 15), rel=1e-3)
-    assert len(added) == (2 * count - 1 if headings else count)
-    assert wide.whitening.shape == plain.whitening.shape
-    assert np.abs(wide.whitening - plain.whitening).max() > 1
-    assert wide.log_norm < plain.log_norm - 5
-
-
 @pytest.mark.parametrize("errors", [None, TrackErrorsRecord(), ERRORS])
 def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
     asked, other = problem(runs), THETA + np.array([0.3, -0.2, 0.1])

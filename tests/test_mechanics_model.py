@@ -90,19 +90,6 @@ def test_tip_is_continuous_in_depth(depth: float) -> None:
     assert near[1] < 2e-4
 
 
-@pytest.mark.parametrize("third", [44.5, 45.0, 45.25, 54.5, 55.0])
-def test_tip_is_continuous_in_boundary_position(third: float) -> None:
-    """Through a node, a change of constraint, the tip: steep at most, never a jump."""
-    step = abs(tip(55.0, (20.0, 28.0, third + 1e-5)) - tip(55.0, (20.0, 28.0, third - 1e-5)))
-    assert step < 8.0 * 2e-5 + 1e-7
-
-
-@pytest.mark.parametrize(("depth", "expected"), [(52.79, 3.3), (44.19, 2.2), (23.79, 0.69), (19.63, 0.42)])
-def test_magnitudes_with_the_papers_parameters(depth: float, expected: float) -> None:
-    """Parameters read as Pa and mm, boundaries invented: the tables imply 4.3, 3.4, 0.9, 0.4 mm."""
-    assert tip(depth) == pytest.approx(expected, rel=0.06)
-
-
 # ---- variants of the decided rules
 
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])

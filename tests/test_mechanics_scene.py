@@ -1,6 +1,5 @@
 """A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
 
-import cmath
 import math
 from dataclasses import replace
 from typing import Any
@@ -13,14 +12,12 @@ import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
 
 FIGURE1 = needlefit.open_scene("figure1")
-SHAPES = simulate_scene(FIGURE1)
 
 TABLES: dict[str, Any] = {
     "schema": 1,
@@ -148,51 +145,3 @@ def test_names_faults_and_the_step_that_fails():
     crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
     shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
     assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
-
-
-def at(shape: NeedleShape, x: float) -> tuple[float, float]:
-    """Return deflection and slope at a node."""
-    (node,) = np.flatnonzero(np.abs(shape.x - x) < 1e-9)
-    return float(shape.u[node]), float(shape.slope[node])
-
-
-def test_figure_1_satisfies_its_boundary_conditions_and_bends_toward_its_bevel():
-    assert FIGURE1.tissue.layers == 4 and len(FIGURE1.steps) == 3
-    assert {step.bevel.side for step in FIGURE1.steps} == {1, -1}
-    template = [(0.0, 0.0), (2.0, 0.0), (-1.5, 0.0)]  # the file's y_mm, and the slope of its axis
-    base = [(0.0, 0.0), (5.0, 0.0), (-4.0, math.tan(math.radians(4)))]
-    for shape, depth, held, driven in zip(SHAPES, (40.0, 70.0, 105.0), template, base, strict=True):
-        assert shape.converged and shape.depth == depth
-        assert at(shape, -15.0) == pytest.approx(held, abs=1e-12)
-        assert at(shape, depth - 150.0) == pytest.approx(driven, abs=1e-12)
-        start = FIGURE1.entry.to_world(compute_positions(shape, shape.x[:1]))[0]
-        assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
-    # Without the lateral inputs, the turned bevel takes the tip back from where the first side led it.
-    alone = replace(FIGURE1, steps=tuple(replace(step, controls=Controls()) for step in FIGURE1.steps))
-    straight = replace(
-        alone, steps=tuple(replace(step, bevel=replace(step.bevel, side=1)) for step in alone.steps)
-    )
-    turned, kept = simulate_scene(alone), simulate_scene(straight)
-    assert np.array_equal(turned[0].u, kept[0].u)
-    assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
-    assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
-
-
-@pytest.mark.parametrize(("origin", "turn"), [(0.0, 2.9), (180 - 130j, -1.3), (-40 + 7j, 0.4)])
-def test_a_scene_moved_as_a_whole_has_the_needle_moved_by_hand(origin: complex, turn: float) -> None:
-    """Entry, template and stage; `origin` is x + i y, mm, `turn` in rad."""
-
-    def place(origin: complex, turn: float) -> tuple[np.ndarray, np.ndarray]:
-        at, angle = origin + (-15 + 0.4j) * cmath.exp(1j * turn), math.degrees(turn)
-        scene = built(
-            entry={"x_mm": origin.real, "y_mm": origin.imag, "angle_deg": angle},
-            controls={"base_y_mm": 1.0, "stage_angle_deg": angle + 1.0},
-            guides=[{"name": "template", "x_mm": at.real, "y_mm": at.imag, "angle_deg": angle - 2.0}],
-            steps=[{"depth_mm": 20.0}, {"depth_mm": 40.0, "side": -1}],
-        )
-        shape = simulate_scene(scene)[-1]
-        return shape.u, scene.entry.to_world(sample_inserted_points(shape)) @ [1, 1j]
-
-    (u, here), (moved, there) = place(0j, 0.0), place(complex(origin), turn)
-    np.testing.assert_allclose(moved, u, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(there, origin + here * cmath.exp(1j * turn), rtol=0, atol=1e-7)

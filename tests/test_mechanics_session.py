@@ -16,9 +16,7 @@ from mechanics_cases import (
     random_steps,
     random_tissue,
 )
-from refusals import refusal
 
-from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
@@ -113,26 +111,6 @@ def test_a_failed_step_changes_nothing(step: dict) -> None:
     assert under_way.failures == Counter({"over-compressed": 2})
     for after in ({"insert": 0.3}, {"insert": 4.0, "bevel": RIGHT}, {"insert": -2.0}, {"base": (0.1, 0)}):
         assert_same_steps(under_way.step(**after), untouched.step(**after))
-
-
-@pytest.mark.parametrize(
-    "step",
-    [
-        {"insert": -5.0},
-        {"insert": np.nan},
-        {"insert": 200.0},
-        {"insert": 1.0, "guides": (Guide(-146.0),)},
-        {"base": (np.nan, 0.0)},
-        {"guides": (Guide(-3.0), Guide(-3.0, 0.1))},
-    ],
-)
-def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
-    under_way, untouched = Session(NEEDLE, TISSUE, LEFT), Session(NEEDLE, TISSUE, LEFT)
-    for one in (under_way, untouched):
-        one.step(3.4)
-    refusal(ModelError, "", under_way.step, **step)
-    assert under_way.depth == 3.4 and not under_way.failures
-    assert_same_steps(under_way.step(2.0), untouched.step(2.0))
 
 
 # ---- copies, the shortest way to where a session stands, and the same way through another tissue
