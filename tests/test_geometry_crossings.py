@@ -17,7 +17,6 @@ from needlefit.geometry.surfaces import (
     make_cylinder,
     make_sheet,
     read_surface,
-    write_surface,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -115,23 +114,6 @@ def test_faults_of_surfaces():
     ]:
         faults = find_mesh_faults(mesh, kind)
         assert len(faults) == 1 and words in faults[0], (words, faults)
-
-
-def test_a_surface_survives_its_file_in_every_format(tmp_path):
-    core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4)
-    write_surface(core, tmp_path / "a" / "core.stl")
-    again = read_surface(tmp_path / "a" / "core.stl", "solid", 4)
-    assert (again.name, again.kind, again.into) == ("core", "solid", 4)
-    assert find_mesh_faults(again.mesh, "solid") == []
-    assert again.mesh.volume == pytest.approx(core.mesh.volume, rel=1e-4)
-    write_surface(again, tmp_path / "b.stl")
-    assert (tmp_path / "b.stl").read_bytes() != b""
-    write_surface(core, tmp_path / "c.stl")
-    assert (tmp_path / "c.stl").read_bytes() == (tmp_path / "a" / "core.stl").read_bytes()
-    for ending in ["stl", "ply", "obj"]:
-        core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
-        core.mesh.export(tmp_path / f"core.{ending}")
-        assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
 
 
 def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():
