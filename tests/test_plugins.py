@@ -183,15 +183,6 @@ def test_a_study_with_everything_of_a_plugin(
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
-def test_a_module_of_the_working_folder_is_refused(
-    law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    install(law_project, entry_point=True)
-    with plugin_folder(law_project, monkeypatch):
-        assert run("check", "mine", "--plugins", EXAMPLE) == 3
-        assert EXAMPLE in capsys.readouterr().err
-
-
 @dataclass(frozen=True)
 class Fruit:
     """An entry."""

@@ -1,8 +1,6 @@
 """Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
 
 import csv
-import re
-from datetime import date
 
 import pytest
 from refusals import refusal
@@ -170,22 +168,3 @@ def test_an_error_states_the_expected_value_and_the_fix(more, what, expected, fi
         check({key: value for key, value in tables.items() if value is not None}, SceneRecord, "a.toml")
     assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
     assert expected in fault.value.expected and fix in fault.value.fix
-
-
-def test_several_errors_are_each_listed_once():
-    layer = {"top_mm": 0, "mu_pa": -1, "alpha": "x"}
-    fault = refusal(ConfigError, "", check, BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
-    assert re.findall(r"`([\w.]+)` is ([^;]+)", fault.what) == [
-        ("layers.1.mu_pa", "-1"),
-        ("layers.1.alpha", '"x"'),
-    ]
-    modulus, alpha = fault.expected.split("; ")
-    assert modulus.startswith("`layers.1.mu_pa`") and "greater than 0" in modulus
-    assert alpha.startswith("`layers.1.alpha`") and "number" in alpha
-    assert re.findall(r"`([\w.]+)`", fault.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
-    assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
-    with pytest.raises(ConfigError, match="key `title`"):
-        check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
-    tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
-    tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
-    refusal(ConfigError, r"`layers\.2\.mu_pa`.* missing", check, tables, SceneRecord, "a.toml")
