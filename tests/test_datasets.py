@@ -234,26 +234,6 @@ def own_layers(folder):
     return write_dataset(folder, record(media=media), [row("a"), row("b")], curves, surfaces)
 
 
-def test_every_insertion_may_have_its_own_layers(tmp_path):
-    file = own_layers(tmp_path)
-    dataset = read(file)
-    a, b = dataset.insertions
-    assert a.sequence == b.sequence == (1, 2, 3, 2)
-    assert (a.boundaries[0], b.boundaries[0]) == pytest.approx((20, 30), abs=1e-3)
-    assert dataset.media == ("block",)
-    assert [float(i.surfaces[0].mesh.vertices[0, 0]) for i in dataset.insertions] == [20, 30]
-    assert a.surfaces[1] is b.surfaces[1]
-    before, path = read(file).digest, tmp_path / "layers" / "b_sheet.stl"
-    text = path.read_text()
-    path.write_text(text.replace("30.0", "30.5"))
-    assert [fault.where for fault in check(file)] == [str(path)]
-    without_checksums(file)
-    assert read(file).insertions[1].boundaries[0] == pytest.approx(30.5, abs=1e-3)
-    path.write_text(text)
-    own_layers(tmp_path)
-    assert read(file).digest == before
-
-
 # ---- other people's files: long tables, MATLAB, templates, public data
 
 SHIPPED = Path(__file__).parent.parent / "data"

@@ -106,29 +106,6 @@ def test_a_step_takes_little_more_than_one_pass(tolerance: float, most: float) -
     assert 1.0 <= together.iterations.mean() / DEPTH <= most
 
 
-@pytest.mark.parametrize("guided", [False, True])
-@pytest.mark.parametrize("friction", [0.0, 0.3, 0.9])
-@pytest.mark.parametrize(("alpha", "depth"), [(-8.0, 7.5), (8.0, 12.0)])
-def test_newtons_method_goes_on_until_nothing_moves(
-    alpha: float, depth: float, friction: float, guided: bool
-) -> None:
-    """One more step changes nothing, also where all elements are linearised in every pass (`guided`).
-
-    The increment before the last is of some 1e-5 mm here: ending there would be wrong by 1e-7 mm.
-    """
-    tissue = Tissue(mu=[0.5], alpha=[alpha], thickness=[0.2], friction=[friction])
-    not_reached = (Guide(60.0, 0.0, None, in_tissue=True),) if guided else ()
-    found = simulate(NEEDLE, tissue, Bevel(0.1), depth, Controls(guides=not_reached))
-    state = np.column_stack((found.u, found.slope)).ravel()
-    held = np.arange(len(state)) < 2
-    state, points = (np.column_stack((a, np.zeros(len(a)))) for a in (state, found.constraints))
-    again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, points, state, held, ModelOptions(tolerance=1e-3)
-    )
-    assert found.converged and used == 1
-    np.testing.assert_allclose(again[0::2, 0], found.u, rtol=0, atol=3e-10)
-
-
 # ---- what holds the needle, holds it: base, guides, stage and tracked tip, in known answers
 
 TWO_LAYERS = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])

@@ -31,26 +31,6 @@ def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), elemen
 
 @pytest.mark.parametrize("kind", RULES)
 @pytest.mark.parametrize("seed", range(4))
-def test_the_mirror_image_of_all_inputs_gives_the_mirror_image_of_the_needle(seed: int, kind: str) -> None:
-    needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)
-
-    def mirror(step: Step) -> Step:
-        given = step.controls
-        guides = tuple(replace(g, y=-g.y, slope=None if g.slope is None else -g.slope) for g in given.guides)
-        tip = given.tip and replace(
-            given.tip, y=-given.tip.y, slope=None if given.tip.slope is None else -given.tip.slope
-        )
-        held = Controls(-given.base_y, -given.base_slope, -given.stage_slope, guides, tip)
-        return replace(step, bevel=replace(step.bevel, side=-step.bevel.side), controls=held)
-
-    one, other = (
-        simulate_steps(needle, tissue, each, rules, lattice) for each in (steps, [mirror(s) for s in steps])
-    )
-    np.testing.assert_allclose(one.u, -other.u, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("kind", RULES)
-@pytest.mark.parametrize("seed", range(4))
 def test_tissue_base_guides_and_tracked_tip_balance(seed: int, kind: str) -> None:
     """All forces, and all moments about the entry, relative to their sizes."""
     needle, tissue, steps, rules, lattice = random_case(np.random.default_rng(seed), kind)

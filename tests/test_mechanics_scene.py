@@ -1,14 +1,12 @@
 """A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from refusals import refusal
 
-import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
@@ -16,8 +14,6 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
-
-FIGURE1 = needlefit.open_scene("figure1")
 
 TABLES: dict[str, Any] = {
     "schema": 1,
@@ -130,18 +126,3 @@ def test_world_coordinates_of_a_file_are_transformed_to_c():
     assert step.controls.base_slope == pytest.approx(math.tan(math.radians(2)))
     assert step.controls.stage_slope == pytest.approx(math.tan(math.radians(1)))
     assert step.controls.tip == TrackedTip(0.5, math.tan(math.radians(1)))
-
-
-def test_names_faults_and_the_step_that_fails():
-    assert [guide.name for guide in FIGURE1.steps[1].controls.guides] == ["template"]
-    assert FIGURE1.layer_names == ("layer 1", "layer 2", "layer 3", "layer 4")
-    assert Guide(-3.0, name="ring") == Guide(-3.0)
-    with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: .*x = 1"):
-        built(
-            guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
-            steps=[{"depth_mm": 5}, {"depth_mm": 9, "guides": {"g": {"x_mm": 1}}}],
-        )
-    refusal(ConfigError, r"a\.toml: key `law`: .*rubber", built, depth_mm=5, law="rubber")
-    crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
-    shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
-    assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
