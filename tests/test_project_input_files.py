@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from needlefit.cli.data import copy_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import locate
 from needlefit.project.input_files import (
