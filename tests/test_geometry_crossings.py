@@ -154,34 +154,6 @@ def binary(index, **fields):
     return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("a.obj", f"{OBJ}f 1 2 3\n"),
-        ("material.obj", f"mtllib /etc/passwd\nusemtl x\n{OBJ}f 1 2 3\n"),
-        ("a.ply", ply()),
-        ("binary.ply", binary(2)),
-        ("edges.ply", ply("0 2\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
-        ("far_edges.ply", ply("0 2147483647\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
-        (
-            "binary_edges.ply",
-            ply(
-                struct.pack("<2i", 0, 2**31 - 1) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2),
-                more=EDGES,
-                form="binary_little_endian",
-            ),
-        ),
-        ("texture.ply", ply(more="comment TextureFile /etc/passwd\n")),
-        ("a.stl", bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)),
-    ],
-)
-def test_a_triangle(tmp_path, name, content):
-    path = tmp_path / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    mesh = read_surface(path, "sheet", 2).mesh
-    assert mesh.faces.shape == (1, 3) and mesh.area == pytest.approx(0.5)
-
-
 REFUSED = [
     ("beyond.obj", f"{OBJ}f 4000000000 1 2\n"),
     ("beyond.ply", ply(CORNERS + "3 0 1 7\n")),

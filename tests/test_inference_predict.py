@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, insertion, medium
-from refusals import refusal
 from scipy.special import ndtr, ndtri
 
-from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
-from needlefit.inference.baseline_fit import fit_baseline, fit_baselines
+from needlefit.inference.baseline_fit import fit_baseline
 from needlefit.inference.compared_points import compare_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.parameters import make_tissue
@@ -110,19 +108,6 @@ def test_the_mean_shape_is_the_mean_of_the_turns_from_the_tip(pose):
     assert np.abs(found - goal).max() < 0.01
     alone = fit_baseline("mean_shape", pose, 10.0, bent[:1])
     assert alone.rms < 0.01
-
-
-def test_the_rms_is_over_distances_and_richer_curves_fit_no_worse():
-    bent = insertion(10.0).with_planar(np.array([[0.0, 0.3], [10.0, 0.3]]))
-    assert fit_baseline("straight", "known", 0.0, [bent]).rms == pytest.approx(0.3)
-    tuned = [measured(d, (1e-3, 1e-5, 3e-7)) for d in (80.0, 100.0)]
-    fits = fit_baselines("known", 0.0, tuned)
-    nested = ["straight", "constant_curvature", "linear_curvature", "quadratic_curvature"]
-    assert fits.keys() >= {*nested, "mean_shape"}
-    errors = [fits[name].rms for name in nested]
-    assert errors == sorted(errors, reverse=True)
-    refusal(ConfigError, "spline", lambda: fit_baseline("spline", "known", 0.0, [measured(50.0, ())]))
-    refusal(ConfigError, "no insertion", fit_baseline, "straight", "known", 0.0, [])
 
 
 def test_the_interval_of_a_share_is_wilson_s():

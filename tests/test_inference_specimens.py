@@ -48,21 +48,6 @@ def three_layers() -> Parameters:
 MODEL = SpreadModel.of(one_layer(), *SDS)
 
 
-def test_covariances_of_several_moduli_share_a_factor():
-    model = SpreadModel.of(three_layers(), *SDS)
-    assert model.names == ("mu1_pa", "mu2_pa", "bevel_mm")
-    at = np.array([[math.log(0.6), math.log(0.3), math.atanh(-0.8), math.log(0.25 / 0.75)]])
-    (found,) = model.covariances(at)
-    expected = np.array(
-        [
-            [0.36, 0.25 * 0.36, -0.8 * 0.5 * 0.18],
-            [0.25 * 0.36, 0.36, -0.8 * 0.5 * 0.18],
-            [-0.8 * 0.5 * 0.18, -0.8 * 0.5 * 0.18, 0.09],
-        ]
-    )
-    assert found == pytest.approx(expected)
-
-
 def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
     model = SpreadModel.of(three_layers(), *SDS)
     covariances = model.covariances(model.draw(20_000, np.random.default_rng(3)))

@@ -104,17 +104,6 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
     assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
-def test_the_projection_is_the_limit_of_a_wide_prior(runs):
-    known = observation.make_observation(dataset(runs), runs[0])
-    off = 0.1 * np.sin(DEPTH / 7)
-    ours = known.log_norm - 0.5 * np.sum((known.whitening @ off) ** 2)
-    wide = 30.0
-    cov = known.covariance() + wide**2 * known.free @ known.free.T
-    log_det = np.linalg.slogdet(cov)[1]
-    full = -0.5 * off @ np.linalg.solve(cov, off) - 0.5 * log_det - 0.5 * len(off) * np.log(2 * np.pi)
-    assert full + 2 * np.log(wide) + np.log(2 * np.pi) == pytest.approx(ours, abs=1e-4)
-
-
 def in_session(runs):
     """The runs with headings, in frames of one slope."""
     ends = [np.gradient(one.tip, one.depths) - 0.03 for one in runs]

@@ -8,8 +8,8 @@ import pytest
 from refusals import refusal
 
 from needlefit.errors import ConfigError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
+from needlefit.mechanics.control import Bevel, TrackedTip
+from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
@@ -75,29 +75,6 @@ def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
     assert rolls[0] == 0 and 80 < rolls[1] < rolls[2] < 90 and 150 < rolls[3] < 180
     states = [state for _, state in iterate_states(scene)]
     np.testing.assert_allclose(states[-1].shape.w, whole.w, atol=1e-7)
-
-
-def test_entries_carry_points_there_and_back_and_guides_stand_on_their_axis():
-    entry = Entry(3.0, -2.0, 0.7)
-    points = np.array([[1.0, 2.0], [-4.0, 0.5]])
-    assert entry.to_frame(entry.to_world(points)) == pytest.approx(points, abs=1e-14)
-    assert entry.to_frame([[3.0, -2.0]]).tolist() == [[0.0, 0.0]]
-    (step,) = built(depth_mm=20, controls={"guide_distance_mm": 8}, entry={"angle_deg": 33}).steps
-    assert step == Step(20.0, Bevel(0.1), Controls(guides=(Guide(-8.0),)))
-    world = {
-        "name": "same",
-        "x_mm": -8 * math.cos(0.3),
-        "y_mm": -8 * math.sin(0.3),
-        "angle_deg": math.degrees(0.3),
-    }
-    (same,) = built(depth_mm=20, guides=[world], entry={"angle_deg": math.degrees(0.3)}).steps
-    assert same.controls.guides[0].x == pytest.approx(-8) and same.controls.guides[0].y == pytest.approx(0)
-    for degrees in range(0, 360, 7):
-        angle = math.radians(degrees)
-        beside = {"x_mm": 0.1 - 3 * math.sin(angle), "y_mm": 0.7 + 3 * math.cos(angle)}
-        entry = {"x_mm": 0.1, "y_mm": 0.7, "angle_deg": degrees}
-        (step,) = built(depth_mm=9, entry=entry, guides=[{"name": "g", "in_tissue": True} | beside]).steps
-        assert step.controls.guides[0].x == 0.0
 
 
 def test_world_coordinates_of_a_file_are_transformed_to_c():

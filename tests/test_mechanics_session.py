@@ -1,7 +1,6 @@
 """A session is the same insertion, step by step: identity, sub-steps, retraction, failures."""
 
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,8 +16,7 @@ from mechanics_cases import (
     random_tissue,
 )
 
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.control import Bevel, Guide, TrackedTip
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
@@ -115,9 +113,6 @@ def test_a_failed_step_changes_nothing(step: dict) -> None:
 
 # ---- copies, the shortest way to where a session stands, and the same way through another tissue
 
-SOFT, STIFF = (Tissue(mu=[mu, 5.0], alpha=[1.0, -1.0], boundaries=[12.3]) for mu in (0.2, 2.0))
-MILD, MILD_TURNED = Bevel(0.08, 1), Bevel(0.08, -1)
-
 
 def assert_near(found: NeedleShape, expected: NeedleShape) -> None:
     for name in ("x", "u", "slope", "constraints"):
@@ -164,19 +159,3 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
     assert retold.solved == single.solved
     for step in random_steps(rng, 2):
         assert_near(retold.go(step), under_way.go(step))
-
-
-def test_a_path_is_simulated_in_another_tissue() -> None:
-    guided = Controls(guides=(Guide(-20.0),))
-    steps = (Step(10.0, MILD), Step(18.4, MILD_TURNED, guided), Step(25.0, MILD, guided))
-    under_way = Session(NEEDLE, SOFT, MILD)
-    for step in steps:
-        under_way.go(step)
-    under_way.step(insert=5)
-    under_way.step(insert=-5)
-    expected = simulate_steps(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
-    assert_near(under_way.simulate_again(STIFF).now.shape, expected)
-    blunt = tuple(replace(step, bevel=replace(step.bevel, offset=0.01)) for step in steps)
-    retold = under_way.simulate_again(offset=0.01)
-    assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
-    assert retold.last == blunt[-1]

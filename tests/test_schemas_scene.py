@@ -3,11 +3,10 @@
 import csv
 
 import pytest
-from refusals import refusal
 
 from needlefit.errors import ConfigError
 from needlefit.project.locate import find_file, shipped_folder
-from needlefit.project.toml import check, load, override
+from needlefit.project.toml import check, load
 from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 PAPER = shipped_folder() / "data" / "paper"
@@ -43,23 +42,6 @@ def test_a_scene_holds_the_published_parameters(row):
     assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
     assert record.needle.youngs_modulus_gpa == 80
     assert len(record.layers) == 1 or "invented" in record.note
-
-
-def test_keys_are_set_and_the_file_s_tables_stay():
-    tables = {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}], "steps": [{}]}
-    changes = [
-        ("layers.1.mu_pa", "3e5"),
-        ("law", "linear"),
-        ("steps.1.guides.ring.y_mm", "2"),
-        ("depth_mm", ""),
-    ]
-    assert override(tables, changes, "a.toml") == {
-        "layers": [{"mu_pa": 3e5}], "law": "linear", "steps": [{"guides": {"ring": {"y_mm": 2}}}]
-    }  # fmt: skip
-    assert tables == {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}], "steps": [{}]}
-    for key in ("layers.0.mu_pa", "layers.2.mu_pa", "layers.x.mu_pa", "layers.mu_pa", "depth_mm.x"):
-        refusal(ConfigError, key, override, tables, [(key, "1")], "a.toml")
-    refusal(ConfigError, "depth", override, tables, [("depth", "")], "a.toml")
 
 
 def test_a_scene_without_steps_is_one():
@@ -145,17 +127,13 @@ def test_a_side_and_a_roll_take_each_other_s_place():
             "`controls.base_slope_deg` is 50", "less than 45", "`controls.base_slope_deg`",
         ),
         ({"bevel": {"offset_mm": -1}}, "is -1", "greater than or equal to 0", "`bevel.offset_mm`"),
-        ({"bevel": {"offset_mm": "0.1"}}, 'is "0.1"', "number", "`bevel.offset_mm`"),
-        ({"bevel": {"offset_mm": True}}, "is true", "number", "`bevel.offset_mm`"),
         ({"bevel": {"offset_mm": 1, "side": 2}}, "`bevel.side` is 2", "1 or -1", "`bevel.side`"),
         ({"bevel": {}}, "`bevel.offset_mm` is missing", "", "`bevel.offset_mm`"),
         ({"bevel": 7}, "`bevel` is 7", "object", "`bevel`"),
-        ({"title": 4}, "`title` is 4", "string", "`title`"),
         ({"layers": []}, "`layers`: List should have at least 1", "", "`layers`"),
         ({"steps": {}}, "`steps`", "", "`steps`"),
         ({"layers": [{"top_mm": 0, "alpha": 1}]}, "mu_pa` is missing", "", "`layers.1.mu_pa`"),
         ({"dpth_mm": 1}, "`dpth_mm` is unknown", "depth_mm", "`dpth_mm`"),
-        ({"zzzzzzzzz": 1}, "`zzzzzzzzz` is unknown", "depth_mm", "`zzzzzzzzz`"),
         (
             {"guides": [RING | {"name": "7"}]},
             "`guides.1.name`", "", "`guides.1.name`",

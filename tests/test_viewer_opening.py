@@ -20,7 +20,7 @@ from needlefit.inference.forward_model import (
 )
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.project.locate import find_file, find_view_target
+from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
@@ -202,15 +202,3 @@ def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     put(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
-
-
-def test_an_ambiguous_name_lists_each_path(project):
-    scenes = project / "configs" / "scenes"
-    scenes.mkdir(exist_ok=True)
-    (scenes / "small.toml").write_text("schema = 1\n")
-    with pytest.raises(ConfigError) as error:
-        find_view_target("small")
-    (scenes / "small.toml").unlink()
-    assert "scene" in error.value.what and "run" in error.value.what
-    assert "configs/scenes/small.toml" in error.value.fix and "reports/small" in error.value.fix
-    assert find_view_target("reports/small").kind == "run"
