@@ -1,5 +1,6 @@
 """Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
