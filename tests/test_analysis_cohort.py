@@ -10,7 +10,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import find_file
 from needlefit.schemas.study import FitRecord
@@ -105,14 +104,6 @@ def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):
     (warning,) = run("cohort", cohort("specimens/*"), stopped).run["warnings"]
     assert warning["kind"] == "same_dataset" and "specimens/again" in warning["what"]
     assert run("cohort", cohort("specimens/a"), stopped).run["warnings"] == []
-
-
-def test_files_elsewhere_that_a_dataset_names_count_for_its_digest(project):
-    shutil.copytree("specimens/b", "specimens/outside")
-    Path("specimens/b/dataset.toml").write_text('root = "../outside"', encoding="utf-8")
-    before = digest_folders(Path("specimens/b/dataset.toml"))
-    Path("specimens/outside/insertions.csv").write_text("id", encoding="utf-8")
-    assert digest_folders(Path("specimens/b/dataset.toml")) != before
 
 
 def _edit(name, text, other):

@@ -98,22 +98,6 @@ def test_view_serves_its_page_and_ends_on_a_signal(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "expected"),
-    [
-        (("no_such_thing",), 3, "no_such_thing"),
-        (("twin/phantom2-99",), 3, "phantom2-09"),
-        (("study2", "--recording", "log.csv"), 2, "leave it out"),
-        (("--recording", "log.csv"), 3, "no such file"),
-        (("study2", "--port", "70000"), 2, "--port"),
-    ],
-)
-def test_invalid_input_is_refused_before_anything_is_served(words, code, expected, capsys, tmp_path):
-    assert run("view", *words, "--no-browser", "--out", str(tmp_path)) == code
-    assert expected in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_port_in_use_is_reported(capsys):
     import socket
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 import time
 
 import numpy as np
@@ -77,25 +76,6 @@ def test_files_of_a_needle_in_space_show_it_from_above_too(capsys, tmp_path):
     assert panels == {0: 1, 90: 2}
 
 
-def test_settings_move_the_tip(capsys):
-    straight = answer(capsys, "phantom1", *settings("bevel.offset_mm=0"), "--depth", "40")
-    assert straight["tip_lateral_mm"] == pytest.approx(0, abs=1e-12)
-    assert straight["tip_mm"] == pytest.approx([40, 0])
-    left, right = (answer(capsys, "study3", *settings(f"bevel.side={side}")) for side in (1, -1))
-    assert right["tip_lateral_mm"] == pytest.approx(-left["tip_lateral_mm"], rel=1e-12)
-    plain, stiffer = (answer(capsys, "chicken", *words) for words in ((), settings("layers.1.mu_pa=3e5")))
-    assert stiffer["tip_lateral_mm"] > 1.2 * plain["tip_lateral_mm"]
-    plain = answer(capsys, "phantom1")
-    turned = answer(capsys, "phantom1", *settings("entry.angle_deg=30", "entry.x_mm=5"))
-    (x, y), cos, sin = plain["tip_mm"], math.cos(math.pi / 6), 0.5
-    assert turned["tip_lateral_mm"] == plain["tip_lateral_mm"]
-    assert turned["tip_mm"] == pytest.approx([5 + cos * x - sin * y, sin * x + cos * y])
-    finer = "rules.constraint_spacing_mm=0.5"  # which the mesh follows by default
-    assert answer(capsys, "phantom2", *settings(finer)) == answer(
-        capsys, "phantom2", *settings(finer, "rules.element_mm=0.5")
-    )
-
-
 def test_an_empty_value_removes_a_key_and_with_it_the_law_is_switched(capsys):
     path_angle = settings("rules.advance=path_angle", "bevel.cut_angle_deg=5")
     assert run("simulate", "phantom1", *path_angle) == 3
@@ -116,8 +96,6 @@ FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0
         ("chicken", "layers.0.mu_pa=3e5", ["numbered from 1"]),
         ("phantom1", "bevel.offset_mm=", ["bevel.offset_mm"]),
         ("phantom1", "layers.2.mu_pa=-1", ["`layers.2.mu_pa`"]),
-        ("phantom1", "layers.2.mu_pa=soft", ["`layers.2.mu_pa`"]),
-        ("phantom1", "bevel.side=0", ["`bevel.side`"]),
         ("phantom1", "layers.2.top_mm=50", ["top_mm must increase"]),
         ("phantom1", "needle.youngs_modulus_gpa=nan", ["`needle.youngs_modulus_gpa`"]),
         ("phantom1", "law=rubber", ["`rubber`"]),
@@ -125,11 +103,8 @@ FINE = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0
         ("phantom1", "depth_mm=150", ["a depth below 150 mm"]),
         ("phantom1", ("depth_mm=120", "controls.guide_distance_mm=40"), ["a depth below 110 mm"]),
         ("phantom2", FINE, ["`rules.constraint_spacing_mm`"]),  # too many elements
-        ("phantom2", "depth_mm=9e8", ["`depth_mm`", "expected", "900000000.0"]),
-        ("phantom2", "needle.length_mm=1e7", ["`needle.length_mm`", "expected", "10000000.0"]),
         ("phantom2", "rules.element_mm=1e-6", ["`rules.element_mm`", "expected", "1e-06"]),
         ("phantom2", "rules.constraint_spacing_mm=1e-3", ["spacing_mm`", "expected", "0.001"]),
-        ("phantom2", "rules.constraint_spacing_mm=1e9", ["spacing_mm`", "expected", "1000000000.0"]),
         ("figure1", "steps.2.guides.templat.y_mm=1", ["`steps.2.guides.templat`"]),
         ("figure1", "guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
         ("figure1", "steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
@@ -253,22 +228,6 @@ def test_a_recording_ends_where_it_ended_bit_for_bit(log, capsys):
     assert (whole["depth_mm"], whole["tip_lateral_mm"]) == (5.0, found[len(WANDERING)][-1])
     assert whole["replayed"] == {"steps": len(WANDERING), "tip_offset_mm": 0.0}
     assert whole["converged"] and len(whole["steps"]) == 1 and whole["boundaries_mm"] == [20, 28, 45]
-
-
-def test_a_recording_is_printed_as_a_scene_is_with_what_differs(log, capsys):
-    path, found = log
-    assert run("simulate", "--recording", str(path)) == 0
-    printed = capsys.readouterr().out
-    deflection, depth = map(float, re.findall(r"([\d.]+) mm", printed.splitlines()[0])[:2])
-    assert (deflection, depth) == (
-        pytest.approx(found[len(WANDERING)][-1], abs=5.1e-4),
-        5,
-    ) and "Study 2" in printed
-    tip = repr(float(found[1][-1]))
-    path.write_text(path.read_text().replace(tip, repr(float(found[1][-1]) + 1e-3), 1))
-    assert answer(capsys, "--recording", path)["replayed"]["tip_offset_mm"] == pytest.approx(1e-3, rel=1e-6)
-    run("simulate", "--recording", str(path))
-    assert " 0.001 mm " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

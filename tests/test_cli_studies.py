@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import re
 from pathlib import Path
 
 import pandas as pd
@@ -176,31 +175,3 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
     assert "μ₁ · b^1.9" in out
-
-
-def test_tune_gives_every_parameter_a_value_and_says_whether_it_is_determined(stub, capsys):
-    stub(study(1))
-    assert run("tune", "gel", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    rows = {row["parameter"]: row for row in found["parameters"] if row["method"] == "fitted"}
-    assert (rows["alpha1"]["value"], rows["alpha1"]["determined"]) == (1.0, "no")
-    assert (rows["bevel_mm"]["value"], rows["bevel_mm"]["determined"]) == (0.0847, "yes")
-    assert found["starts"][0]["objective"] is None  # infinite: every solve of that start failed
-    assert (found["origin"], found["interrupted"]) == ("synthetic", False)
-
-
-def test_a_wrong_study_or_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
-    made = stub(study(1))
-    Path("reports/mine").mkdir(parents=True)
-    Path("reports/mine/thesis.tex").write_text("years of work")
-    Path("file").write_text("")
-    for words, named in (
-        ("validate mine", r"thesis\.tex"),
-        ("tune gel --out file/below", r"/file: [\s\S]*--out"),
-    ):
-        assert run(*words.split()) == 3
-        assert re.search(named, capsys.readouterr().err)
-    Path("studies/mine.toml").write_text(STUDY + "validat = 1\n")
-    assert run("validate", "mine", "--out", "other") == 3
-    assert "`validat` is unknown" in capsys.readouterr().err
-    assert made.asked == []

@@ -1,6 +1,5 @@
 """The prior of a layer from a compression test: `studies/compression_prior.py`, and what fits read."""
 
-import math
 import runpy
 import subprocess
 import sys
@@ -63,22 +62,6 @@ def test_a_curve_that_no_one_term_law_describes_does_not_fit() -> None:
     assert found["law"] == "does not fit" and not found["identified"]
     noisy = FUNCTIONS["fit_specimen"]("noisy", *load_specimen(-4.0, 0.8, 0.05), "nominal", 401)
     assert noisy["law"] == "fits"
-
-
-@pytest.mark.parametrize("neighbours", [0.0, 0.9])
-def test_intervals_cover_the_true_alpha_also_where_errors_are_correlated(neighbours: float) -> None:
-    rng, covered = np.random.default_rng(1), 0
-    for _ in range(40):
-        fresh, errors = rng.normal(size=60), []
-        for one in fresh:
-            last = errors[-1] if errors else fresh[0]
-            errors.append(neighbours * last + math.sqrt(1 - neighbours**2) * one)
-        x, y = load_specimen(2.0, 0.75, 0.0)
-        y = y + 0.01 * np.max(np.abs(y)) * np.array(errors)
-        found = FUNCTIONS["fit_specimen"]("gel", x, y, "nominal", 101)
-        ends = [[float(v) for v in region.split(" to ")] for region in found["region_95"].split(" or ")]
-        covered += any(low <= 2.0 <= high for low, high in ends)
-    assert covered >= 34  # 0.5 % of binomial(40, 0.95)
 
 
 def run_script(folder: Path, *words: str) -> str:

@@ -4,18 +4,15 @@ import gzip
 import json
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from made_again import store
 from refusals import refusal
-from reporting_results import skip_figures, stereo, study
+from reporting_results import skip_figures, study
 from test_cli import run
 
 import needlefit
 from needlefit.errors import DataError
 from needlefit.project.folders import write_manifest
 from needlefit.studies import store as stored_files
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.report import rebuild, write_run
 from needlefit.studies.store import (
     MAX_UNPACKED_BYTES,
@@ -125,15 +122,3 @@ def test_a_run_file_of_other_types_names_the_file(tmp_path):
         assert "run.json" in caught.where and len(str(caught)) < 1000
     (tmp_path / "timing.json").write_text('{"seconds": "long"}')
     refusal(DataError, "", read_timing, tmp_path)
-
-
-@pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
-def test_stored_values_round_trip_to_the_last_digit(results, tmp_path):
-    store(results, tmp_path)
-    found = restore_run(tmp_path)
-    for name in COLUMNS:
-        pd.testing.assert_frame_equal(found.frames[name], results.frames[name], check_exact=True)
-    assert found.record == results.record and type(found.record) is type(results.record)
-    again = tmp_path / "again"
-    again.mkdir()
-    assert store(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()

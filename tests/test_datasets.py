@@ -2,17 +2,13 @@
 
 import dataclasses
 import math
-import os
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from refusals import refusal
-from scipy.io import savemat
 
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.formats.mat import read_curves
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.noise import draw_point_noise, estimate_noise_floor
 from needlefit.datasets.read import check, read
@@ -238,26 +234,6 @@ def own_layers(folder):
     return write_dataset(folder, record(media=media), [row("a"), row("b")], curves, surfaces)
 
 
-def test_every_insertion_may_have_its_own_layers(tmp_path):
-    file = own_layers(tmp_path)
-    dataset = read(file)
-    a, b = dataset.insertions
-    assert a.sequence == b.sequence == (1, 2, 3, 2)
-    assert (a.boundaries[0], b.boundaries[0]) == pytest.approx((20, 30), abs=1e-3)
-    assert dataset.media == ("block",)
-    assert [float(i.surfaces[0].mesh.vertices[0, 0]) for i in dataset.insertions] == [20, 30]
-    assert a.surfaces[1] is b.surfaces[1]
-    before, path = read(file).digest, tmp_path / "layers" / "b_sheet.stl"
-    text = path.read_text()
-    path.write_text(text.replace("30.0", "30.5"))
-    assert [fault.where for fault in check(file)] == [str(path)]
-    without_checksums(file)
-    assert read(file).insertions[1].boundaries[0] == pytest.approx(30.5, abs=1e-3)
-    path.write_text(text)
-    own_layers(tmp_path)
-    assert read(file).digest == before
-
-
 # ---- other people's files: long tables, MATLAB, templates, public data
 
 SHIPPED = Path(__file__).parent.parent / "data"
@@ -338,42 +314,3 @@ def test_missing_data_is_reported_with_its_acquisition(long, monkeypatch):
     refusal(DataError, r"elsewhere[\s\S]*ask the tests", read, long)
     monkeypatch.delenv("NEEDLEFIT_TEST_DATA")
     refusal(DataError, r"NEEDLEFIT_TEST_DATA[\s\S]*ask the tests", read, long)
-
-
-def test_matlab_centrelines_structs_and_cells_are_read(tmp_path):
-    (tmp_path / "centerlines").mkdir(parents=True)
-    file = write_dataset(
-        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
-    )
-    planar = read(file).insertions[0].planar
-    (tmp_path / "centerlines" / "a.csv").unlink()
-    savemat(tmp_path / "centerlines" / "a.mat", {"needle": CURVE.round(4), "note": "a text", "rate": 3.0})
-    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
-    np.testing.assert_array_equal(read(file).insertions[0].planar, planar)
-    cells = np.empty(2, dtype=object)
-    cells[:] = [CURVE, 2 * CURVE]
-    savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
-    curves, unused = read_curves(tmp_path / "old.mat")
-    assert sorted(curves) == ["all_1", "all_2", "run"] and unused == []
-    assert curves["run"].stated == {"depth": "50"}
-    np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
-    with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
-        new["x"] = CURVE.T
-        new["run/shape"] = 3 * CURVE.T
-        new["#refs#/a"] = 2 * CURVE.T
-        new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
-    curves, _ = read_curves(tmp_path / "new.mat")
-    assert sorted(curves) == ["all_1", "run", "x"]
-    np.testing.assert_array_equal(curves["run"].values, 3 * CURVE)
-
-
-@pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
-def test_the_public_stereo_shapes():
-    dataset = read(SHIPPED / "stereo_shapes")
-    depths = {insertion.depth for insertion in dataset.insertions}
-    assert depths == {105.0, 110.0, 115.0, 120.0}
-    assert len(dataset.insertions) == 4 * len({i.specimen for i in dataset.insertions}) >= 24
-    assert (dataset.needle.length, dataset.needle.flexural_rigidity) == (200.0, 6441.0)
-    for insertion in dataset.insertions:
-        assert np.sqrt(np.mean(insertion.out_of_plane**2)) < 0.31  # the source's greatest is 0.3
-        assert 2 < insertion.deflection < 20

@@ -1,7 +1,5 @@
 """Readers on anything: a table, or an error that names the place; never another exception."""
 
-import os
-
 import numpy as np
 import pytest
 from refusals import refusal
@@ -12,7 +10,6 @@ from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.read import check, check_all, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.locate import shipped_folder
 from needlefit.schemas.study import SelectionRecord
 
 SECRET = [
@@ -141,12 +138,3 @@ def test_readings_that_scatter_more_or_less_than_their_stated_noise_contradict_i
     (tmp_path / "dataset.toml").write_text(TOML)
     faults, warnings = check_all(tmp_path)
     assert faults == [] and [one.kind for one in warnings].count("noise") == count
-
-
-@pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
-def test_the_public_tip_tracks():
-    dataset = read(shipped_folder() / "data" / "guided_tips")
-    assert len([one for one in dataset.insertions if not one.guided and one.medium == "phantomB"]) == 5
-    assert any("phantomA_closedloop_03 " in remark for remark in dataset.remarks)
-    for one in dataset.insertions:
-        assert 90 < one.depths[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None

@@ -13,14 +13,11 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
 from needlefit.mechanics.session import NeedleState
-from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import compute_lateral_load, compute_loads
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation
 from needlefit.reporting.figures.needles import (
     StateFigure,
 )
-from needlefit.reporting.shape_table import tabulate_shape
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
 from needlefit.viewer.recording import read_recording
 
@@ -38,50 +35,10 @@ def end(of: Scene) -> NeedleState:
     return NeedleState(simulate_scene(of)[-1], of.steps[-1], of.tissue)
 
 
-TURNED = Entry(30.0, -7.0, 0.5)
-
-
 # ---- the table ----
 
 
-@pytest.mark.sweep
-def test_the_table_has_a_row_for_every_node_and_millimetre() -> None:
-    one = scene(TURNED)
-    moment = end(one)
-    table = tabulate_shape(one, moment)
-    s = table["s_mm"].to_numpy()
-    assert (s[0], s[-1]) == (15.25 - 150, 15.25) and (np.diff(s) > 1e-6).all()
-    assert np.isin(moment.shape.x, s).all() and np.diff(s).max() <= 1.0
-    nodes = table[np.isin(s, moment.shape.x)]
-    np.testing.assert_array_equal(nodes["y_mm"], compute_positions(moment.shape, moment.shape.x)[:, 1])
-    np.testing.assert_allclose(nodes["slope"], moment.shape.slope, atol=1e-12)
-    place = compute_positions(moment.shape, s)
-    np.testing.assert_array_equal(table[["x_mm", "y_mm"]], place)
-    np.testing.assert_array_equal(table[["world_x_mm", "world_y_mm"]], TURNED.to_world(place))
-    np.testing.assert_array_equal(table["load_n_per_mm"], compute_lateral_load(moment.shape, TISSUE, s))
-    assert table["layer"].isna().sum() == (s < 0).sum()
-    assert (table["layer"][s >= 0] == np.where(s[s >= 0] <= 12.0, 1, 2)).all()
-
-
 # ---- the picture ----
-
-
-def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
-    one = scene()
-    moment = end(one)
-    moment_figure = StateFigure("Held", one, [moment])
-    moment_figure.paint(moment)
-    found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    outlines = [patch.get_xy() for patch in moment_figure.axes.patches]
-    needle = compute_positions(moment.shape, found.s)
-    (load,) = (outline for outline in outlines if len(outline) == 2 * len(found.s) + 1)  # closed
-    pulled = load[len(found.s) : -1][::-1] - needle
-    np.testing.assert_allclose(pulled[:, 1] * moment_figure.per_mm, found.load, atol=1e-9)
-    (legend,) = moment_figure.figure.legends
-    labels = [text.get_text() for text in legend.get_texts()]
-    assert any(f" {moment_figure.per_mm:g} N/mm " in label for label in labels)
-    arrow = np.array(moment_figure.axes.texts[-1].xy) - moment_figure.axes.texts[-1].xyann
-    assert arrow[1] == pytest.approx(found.tip_force * moment_figure.arrow)
 
 
 # ---- on the way ----

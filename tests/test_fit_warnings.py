@@ -228,24 +228,6 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
     assert err.count("data/insertions.csv:2") == 2
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new", "place"),
-    [
-        ("fit.toml", '"a", "b"', '"a", "d"', "fit.toml"),
-        ("fit.toml", '"./gel.toml"', '"gol"', "fit.toml"),
-        ("gel.toml", "mu1_pa", "mu2_pa", "gel.toml"),
-        ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1" }', "gel.toml"),
-    ],
-)
-def test_an_error_of_a_study_or_medium_names_its_file(flipped, capsys, file, old, new, place):
-    path = flipped / file
-    path.write_text(path.read_text().replace(old, new))
-    for options in ((), ("--design",)):
-        assert run("tune", "./fit.toml", "-q", *options) == 3
-        err = capsys.readouterr().err
-        assert err.startswith(f"needlefit: {place}") and "\n  fix: " in err
-
-
 def _kinds_in_sources() -> set[str]:
     """Return the kinds of all warnings that the package makes."""
     package = Path(needlefit.__file__).parent

@@ -17,7 +17,6 @@ from needlefit.geometry.surfaces import (
     make_cylinder,
     make_sheet,
     read_surface,
-    write_surface,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -117,23 +116,6 @@ def test_faults_of_surfaces():
         assert len(faults) == 1 and words in faults[0], (words, faults)
 
 
-def test_a_surface_survives_its_file_in_every_format(tmp_path):
-    core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4)
-    write_surface(core, tmp_path / "a" / "core.stl")
-    again = read_surface(tmp_path / "a" / "core.stl", "solid", 4)
-    assert (again.name, again.kind, again.into) == ("core", "solid", 4)
-    assert find_mesh_faults(again.mesh, "solid") == []
-    assert again.mesh.volume == pytest.approx(core.mesh.volume, rel=1e-4)
-    write_surface(again, tmp_path / "b.stl")
-    assert (tmp_path / "b.stl").read_bytes() != b""
-    write_surface(core, tmp_path / "c.stl")
-    assert (tmp_path / "c.stl").read_bytes() == (tmp_path / "a" / "core.stl").read_bytes()
-    for ending in ["stl", "ply", "obj"]:
-        core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
-        core.mesh.export(tmp_path / f"core.{ending}")
-        assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
-
-
 def test_the_largest_piece_of_a_mesh_is_closed_and_solids_are_alike_in_another_process():
     # A box of 8 x 8 x 8 with a cavity of 2 x 2 x 2, beside a box of 4 x 4 x 4, all inside out.
     boxes = [trimesh.creation.box((size,) * 3) for size in (8, 2, 4)]
@@ -170,34 +152,6 @@ def ply(body=CORNERS + "3 0 1 2\n", vertices=3, faces=1, form="ascii", more="", 
 
 def binary(index, **fields):
     return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("a.obj", f"{OBJ}f 1 2 3\n"),
-        ("material.obj", f"mtllib /etc/passwd\nusemtl x\n{OBJ}f 1 2 3\n"),
-        ("a.ply", ply()),
-        ("binary.ply", binary(2)),
-        ("edges.ply", ply("0 2\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
-        ("far_edges.ply", ply("0 2147483647\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
-        (
-            "binary_edges.ply",
-            ply(
-                struct.pack("<2i", 0, 2**31 - 1) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2),
-                more=EDGES,
-                form="binary_little_endian",
-            ),
-        ),
-        ("texture.ply", ply(more="comment TextureFile /etc/passwd\n")),
-        ("a.stl", bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)),
-    ],
-)
-def test_a_triangle(tmp_path, name, content):
-    path = tmp_path / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    mesh = read_surface(path, "sheet", 2).mesh
-    assert mesh.faces.shape == (1, 3) and mesh.area == pytest.approx(0.5)
 
 
 REFUSED = [

@@ -13,7 +13,7 @@ from refusals import refusal
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
-from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.entry import (
     OutsideShaft,
     choose_entry,
@@ -189,12 +189,3 @@ def test_a_contact_lies_before_the_tip(before_tip, words):
     else:
         assert found.reconstruction is not None
         assert found.reconstruction.depth == pytest.approx(before_tip, abs=0.15)
-
-
-@pytest.mark.sweep
-def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):
-    """A tube of 1.8 mm radius about it, of which only the ends are crossed."""
-    around = make_cylinder(
-        "own", (np.array([11.0, 11, FACE_MM]), np.array([11.0, 12, FACE_MM + 24])), 1.8, into=1
-    )
-    refusal(DataError, "around the needle", lambda: reconstruct(scan(tmp_path, around.mesh), cases.RECIPE))

@@ -14,7 +14,6 @@ from layer_cases import (
     NEEDLE,
     PATIENT,
     SHEET,
-    SPACING,
     labelled,
     save,
     save_mesh,
@@ -106,27 +105,6 @@ def test_the_last_solid_that_holds_a_point_is_its_layer_and_a_needle_meets_them_
     assert layers.boundaries == pytest.approx([7, 12], abs=0.1)
     np.testing.assert_allclose(layers.points, np.outer([-2, 3], NORMAL), atol=0.1)
     np.testing.assert_allclose(layers.sd, 0.1, rtol=0.02)
-
-
-def test_layers_are_closed_at_the_volume_s_face_keep_planes_and_round_edges(tmp_path):
-    shape = (20, 24, 28)
-    path = save(tmp_path / "full.nrrd", labelled(lambda p: np.ones(len(p)), shape, direction=np.eye(3)))
-    [whole] = read_layers(scan(path), HOME)
-    assert whole.mesh.is_watertight
-    size = np.array(shape[::-1]) * SPACING
-    np.testing.assert_allclose(whole.mesh.bounds, np.outer([-0.5, 0.5], size), atol=0.05)
-    volume = labelled(lambda p: 1 + (p @ NORMAL > 0), (16, 50, 50), (0.5, 0.5, 1.5))
-    _, beyond = read_layers(scan(save(tmp_path / "thick.nrrd", volume)), HOME)
-    points = on(beyond)
-    within = points[np.abs(points).max(axis=1) < 6]
-    assert np.abs(within @ NORMAL).mean() < 0.1
-    # The edge of a box along z, at a distance of 8 sqrt(2) mm from the axis.
-    path = save(tmp_path / "box.nrrd", labelled(lambda p: 1 * (np.abs(p).max(axis=1) < 8)))
-    [box] = read_layers(scan(path), HOME)
-    points = on(box, 20000)
-    middle = points[np.abs(points[:, 2]) < 5]
-    lost = 8 * math.sqrt(2) - (np.abs(middle[:, 0]) + np.abs(middle[:, 1])).max() / math.sqrt(2)
-    assert 0.2 < lost < 0.7
 
 
 @pytest.mark.parametrize(

@@ -49,16 +49,6 @@ def turned_slices(radians, step):
 # What is read
 
 
-@pytest.mark.usefixtures("child_process_reader")
-def test_a_plain_series(tmp_path):
-    volume = read_volume(save(tmp_path / "scan", series()))
-    assert volume.values.dtype == np.float32 and np.array_equal(volume.values, NUMBERS)
-    # PixelSpacing is rows first: j, then i
-    assert volume.spacing == pytest.approx([0.4, 0.5, STEP], abs=1e-12)
-    assert np.array_equal(volume.direction, np.eye(3))
-    assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx([-9.2, 20.5, 32.7], abs=1e-9)
-
-
 def test_positions_orientation_and_rescaling_of_slices(tmp_path):
     positions = [[*ORIGIN[:2], ORIGIN[2] - STEP * k] for k in range(COUNT)]
     slices = [a_slice(k, ImagePositionPatient=position) for k, position in enumerate(positions)]

@@ -5,13 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
-from scipy.stats import genpareto, multivariate_normal, norm
+from scipy.stats import genpareto, norm
 
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.sampling.importance import (
     Effort,
     WeightedDraws,
-    compute_ess,
     fit_pareto,
     resample,
     sample_about_modes,
@@ -148,45 +147,6 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
 
 
-def draws_of(weights: list[float], k: float, least: float, log_evidence: float = 0.0) -> WeightedDraws:
-    count, logs = len(weights), np.log(np.array(weights))
-    return WeightedDraws(np.arange(count)[:, None] * 1.0, np.zeros(count), logs, k, least, log_evidence)
-
-
-def test_the_error_of_an_evidence_follows_from_the_effective_sample_size():
-    found = draws_of([0.8, 0.2], 0.6, 1.0, -1.5)
-    assert compute_ess(found.log_weights) == pytest.approx(1 / 0.68)
-    assert found.log_evidence_se == pytest.approx(np.sqrt(0.68))
-
-
 # ---- how probable further data are: evidences of linear Gaussian data
 
 SD, FREE = 0.02, 4
-
-
-def test_the_density_of_further_data_is_the_ratio_of_evidences():
-    # Four numbers of which some points tell a little, and sixty further points much more.
-    rng = np.random.default_rng(5)
-    few, many = rng.normal(size=(8, FREE)), rng.normal(size=(60, FREE))
-    truth = np.array([0.5, -0.3, 0.2, 0.1])
-    first, second = ((a, a @ truth + sd * rng.normal(size=len(a)), sd) for a, sd in ((few, 0.3), (many, SD)))
-
-    def weigh(data, seed):
-        def log_density(x):
-            return sum(norm.logpdf(x @ a.T, y, sd).sum(axis=1) for a, y, sd in data)
-
-        known = Known(log_density, FREE)
-        rows = np.concatenate([a / sd for a, _, sd in data]), np.concatenate([y / sd for _, y, sd in data])
-        return weighted(known, np.linalg.lstsq(*rows)[0], Effort(), seed)
-
-    a, y, sd = first
-    covariance = sd**2 * np.linalg.inv(a.T @ a)
-    mean = covariance @ a.T @ y / sd**2
-    a, y, sd = second
-    exact = multivariate_normal.logpdf(y, a @ mean, a @ covariance @ a.T + sd**2 * np.eye(len(y)))
-    pairs = [(weigh([first, second], s), weigh([first], 100 + s)) for s in range(8)]
-    errors = np.array([both.log_evidence - one.log_evidence - exact for both, one in pairs])
-    se = np.hypot(*(one.log_evidence_se for one in pairs[0]))
-    assert np.all(np.abs(errors) < 0.1)
-    assert np.sqrt(np.mean(errors**2)) < 1.5 * se < 0.2  # the stated error is the error
-    assert all(one.certified for pair in pairs for one in pair)

@@ -24,7 +24,6 @@ from needlefit.inference.likelihood.nodes import (
     make_nodes,
 )
 from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
-from needlefit.inference.parameters import make_gaussian_prior
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
@@ -169,27 +168,6 @@ def test_bevels_that_differ_have_exact_gradients_and_residuals(noise_scale):
     assert_one_density(p, theta)
     # but for the normalising one, the spread's prior
     assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 2
-
-
-def test_a_bevel_spread_with_another_prior_or_held_has_exact_gradients_and_residuals():
-    # As an old posterior states it: in place of the half-normal one.
-    made = [replace(one, specimen="one") for one in layered("linear").insertions]
-    p = problem(medium(), made, how=LikelihoodRecord(depths="linear"), noise=Noise(0.19, 0.02, 0.05, 5.0))
-    prior = make_gaussian_prior(("bevel_spread",), np.log([0.1]), np.array([[0.25]]))
-    p = p.with_parameters(replace(p.parameters, prior=prior, half_normal={}))
-    theta = p.parameters.theta({**TRUTH, "bevel_spread": 0.07}) + 0.05
-    assert_one_density(p, theta)
-    # but for the normalising one, the Gaussian prior
-    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 2
-    # Depths fixed: the log det then varies with the bevel's effect alone.
-    made = [replace(one, boundary_sd=0.0, depth_sd=0.0) for one in layered("fixed").insertions]
-    p = problem(medium(), made, how=LikelihoodRecord(depths="fixed"), noise=Noise(0.19, 0.02, 0.05, 5.0))
-    free = [name for name in p.parameters.free if name != "bevel_spread"]
-    p = p.with_parameters(p.parameters.with_only(free, {"bevel_spread": 0.3}))
-    theta = p.parameters.theta(TRUTH) + 0.05
-    assert_one_density(p, theta)
-    assert [axis.of_bevel for axis in p.density.observations[0].nodes.axes] == [True]
-    assert sum(p.density.residual_counts) == len(p.jacobian(theta)[0]) - 1
 
 
 # ---- depths against brute force, on insertions of the twin near the mode of their fit

@@ -185,18 +185,3 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
         file.write_text(file.read_text().replace(f"{key} = 0.0", f"{key} = 1.0"))
         (fault,) = check(file)
         assert f"{file}, key" in fault.where and key in fault.what
-
-
-@pytest.mark.parametrize(
-    "table",
-    [
-        {"operator": "spline"},
-        {"operator": "spline", "sections": "sections/all.toml"},
-        {"operator": "spline", "sections": "sections/{id}.toml", "knot_spacing_mm": 5.0},
-        {"operator": "gaussian"},
-        {"operator": "none", "width_mm": 2.0},
-        {"operator": "unknown", "bias_sd_mm": 0.02},
-    ],
-)
-def test_incomplete_operators_are_refused(table):
-    refusal(ValueError, r"operator|sections", MeasurementRecord.model_validate, table)

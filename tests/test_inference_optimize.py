@@ -5,20 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import (
-    TRUTH,
     Analytic,
     Squares,
     box,
-    insertion,
-    measure,
-    medium,
-    problem,
     recipe,
     squares_recipe,
 )
 from refusals import refusal
 
-from needlefit.errors import FitError, ModelError, NeedlefitError
+from needlefit.errors import FitError, ModelError
 from needlefit.inference.fit import (
     Callbacks,
     ObjectiveFunction,
@@ -32,7 +27,6 @@ from needlefit.inference.optimize import (
     select_leaders,
     starting_points,
 )
-from needlefit.mechanics import native
 
 
 def bowl(theta):
@@ -160,24 +154,6 @@ def half(theta):
     if theta[0] < -1:
         raise ModelError("the needle is too short", expected="a longer one")
     return math.nan if theta[0] < 0 else float(np.sum((theta - 0.3) ** 2))
-
-
-def test_a_kernel_that_cannot_be_loaded_ends_a_search(monkeypatch):
-    def load_library():
-        raise NeedlefitError("the sources of the kernel are newer than its library")
-
-    p = violent()
-    monkeypatch.setattr(native, "load_library", load_library)
-    with pytest.raises(NeedlefitError) as raised:
-        minimize(p, recipe(evaluations=60), rng())
-    assert type(raised.value) is NeedlefitError
-
-
-def violent():
-    """Two insertions and bevels of 1 to 500 mm a millimetre: half of them press the tissue flat."""
-    record = medium(bevel_mm={"bounds": [1.0, 500.0]}, mu1_pa={"fixed": 3e5})
-    made = [measure(TRUTH, record, one) for one in (insertion(6.0), insertion(24.0, (12.0,), (1, 2)))]
-    return problem(record, made)
 
 
 # ---- starts are approached by an easier problem, and those that converge merged

@@ -11,7 +11,6 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.inference.compared_points import compare_points, select_points
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import Parameters
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -42,26 +41,6 @@ def test_a_solve_that_fails_makes_the_objective_infinite():
     assert hopeless.objective(theta) == math.inf
     assert math.isnan(hopeless.log_posterior(theta))
     assert np.isnan(hopeless.jacobian(theta)[0]).all()
-
-
-@pytest.mark.parametrize(
-    ("changed", "free"),
-    [
-        ({"mu2_pa": {"tie": "10 * mu1_pa"}}, 2),
-        ({"mu2_pa": {"tie": "mu1_pa", "spread": 1}}, 2),
-        ({"mu2_pa": {"fixed": 2e7}, "mu1_pa": {"fixed": 3e5}}, 1),
-        ({"bevel_mm": {"fixed": 0.08}}, 2),
-    ],
-)
-def test_tied_ratio_tied_and_fixed_parameters_are_recovered(changed, free):
-    record = medium(**changed)
-    parameters = Parameters.from_record(record)
-    truth = parameters.values(parameters.theta(TRUTH))
-    made = [measure(truth, record, insertion(30.0 + 6 * k, (12.0 + 4 * k,), (1, 2))) for k in range(2)]
-    p = problem(record, made)
-    assert len(parameters.free) == free
-    fit = minimize(p, recipe(), rng())
-    assert fit.values == pytest.approx(truth, rel=0.05)
 
 
 def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_solve():

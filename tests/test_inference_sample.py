@@ -6,14 +6,11 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-import xarray
-from inference_cases import TRUTH, insertion, measure, medium, problem
 from refusals import refusal
 from sampling_cases import Known, draw, flat, gaussian, weighted
 
 from needlefit.errors import DataError
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.sampling.importance import Effort
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import MAX_R_HAT, Posterior, load, save
 from needlefit.inference.sampling.sample import compute_autocorrelation_time, compute_r_hat
@@ -56,15 +53,6 @@ def test_a_budget_that_is_spent_marks_the_draws():
     assert sum(seen) <= SHORT["densities"]
     assert got.wanted == 10**6 and len(got.faults) >= 1 and "1000000" in got.faults[-1]
     assert not np.array_equal(got.draws, draw(GAUSSIAN, BEGIN, seed=2, **SHORT).draws)
-
-
-def test_threads_do_not_change_the_draws():
-    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
-    needle = problem(record, [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)])
-    begin = weighted(needle, needle.parameters.theta(TRUTH), Effort(rounds=3))
-    one, two = (draw(needle, begin, Callbacks(jobs=n), walkers=8, densities=160) for n in (1, 2))
-    assert one.draws.shape == (8, 20, 2)
-    assert_equal(one, two)
 
 
 # ---- failures
@@ -239,21 +227,6 @@ def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
         for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
             assert getattr(back, name) == getattr(posterior, name)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.nc", "two.nc"]
-
-
-def test_the_file_has_the_groups_of_inference_data(tmp_path):
-    posterior, path = met(wanted=900), tmp_path / "posterior.nc"
-    save(posterior, path)
-    with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as group:
-        assert group["x1"].dims == ("chain", "draw")
-        assert np.array_equal(group["x1"], posterior.draws[:, :, 1])
-        assert group.attrs["state"].startswith("NOT CONVERGED; ")
-    with xarray.open_dataset(path, group="sample_stats", engine="h5netcdf") as group:
-        assert group["lp"].shape == (8, 100) and group["acceptance_rate"].dims == ("chain",)
-    with xarray.open_dataset(path, group="convergence", engine="h5netcdf") as group:
-        assert list(group["quantity"].to_numpy()) == ["x0", "x1", "log posterior"]
-        assert np.array_equal(group["ess"], posterior.ess)
-    assert posterior.to_xarray()["posterior"]["x0"].shape == (8, 100)
 
 
 @pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day

@@ -1,7 +1,6 @@
 """Two stages against the joint Gaussian model in closed form, where posteriors of specimens are Gaussian."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 
-from needlefit.inference.parameters import Parameters, make_gaussian_prior
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.specimens import (
     Population,
     Specimen,
@@ -17,8 +16,6 @@ from needlefit.inference.specimens import (
     differentiate_log_tip,
     draw_population,
     draw_specimens,
-    make_population,
-    make_specimen,
     make_spread_model,
 )
 from needlefit.schemas.medium import MediumRecord
@@ -49,31 +46,6 @@ def three_layers() -> Parameters:
 
 
 MODEL = SpreadModel.of(one_layer(), *SDS)
-
-
-def test_kernels_keep_mean_and_covariance_and_stay_within_bounds():
-    draws = np.random.default_rng(1).multivariate_normal([1.0, 2.0], RIDGE, size=50)
-    found = make_specimen(draws)
-    assert found.mean == pytest.approx(draws.mean(axis=0))
-    assert found.covariance == pytest.approx(np.cov(draws.T, bias=True))
-    population = Population((found,), BOUNDS, MODEL)
-    outside = np.array([[MEAN[0], -8.0, -1.0, -1.0, 0.0], [*MEAN, 9.0, -1.0, 0.0]])
-    assert np.all(population.log_density(outside) == -np.inf)
-
-
-def test_covariances_of_several_moduli_share_a_factor():
-    model = SpreadModel.of(three_layers(), *SDS)
-    assert model.names == ("mu1_pa", "mu2_pa", "bevel_mm")
-    at = np.array([[math.log(0.6), math.log(0.3), math.atanh(-0.8), math.log(0.25 / 0.75)]])
-    (found,) = model.covariances(at)
-    expected = np.array(
-        [
-            [0.36, 0.25 * 0.36, -0.8 * 0.5 * 0.18],
-            [0.25 * 0.36, 0.36, -0.8 * 0.5 * 0.18],
-            [-0.8 * 0.5 * 0.18, -0.8 * 0.5 * 0.18, 0.09],
-        ]
-    )
-    assert found == pytest.approx(expected)
 
 
 def test_the_prior_is_half_normal_and_of_uniform_correlation_and_share():
@@ -198,31 +170,6 @@ def test_a_ridge_of_specimens_is_learned_along_and_across():
     assert np.std(found.tuned["0"][:, 0]) < 1.05 * np.std(posteriors["0"][:, 0])
 
 
-def test_what_is_stated_of_a_parameter_counts_once():
-    """Three specimens with the same stated prior, and no data: the mean has that prior, not its third."""
-    free = one_layer()
-    prior = make_gaussian_prior(("mu1_pa",), np.array([10.0]), np.array([[0.25]]))
-    stated = replace(free, prior=prior)
-    covariance = np.diag([0.2, 1.0])  # of prior and flat data: 1 / 0.2 = 1 / 0.25 + 1
-    posteriors = {str(n): gaussian(np.array([10.0, -3.0]), covariance, n) for n in range(3)}
-    found = draw_population(stated, MODEL, posteriors, 4000, np.random.default_rng(1))
-    none = draw_population(free, MODEL, posteriors, 4000, np.random.default_rng(1))
-    assert np.std(found.mean[:, 0]) < 0.5 and np.std(none.mean[:, 0]) < np.std(found.mean[:, 0])
-
-
-def test_a_population_counts_what_is_stated_once():
-    """1 / 0.2 = 1 / 1 + 1 / 0.25: the data of each specimen leave a variance of 0.25."""
-    stated = replace(one_layer(), prior=make_gaussian_prior(("mu1_pa",), np.array([11.0]), np.array([[1.0]])))
-    draws = [gaussian(np.array([10.2, -3.0]), np.diag([0.2, 0.01]), n) for n in range(20)]
-    found = make_population(stated, MODEL, draws)
-    variances, means = zip(*((one.covariance[0, 0], one.mean[0]) for one in found.specimens), strict=True)
-    assert np.mean(variances) == pytest.approx(0.25, rel=0.1)
-    assert np.mean(means) == pytest.approx(10.0, abs=0.05)  # 10.2 / 0.2 = 11 / 1 + 10 / 0.25
-    at = np.array([[10.0, -3.0, -1.0, -1.0, 0.0], [12.0, -3.0, -1.0, -1.0, 0.0]])
-    with_prior, without = (one.log_density(at) for one in (found, replace(found, stated=None)))
-    assert with_prior - without == pytest.approx([-0.5, -0.5])
-
-
 def test_one_specimen_leaves_the_prior_and_a_new_one_stays_within_the_bounds():
     known = one_layer()
     tuned = known.theta({"mu1_pa": 1e5, "bevel_mm": 0.4})
@@ -251,19 +198,3 @@ def test_a_new_specimen_has_its_own_moduli_and_its_own_ratio_between_layers():
     assert found == pytest.approx(covariance, abs=0.02)
     ratio = at["mu3_pa"] - at["mu1_pa"] + math.log(2)
     assert (np.mean(ratio), np.std(ratio)) == pytest.approx((0.0, math.log(1.2)), abs=0.01)
-
-
-def test_layers_of_specimens_that_are_tied_keep_their_ratio_in_the_mean():
-    known = three_layers()
-    model = SpreadModel.of(known, *SDS)
-    posteriors = {}
-    for n, ratio in enumerate((0.1, 0.3)):
-        draws = gaussian(np.array([11.0 + n, 16.0 + n, -2.5]), 0.01 * np.eye(3), n)
-        theta = np.zeros((1000, len(known.free)))
-        for name, column in zip(model.names, draws.T, strict=True):
-            theta[:, known.free.index(name)] = column
-        theta[:, known.free.index("mu3_pa")] = draws[:, 0] + ratio
-        posteriors[str(n)] = theta
-    found = draw_population(known, model, posteriors, 500, np.random.default_rng(2))
-    ratios = found.mean[:, known.free.index("mu3_pa")] - found.mean[:, known.free.index("mu1_pa")]
-    assert set(ratios.round(9)) == {0.1, 0.3} and np.mean(ratios) == pytest.approx(0.2, abs=0.02)

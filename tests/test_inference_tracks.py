@@ -104,17 +104,6 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
     assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
 
 
-def test_the_projection_is_the_limit_of_a_wide_prior(runs):
-    known = observation.make_observation(dataset(runs), runs[0])
-    off = 0.1 * np.sin(DEPTH / 7)
-    ours = known.log_norm - 0.5 * np.sum((known.whitening @ off) ** 2)
-    wide = 30.0
-    cov = known.covariance() + wide**2 * known.free @ known.free.T
-    log_det = np.linalg.slogdet(cov)[1]
-    full = -0.5 * off @ np.linalg.solve(cov, off) - 0.5 * log_det - 0.5 * len(off) * np.log(2 * np.pi)
-    assert full + 2 * np.log(wide) + np.log(2 * np.pi) == pytest.approx(ours, abs=1e-4)
-
-
 def in_session(runs):
     """The runs with headings, in frames of one slope."""
     ends = [np.gradient(one.tip, one.depths) - 0.03 for one in runs]
@@ -181,23 +170,6 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     whitening, log_norm = observation.whiten(whole, shifts)
     expected = log_norm - 0.5 * np.sum((whitening @ residual) ** 2)
     assert asked.log_posterior(THETA) == pytest.approx(expected, rel=1e-7)
-
-
-@pytest.mark.parametrize("headings", [False, True])
-def test_a_model_error_enters_the_covariance_of_tips_and_headings(runs, headings):
-    (run,) = in_session(runs[:1]) if headings else runs[:1]
-    known = replace(dataset([run]), noise=SESSION_NOISE if headings else NOISE)
-    error = observation.Discrepancy(5.0, 15.0)
-    plain, wide = (observation.make_observation(known, run, model_error=one) for one in (None, error))
-    added = wide.point_covariance - plain.point_covariance
-    count = len(DEPTH)
-    assert added[:count, :count] == pytest.approx(error.covariance(DEPTH), rel=1e-9)
-    # a heading is a derivative: the process' slope has deviation sd / length
-    assert np.sqrt(np.diag(added)[count:]) == pytest.approx(np.full(len(added) - count, 5 / 15), rel=1e-3)
-    assert len(added) == (2 * count - 1 if headings else count)
-    assert wide.whitening.shape == plain.whitening.shape
-    assert np.abs(wide.whitening - plain.whitening).max() > 1
-    assert wide.log_norm < plain.log_norm - 5
 
 
 @pytest.mark.parametrize("errors", [None, TrackErrorsRecord(), ERRORS])

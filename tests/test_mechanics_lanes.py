@@ -129,16 +129,6 @@ def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
     return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_an_over_compressed_set_is_reported_and_affects_no_other(friction: float) -> None:
-    """At b = 0.2 mm the first cell alone wants 0.05 mm of tissue, all there is."""
-    shapes = one(thin([0.2, 0.001, 0.3, 0.002], 0.05, friction))
-    assert shapes.status.tolist() == [1, 0, 1, 0]
-    assert shapes.failures == Counter({"over-compressed": 2})
-    assert np.isnan(shapes.u[[0, 2]]).all()
-    assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 0.05, friction)))
-
-
 def test_different_insertions_come_back_in_their_order() -> None:
     """The longest is begun first, a shallow one with many sets takes the other core."""
     rng = np.random.default_rng(7)

@@ -1,26 +1,19 @@
 """A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
 
-import cmath
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from refusals import refusal
 
-import needlefit
 from needlefit.errors import ConfigError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
-from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.control import Bevel, TrackedTip
+from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import find_roll
 from needlefit.project.toml import check
 from needlefit.schemas.scene import SceneRecord
-
-FIGURE1 = needlefit.open_scene("figure1")
-SHAPES = simulate_scene(FIGURE1)
 
 TABLES: dict[str, Any] = {
     "schema": 1,
@@ -84,29 +77,6 @@ def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
     np.testing.assert_allclose(states[-1].shape.w, whole.w, atol=1e-7)
 
 
-def test_entries_carry_points_there_and_back_and_guides_stand_on_their_axis():
-    entry = Entry(3.0, -2.0, 0.7)
-    points = np.array([[1.0, 2.0], [-4.0, 0.5]])
-    assert entry.to_frame(entry.to_world(points)) == pytest.approx(points, abs=1e-14)
-    assert entry.to_frame([[3.0, -2.0]]).tolist() == [[0.0, 0.0]]
-    (step,) = built(depth_mm=20, controls={"guide_distance_mm": 8}, entry={"angle_deg": 33}).steps
-    assert step == Step(20.0, Bevel(0.1), Controls(guides=(Guide(-8.0),)))
-    world = {
-        "name": "same",
-        "x_mm": -8 * math.cos(0.3),
-        "y_mm": -8 * math.sin(0.3),
-        "angle_deg": math.degrees(0.3),
-    }
-    (same,) = built(depth_mm=20, guides=[world], entry={"angle_deg": math.degrees(0.3)}).steps
-    assert same.controls.guides[0].x == pytest.approx(-8) and same.controls.guides[0].y == pytest.approx(0)
-    for degrees in range(0, 360, 7):
-        angle = math.radians(degrees)
-        beside = {"x_mm": 0.1 - 3 * math.sin(angle), "y_mm": 0.7 + 3 * math.cos(angle)}
-        entry = {"x_mm": 0.1, "y_mm": 0.7, "angle_deg": degrees}
-        (step,) = built(depth_mm=9, entry=entry, guides=[{"name": "g", "in_tissue": True} | beside]).steps
-        assert step.controls.guides[0].x == 0.0
-
-
 def test_world_coordinates_of_a_file_are_transformed_to_c():
     entry = {"x_mm": 1, "y_mm": 2, "angle_deg": 90}  # C's x points up, its y to the left
     guides = [
@@ -133,66 +103,3 @@ def test_world_coordinates_of_a_file_are_transformed_to_c():
     assert step.controls.base_slope == pytest.approx(math.tan(math.radians(2)))
     assert step.controls.stage_slope == pytest.approx(math.tan(math.radians(1)))
     assert step.controls.tip == TrackedTip(0.5, math.tan(math.radians(1)))
-
-
-def test_names_faults_and_the_step_that_fails():
-    assert [guide.name for guide in FIGURE1.steps[1].controls.guides] == ["template"]
-    assert FIGURE1.layer_names == ("layer 1", "layer 2", "layer 3", "layer 4")
-    assert Guide(-3.0, name="ring") == Guide(-3.0)
-    with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: .*x = 1"):
-        built(
-            guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
-            steps=[{"depth_mm": 5}, {"depth_mm": 9, "guides": {"g": {"x_mm": 1}}}],
-        )
-    refusal(ConfigError, r"a\.toml: key `law`: .*rubber", built, depth_mm=5, law="rubber")
-    crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
-    shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
-    assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
-
-
-def at(shape: NeedleShape, x: float) -> tuple[float, float]:
-    """Return deflection and slope at a node."""
-    (node,) = np.flatnonzero(np.abs(shape.x - x) < 1e-9)
-    return float(shape.u[node]), float(shape.slope[node])
-
-
-def test_figure_1_satisfies_its_boundary_conditions_and_bends_toward_its_bevel():
-    assert FIGURE1.tissue.layers == 4 and len(FIGURE1.steps) == 3
-    assert {step.bevel.side for step in FIGURE1.steps} == {1, -1}
-    template = [(0.0, 0.0), (2.0, 0.0), (-1.5, 0.0)]  # the file's y_mm, and the slope of its axis
-    base = [(0.0, 0.0), (5.0, 0.0), (-4.0, math.tan(math.radians(4)))]
-    for shape, depth, held, driven in zip(SHAPES, (40.0, 70.0, 105.0), template, base, strict=True):
-        assert shape.converged and shape.depth == depth
-        assert at(shape, -15.0) == pytest.approx(held, abs=1e-12)
-        assert at(shape, depth - 150.0) == pytest.approx(driven, abs=1e-12)
-        start = FIGURE1.entry.to_world(compute_positions(shape, shape.x[:1]))[0]
-        assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
-    # Without the lateral inputs, the turned bevel takes the tip back from where the first side led it.
-    alone = replace(FIGURE1, steps=tuple(replace(step, controls=Controls()) for step in FIGURE1.steps))
-    straight = replace(
-        alone, steps=tuple(replace(step, bevel=replace(step.bevel, side=1)) for step in alone.steps)
-    )
-    turned, kept = simulate_scene(alone), simulate_scene(straight)
-    assert np.array_equal(turned[0].u, kept[0].u)
-    assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
-    assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
-
-
-@pytest.mark.parametrize(("origin", "turn"), [(0.0, 2.9), (180 - 130j, -1.3), (-40 + 7j, 0.4)])
-def test_a_scene_moved_as_a_whole_has_the_needle_moved_by_hand(origin: complex, turn: float) -> None:
-    """Entry, template and stage; `origin` is x + i y, mm, `turn` in rad."""
-
-    def place(origin: complex, turn: float) -> tuple[np.ndarray, np.ndarray]:
-        at, angle = origin + (-15 + 0.4j) * cmath.exp(1j * turn), math.degrees(turn)
-        scene = built(
-            entry={"x_mm": origin.real, "y_mm": origin.imag, "angle_deg": angle},
-            controls={"base_y_mm": 1.0, "stage_angle_deg": angle + 1.0},
-            guides=[{"name": "template", "x_mm": at.real, "y_mm": at.imag, "angle_deg": angle - 2.0}],
-            steps=[{"depth_mm": 20.0}, {"depth_mm": 40.0, "side": -1}],
-        )
-        shape = simulate_scene(scene)[-1]
-        return shape.u, scene.entry.to_world(sample_inserted_points(shape)) @ [1, 1j]
-
-    (u, here), (moved, there) = place(0j, 0.0), place(complex(origin), turn)
-    np.testing.assert_allclose(moved, u, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(there, origin + here * cmath.exp(1j * turn), rtol=0, atol=1e-7)

@@ -1,7 +1,6 @@
 """A session is the same insertion, step by step: identity, sub-steps, retraction, failures."""
 
 from collections import Counter
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,11 +15,8 @@ from mechanics_cases import (
     random_steps,
     random_tissue,
 )
-from refusals import refusal
 
-from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.control import Bevel, Guide, TrackedTip
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
@@ -115,30 +111,7 @@ def test_a_failed_step_changes_nothing(step: dict) -> None:
         assert_same_steps(under_way.step(**after), untouched.step(**after))
 
 
-@pytest.mark.parametrize(
-    "step",
-    [
-        {"insert": -5.0},
-        {"insert": np.nan},
-        {"insert": 200.0},
-        {"insert": 1.0, "guides": (Guide(-146.0),)},
-        {"base": (np.nan, 0.0)},
-        {"guides": (Guide(-3.0), Guide(-3.0, 0.1))},
-    ],
-)
-def test_bad_inputs_are_refused_and_change_nothing(step: dict) -> None:
-    under_way, untouched = Session(NEEDLE, TISSUE, LEFT), Session(NEEDLE, TISSUE, LEFT)
-    for one in (under_way, untouched):
-        one.step(3.4)
-    refusal(ModelError, "", under_way.step, **step)
-    assert under_way.depth == 3.4 and not under_way.failures
-    assert_same_steps(under_way.step(2.0), untouched.step(2.0))
-
-
 # ---- copies, the shortest way to where a session stands, and the same way through another tissue
-
-SOFT, STIFF = (Tissue(mu=[mu, 5.0], alpha=[1.0, -1.0], boundaries=[12.3]) for mu in (0.2, 2.0))
-MILD, MILD_TURNED = Bevel(0.08, 1), Bevel(0.08, -1)
 
 
 def assert_near(found: NeedleShape, expected: NeedleShape) -> None:
@@ -186,19 +159,3 @@ def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
     assert retold.solved == single.solved
     for step in random_steps(rng, 2):
         assert_near(retold.go(step), under_way.go(step))
-
-
-def test_a_path_is_simulated_in_another_tissue() -> None:
-    guided = Controls(guides=(Guide(-20.0),))
-    steps = (Step(10.0, MILD), Step(18.4, MILD_TURNED, guided), Step(25.0, MILD, guided))
-    under_way = Session(NEEDLE, SOFT, MILD)
-    for step in steps:
-        under_way.go(step)
-    under_way.step(insert=5)
-    under_way.step(insert=-5)
-    expected = simulate_steps(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
-    assert_near(under_way.simulate_again(STIFF).now.shape, expected)
-    blunt = tuple(replace(step, bevel=replace(step.bevel, offset=0.01)) for step in steps)
-    retold = under_way.simulate_again(offset=0.01)
-    assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
-    assert retold.last == blunt[-1]

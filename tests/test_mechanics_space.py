@@ -311,16 +311,6 @@ def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z() -> None:
     assert z[20] > 0.2 and y[20] > 0.2
 
 
-def test_points_in_space_keep_the_length() -> None:
-    steps = Step(20.0, Bevel(0.2)), Step(40.0, Bevel(0.2, roll_deg=90.0))
-    shape = reference.simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(2.0, 2.0))
-    points = reference.compute_positions(shape, np.linspace(0.0, 40.0, 201))
-    assert points.shape == (201, 3)
-    length = np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
-    assert length == pytest.approx(40.0, abs=1e-4)
-    assert points[-1, 2] > 0.1
-
-
 # ---- the roll lag
 
 FREE = Tissue(mu=[0.2], alpha=[1.0])
@@ -361,9 +351,3 @@ def test_a_lagging_needle_leaves_its_plane_when_it_is_turned_over() -> None:
     expected = reference.simulate_steps(NEEDLE, FREE, (steps[0], Step(25.0, behind)))
     assert shape.w is not None and expected.w is not None and abs(shape.w[-1]) > 0.01
     np.testing.assert_allclose(shape.w, expected.w, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["base_z", "base_slope_z", "stage_slope_z"])
-def test_inputs_along_z_leave_the_plane(name: str) -> None:
-    assert Step(5.0, Bevel(0.1, -1), Controls(0.3, 0.1)).planar
-    assert not Step(5.0, Bevel(0.1, -1), Controls(**{name: 0.1})).planar

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -163,37 +162,6 @@ def test_pip_installs_with_nothing_but_python_and_leaves_no_caches(checkout):
     assert done.returncode == 0, done.stdout + done.stderr
     assert Path(checkout.load().stdout.strip()).is_relative_to(checkout.root.parent / "venv")
     assert list(checkout.home.iterdir()) == []
-
-
-@pytest.mark.on_demand
-def test_an_editable_installation_names_the_command_when_its_library_is_stale(checkout):
-    done = checkout.install("-e", str(checkout.root))
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert Path(checkout.load().stdout.strip()) == checkout.folder
-    # A second time nothing has to be compiled: neither a compiler nor the network is needed.
-    again = checkout.install(
-        "-e", str(checkout.root), "--no-build-isolation", PIP_NO_INDEX="1", PATH="/nowhere"
-    )
-    assert again.returncode == 0, again.stdout + again.stderr
-    with (checkout.folder / "real.hpp").open("a") as file:
-        file.write("// changed\n")
-    stale = checkout.load()
-    assert stale.returncode != 0 and "pip install -e ." in stale.stderr
-
-
-@pytest.mark.on_demand
-@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++")
-def test_a_system_compiler_builds_without_isolation_and_network(checkout):
-    checkout.use_packages_of_this_environment()
-    words, settings = (
-        ("--no-build-isolation", str(checkout.root)),
-        {"PIP_NO_INDEX": "1", "NEEDLEFIT_CXX": "g++"},
-    )
-    done = checkout.install(*words, **settings)
-    assert done.returncode == 0, done.stdout + done.stderr
-    installed = Path(checkout.load().stdout.strip())
-    made_from = json.loads((installed / "libraries.json").read_text())["made_from"]
-    assert made_from["compiler"] == "g++"
 
 
 @pytest.mark.on_demand

@@ -24,7 +24,6 @@ from needlefit.planning.goals import (
     cut_plane,
     find_hits,
     make_space_goal,
-    name_obstacles,
     read_goal_points,
 )
 from needlefit.planning.steering import (
@@ -129,20 +128,6 @@ def test_a_plan_goes_on_from_where_the_needle_stands() -> None:
     assert end == pytest.approx(found.nominal[-1], abs=1e-5)
 
 
-@pytest.mark.sweep
-@pytest.mark.parametrize(
-    "target", [(45.0, 2.0), (45.0, -3.0), (38.0, 4.0), (52.0, 0.5), (45.0, 5.0), (33.0, -2.0)]
-)
-@pytest.mark.parametrize(
-    "circle", [(25.0, 0.5, 1.0), (20.0, -0.5, 1.0), (30.0, 1.5, 1.5), (15.0, 0.0, 0.5), (35.0, 0.0, 1.0)]
-)
-def test_a_wider_range_never_finds_less(target, circle) -> None:
-    found = [plan(target, 2.0, [circle], base_mm=base) for base in (5.0, 10.0, 15.0, 20.0)]
-    hits = [one.hits for one in found]
-    assert hits == sorted(hits)
-    assert all(np.isfinite(one.nominal_miss) for one in found)
-
-
 def test_within_the_radius_the_miss_is_least_and_a_limit_that_binds_is_named() -> None:
     free = plan((45.0, 1.0), 2.0)
     assert free.hits and free.nominal_miss < 0.3 and free.at_limit == ()
@@ -223,15 +208,6 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
     twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
     with pytest.raises(DataError):
         read_goal_points(twice, placement, 1.0)
-
-
-def test_an_obstacle_has_the_name_of_its_label_or_a_number_of_its_own() -> None:
-    labels = ["vessel", "", " bone\n1 ", "vessel", "obstacle 1", "=1+1", "x" * 300, "a\x00b"]
-    names = name_obstacles(labels)
-    assert names[:6] == ("vessel", "obstacle 2", "bone 1", "vessel 2", "obstacle 1", "obstacle 3")
-    assert names[6:] == ("x" * 40, "obstacle 4")
-    circles = cut_plane((40.0, 1.0, 0.0), 1.0, tuple(Ball(name, (20.0, 0.0, 0.0), 1.0) for name in names))
-    assert tuple(one.name for one in circles.goal.obstacles) == names
 
 
 def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys) -> None:

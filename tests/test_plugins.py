@@ -20,7 +20,7 @@ from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.project.locate import find_file
-from needlefit.registry import Registry, plugin_versions
+from needlefit.registry import Registry
 
 STUDY = """\
 schema = 2
@@ -183,15 +183,6 @@ def test_a_study_with_everything_of_a_plugin(
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 
 
-def test_a_module_of_the_working_folder_is_refused(
-    law_project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    install(law_project, entry_point=True)
-    with plugin_folder(law_project, monkeypatch):
-        assert run("check", "mine", "--plugins", EXAMPLE) == 3
-        assert EXAMPLE in capsys.readouterr().err
-
-
 @dataclass(frozen=True)
 class Fruit:
     """An entry."""
@@ -220,22 +211,6 @@ def fruits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Registry
     yield Registry(Fruit, "orchard", "fruit")
     for name in set(sys.modules) - before:
         del sys.modules[name]
-
-
-@pytest.mark.parametrize("entry_point", [True, False])
-def test_a_plugin_adds_every_entry_it_holds(
-    fruits: Registry[Fruit], tmp_path: Path, entry_point: bool
-) -> None:
-    source = f"{FRUIT}from orchard.apple import APPLE\nFIG = Fruit('fig')\nA = Fruit('date')\n"
-    install(tmp_path / "site", module="basket", entry_point=entry_point, source=source)
-    if not entry_point:
-        assert "fig" not in fruits
-        use_plugins(["basket"])
-    assert fruits.names() == ("apple", "date", "fig", "pear")
-    versions = plugin_versions((fruits, "fig"), (fruits, "apple"))
-    assert list(versions) == ["basket"]
-    assert versions["basket"] == VERSION if entry_point else versions["basket"].startswith("sha256:")
-    assert plugin_versions((fruits, "apple")) == {}
 
 
 @pytest.mark.parametrize("name", ["apple", "fig"])

@@ -32,7 +32,6 @@ from needlefit.project.folders import (
     find_foreign,
     replace_file,
     replace_folder,
-    require_replaceable,
     require_unchanged,
 )
 
@@ -60,23 +59,6 @@ def test_a_row_is_whole_or_none(tmp_path):
         found, lines = resumed(tmp_path / "c")
         assert found == [*range(len(found))] and len(lines) <= 1
         assert len(found) == whole[:end].count(b"}")
-
-
-def test_rows_of_another_task_and_what_is_no_text_are_ignored(tmp_path):
-    file, row = kept(tmp_path / "c"), b'{"index": "\xff"}'
-    assert file.read_bytes() == kept(tmp_path / "same").read_bytes()
-    assert json.loads((tmp_path / "c" / MANIFEST).read_text())["holds"] == "checkpoint"
-    checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
-    checkpoint.keep_row("fold/fit", {"index": "no start"})
-    assert list(read_starts(checkpoint, "fold/fit")) == [0, 1, 2]
-    checkpoint.keep_row("pieces", {"piece": "a", "rows": {}})
-    checkpoint.keep_row("pieces", {"piece": "b"})
-    assert [row["piece"] for row in checkpoint.rows("pieces", ("piece", "rows"))] == ["a"]
-    file = next((tmp_path / "same").glob("*.jsonl"))
-    with file.open("ab") as stream:
-        stream.write(row + b"\n")
-    found, lines = resumed(tmp_path / "same")
-    assert found == [0, 1, 2] and len(lines) == 1
 
 
 @pytest.mark.parametrize(
@@ -348,18 +330,6 @@ def test_what_cannot_be_put_in_place_leaves_the_result_before(tmp_path, monkeypa
         write(folder, "two")
     assert (folder / "part" / "a.csv").read_text() == "one"
     assert {path.name for path in tmp_path.iterdir()} == {"out"}
-
-
-def test_files_without_a_place_are_foreign(tmp_path):
-    (tmp_path / "file").write_text("mine")
-    for check in (require_replaceable, require_own_checkpoint):
-        with pytest.raises(ConfigError, match="it is a file"):
-            check(tmp_path / "file")
-        with pytest.raises(ConfigError):
-            check(tmp_path / "file" / "out")
-    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "file"):
-        pytest.fail("began")
 
 
 def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):

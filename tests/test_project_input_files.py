@@ -19,10 +19,9 @@ from needlefit.project.input_files import (
     read_json,
     read_text,
 )
-from needlefit.project.toml import add_file_context, add_key_context, check, load
+from needlefit.project.toml import check, load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.study import FitRecord
 
 
 def refused(read, *arguments, error=DataError):
@@ -127,26 +126,6 @@ def test_a_file_of_a_later_schema_is_refused_and_left_alone(tmp_path):
         load(file, RecipeRecord)
 
 
-def test_errors_name_the_file_and_key_once(tmp_path):
-    file, other = tmp_path / "fit.toml", tmp_path / "other.toml"
-    file.write_text('schema = 1\ndataset = "twin"\nmedium = 3\n')
-    other.write_text("dataset = 1\n")
-    with pytest.raises(ConfigError) as fault:
-        load(file, FitRecord)
-    assert fault.value.where == str(file)
-    with (
-        pytest.raises(ConfigError) as fault,
-        add_file_context(other),
-        add_file_context(file),
-        add_key_context("dataset"),
-    ):
-        raise ConfigError("is wrong")
-    assert fault.value.where == f"{file}, key `dataset`"
-    with pytest.raises(ConfigError) as fault, add_file_context(file), add_key_context("dataset"):
-        raise ConfigError("is wrong", where="elsewhere")
-    assert fault.value.where == "elsewhere"
-
-
 @pytest.mark.parametrize("text", ["\x1b[2J", "\x1b]0;t\x07", "a\rb", "\x00", "\x9b31m", "\u202e", "\udcff"])
 def test_control_characters_of_a_terminal_are_escaped(text):
     shown = str(DataError(f"is {text}", where=f"{text}.csv", expected=text, fix=text))
@@ -179,12 +158,6 @@ def test_the_working_folder_comes_first(project):
     assert locate.find_file("scene", "phantom1") == project / "configs/scenes/phantom1.toml"
     assert locate.find_file("scene", "phantom2") == locate.shipped_folder() / "configs/scenes/phantom2.toml"
     assert "mine" in locate.list_names("study") and "phantom2" in locate.list_names("scene")
-
-
-def test_targets_are_studies_or_fits(project):
-    assert locate.find_study_or_fit("mine") == ("study", project / "studies/mine.toml")
-    assert locate.find_study_or_fit("gel") == ("fit", project / "configs/fits/gel.toml")
-    assert locate.find_study_or_fit("studies/mine.toml") == ("study", Path("studies/mine.toml"))
 
 
 def test_a_name_that_is_both_is_an_error(project):
@@ -277,7 +250,3 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
     assert [path.name for path in (tmp_path / "notes").iterdir()] == ["thesis.docx"]
     (tmp_path / "new").mkdir()
     assert len(copy_project(tmp_path / "new")) == 3
-
-
-def test_a_long_list_of_names_is_cut():
-    assert locate.join_names([str(n) for n in range(45)]).endswith("and 5 more")

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -100,18 +99,6 @@ def test_the_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch
     folder, variables, search = run("environment")[0]
     assert folder == str(tmp_path) and "" not in search
     assert variables["OMP_NUM_THREADS"] == "1"
-
-
-def test_the_reader_can_be_called_from_threads():
-    found = []
-    work = [
-        threading.Thread(target=lambda: found.append(run("fills", shape=[2], factor=1))) for _ in range(4)
-    ]
-    for thread in work:
-        thread.start()
-    for thread in work:
-        thread.join()
-    assert len(found) == 4
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a child outlives a parent that is killed")

@@ -1,6 +1,5 @@
 """Tasks in processes, copied or begun anew, and on a cluster: the same bytes everywhere."""
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -154,22 +153,6 @@ def test_a_process_with_threads_is_not_copied():
         ended.set()
         other.join()
     assert found == [tell_process(0)] * 9
-
-
-@on_linux
-def test_after_an_error_the_copy_ends(copied):
-    with pytest.raises(ZeroDivisionError), compute_beside([lambda: tell_process(0)] * 9):
-        raise ZeroDivisionError
-    assert multiprocessing.active_children() == []
-
-
-@on_linux
-def test_without_room_for_a_copy_all_is_done_here(copied, monkeypatch):
-    def refuse():
-        raise BlockingIOError
-
-    monkeypatch.setattr(os, "fork", refuse)
-    assert compute([lambda: tell_process(0)] * 9) == [tell_process(0)] * 9
 
 
 # --- one thread for linear algebra ----------------------------------------------------------------------

@@ -16,7 +16,7 @@ from test_validation_run import made, project, study
 from needlefit.datasets.formats.mrk_json import read_mrk_json
 from needlefit.datasets.read import read
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
+from needlefit.geometry.meshes import TUBE_FACETS, make_tube
 from needlefit.geometry.surfaces import make_mesh
 from needlefit.imaging.segmentations import read_labels
 from needlefit.imaging.volume import to_patient
@@ -42,20 +42,6 @@ def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
     body = make_mesh(*make_tube(axis, [a, b], (0.3, 5, 0.4)))
     assert body.is_watertight and body.is_winding_consistent
     assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
-
-
-def test_a_ply_states_lps_and_is_reproducible(tmp_path):
-    body = make_mesh(*make_tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0)))
-    for name in ("one.ply", "two.ply"):
-        write_ply(body.vertices, body.faces, tmp_path / name, ("needle, mm", "é"))
-    data = (tmp_path / "one.ply").read_bytes()
-    assert data == (tmp_path / "two.ply").read_bytes()
-    head = data.split(b"end_header")[0].decode("ascii").splitlines()
-    assert head[:2] == ["ply", "format binary_little_endian 1.0"]
-    assert "comment SPACE=LPS" in head and "comment needle, mm" in head
-    again = trimesh.load_mesh(tmp_path / "one.ply")
-    assert again.volume == pytest.approx(body.volume, rel=1e-5)
-    np.testing.assert_allclose(again.bounds, body.bounds, atol=1e-5)
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from refusals import refusal
 from test_datasets import write_mine
 
-from needlefit.datasets.read import check, read
-from needlefit.errors import ConfigError, DataError
+from needlefit.datasets.read import check
 from needlefit.schemas.names import file_name_fault, name_fault
 
 BAD = [
@@ -49,14 +47,3 @@ def with_specimen(folder: Path, name: str) -> Path:
 def test_a_specimen_is_refused_with_file_and_line(name, tmp_path):
     (fault,) = check(with_specimen(tmp_path / "mine", name))
     assert "insertions.csv:3" in str(fault.where) and fault.what.isprintable()
-
-
-@pytest.mark.parametrize("key", ['name = "{}"', '[media."{}"]'])
-def test_the_name_and_the_media_of_a_dataset_are_refused_with_file_and_key(key, tmp_path):
-    file = write_mine(tmp_path / "mine")
-    old = 'name = "mine"' if key.startswith("name") else "[media.medium1]"
-    text = file.read_text()
-    assert old in text
-    file.write_text(text.replace(old, key.format("=cmd"), 1))
-    error = refusal((ConfigError, DataError), "", read, file)
-    assert "dataset.toml" in str(error) and "=cmd" in str(error)

@@ -1,23 +1,16 @@
 """What every inquiry rests on: pieces that are kept, answers that are stored, evidence that is rounded."""
 
 import json
-import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from scipy.stats import multivariate_normal
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import PreparedModel, make_batch, predict
-from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.parameters import (
-    BEVEL_SPREAD,
-    NOISE_SCALE,
     Parameters,
-    with_hyperparameters,
 )
 from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
@@ -26,17 +19,13 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file
-from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.reference import round_frame
+from needlefit.studies.job import Settings
 from needlefit.studies.runner import run_tasks
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import select_planned_insertions
-from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
+from tests.inference_cases import NEEDLE, insertion, medium
 
 THIRD = 1 / 3
-RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
 
 
 def _pieces(done: list[str]):
@@ -97,24 +86,6 @@ def test_a_task_row_keeps_no_value_that_json_would_change():
         list(run_tasks(tasks, "x", Settings(), open_checkpoint(None, False, {})))
 
 
-def test_evidence_is_rounded_to_five_decimals_of_a_length_and_five_digits():
-    frame = pd.DataFrame(
-        {
-            "te_mm": [0.1234567, -0.000002, np.inf],
-            "mu1_pa": [123456.0, 0.0, np.nan],
-            "edp_percent": [12.34567, 0.001234567, 1e9 / 3],
-            "insertions": [7, 8, 9],
-            "note": ["a", "b", "c"],
-        }
-    )
-    got = round_frame(frame)
-    assert got["te_mm"].tolist() == [0.12346, 0.0, np.inf]
-    assert str(got["te_mm"][1]) == "0.0"
-    assert got["mu1_pa"].tolist()[:2] == [123460.0, 0.0] and np.isnan(got["mu1_pa"][2])
-    assert got["edp_percent"].tolist() == [12.346, 0.0012346, 3.3333e8]
-    assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
-
-
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
     """Same truth, same places of the markers: what differs is what voxels add."""
     names = ("phantom2-03", "phantom3-05", "chicken-02")
@@ -130,33 +101,6 @@ def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
         np.testing.assert_allclose(one.boundaries, other.boundaries, atol=0.05)
         assert one.pose_shift_sd == pytest.approx(other.pose_shift_sd, rel=0.01)
     assert "not scanned" in read(tmp_path).notes[0]
-
-
-TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
-
-
-def test_further_points_add_their_whole_density():
-    """Nothing that the likelihood drops is missing from the ratio of two posteriors."""
-    made = [measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2)]
-    likelihood = LikelihoodRecord(noise_scale="estimated", measurement="points")
-    parameters = with_hyperparameters(Parameters.from_record(medium(layers=1)), likelihood)
-    recipe = squares_recipe(starts=2).model_copy(update={"likelihood": likelihood})
-    fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
-    job = Job("cases", fit, dataset(made), medium(layers=1), parameters, recipe, None, ())
-    # all bevels are the same: a further one would change what b is the mean of
-    theta = job.parameters.theta({**TRUTH, "bevel_mm": 0.1, NOISE_SCALE: 1.3, BEVEL_SPREAD: 1e-3})
-    one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
-    s = both.density.observations[1].nodes.s[0]
-    shape = predict(both.values(theta), medium(layers=1), NEEDLE, made[1])
-    off = compute_positions(shape, s)[:, 1] - made[1].planar[:, 1]
-    # Gaussian, with errors of points, pose and registration
-    x = made[1].planar[:, 0] - made[1].planar[0, 0]
-    slope = np.polynomial.Polynomial.fit(x, made[1].planar[:, 1], 5).deriv()(x)
-    shift = NOISE.registration_mean / math.sqrt(8 / math.pi)
-    modes = np.column_stack([shift * np.ones(len(x)), made[1].pose_angle_sd * x, -shift * slope])
-    cov = 1.3**2 * points_covariance(s, NOISE) + modes @ modes.T
-    exact = multivariate_normal.logpdf(off, cov=cov)
-    assert both.log_posterior(theta) - one.log_posterior(theta) == pytest.approx(exact, abs=0.02)
 
 
 MOVED = replace(insertion(40.0), base_moved=8.0)

@@ -200,17 +200,6 @@ def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
         assert words is expected if expected is None else words.startswith(expected)
 
 
-def test_bevels_that_differ_widen_the_needle_s_band(job):
-    spread = 0.1
-    tips = planned(sure(job), [theta(job, bevel_spread=spread)] * 400).across[:, -1, 0]
-    near = [planned(sure(job), [theta(job, bevel_mm=0.08 * np.exp(e))] * 1) for e in (-0.05, 0.05)]
-    slope = (near[1].across[0, -1, 0] - near[0].across[0, -1, 0]) / 0.1
-    # the bevels fitted to deviate from their mean too
-    further = job.problem(job.folds[0]).new_bevel_sd
-    assert further == pytest.approx(math.sqrt(1 + 1 / len(job.folds[0].tune)))
-    assert np.std(tips) == pytest.approx(abs(slope) * spread * further, rel=0.15)
-
-
 def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     """The bevel of the second is 1.5 times as large, and its draws twice as wide; all together are not
     certified."""

@@ -3,42 +3,32 @@
 import contextlib
 import dataclasses
 import json
-import re
 from pathlib import Path
 
 import needles
 import numpy as np
-import pandas as pd
 import pytest
 from inference_cases import dataset, insertion, medium
 from light_runs import predict_by_few_draws
 from made_again import store
 
-from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.forward_model import (
     ParameterDraws,
     make_simulation_inputs,
 )
-from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.problem import make_problem
-from needlefit.inference.sampling.importance import Effort, resample_draws, sample_about_modes
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.steering import StartedInsertion
-from needlefit.project.locate import find_file, find_view_target
+from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import WeightsRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
-from needlefit.viewer.measured import choose_start_parameters, make_scene_record
+from needlefit.viewer.measured import make_scene_record
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.overlays import compute_band
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}
 GEL = """schema = 1
@@ -133,37 +123,6 @@ def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
     np.testing.assert_allclose(followed(again).u, expected.u, rtol=0, atol=1e-7)
 
 
-def test_nothing_named_shows_the_fit_of_an_insertion_with_its_band():
-    """Needle and draws are those of the posterior of phantom2-05 with one b: its mode, and draws about it."""
-    viewed_scene, source = open_target(None), open_target("twin/phantom2-05")
-    scene = Scene.from_record(viewed_scene.record)
-    shape = followed(viewed_scene.record)
-    assert viewed_scene.name == "phantom2_fitted" and shape.tip_lateral == pytest.approx(-4.55, abs=0.01)
-    assert scene.depth == pytest.approx(source.measured.depth, abs=0.01)
-    twin = read(find_file("dataset", "twin"))
-    (one,) = (one for one in twin.insertions if one.id == "phantom2-05")
-    begun = choose_start_parameters(one)
-    problem = make_problem(twin, [one], begun.medium, WeightsRecord(), PLAIN_LIKELIHOOD)
-    start = problem.values(problem.parameters.expected) | begun.values
-    mode = minimize_squares(problem, problem.parameters.theta(start))
-    fitted, rng = problem.values(mode.theta), np.random.default_rng(1)
-    effort = Effort(draws=200, rounds=2, min_ess=100.0, profiles=False)
-    draws = resample_draws(sample_about_modes(problem, [mode], rng, efforts=(effort,)), 100, rng)
-    table = pd.DataFrame([problem.values(theta) for theta in draws.thetas])
-    found = [*(layer.mu_pa for layer in viewed_scene.record.layers), viewed_scene.record.bevel.offset_mm]
-    expected = [*(fitted[f"mu{n}_pa"] for n in range(1, 5)), fitted["bevel_mm"]]
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
-    spread = viewed_scene.spread
-    assert spread.mu.shape == (100, 4) and spread.shape[7].tolist() == [[1.0, -1.0, 1.0, -1.0]]
-    shares = (0.025, 0.5, 0.975)
-    for n, name in enumerate((*(f"mu{layer}_pa" for layer in range(1, 5)), "bevel_mm")):
-        drawn = spread.bevel if name == "bevel_mm" else spread.mu[:, n] * 1e6
-        np.testing.assert_allclose(np.quantile(drawn, shares), np.quantile(table[name], shares), rtol=0.01)
-    band = compute_band(StartedInsertion(scene.needle, scene.tissue, scene.rules, scene.steps, spread))
-    assert band.failed == 0 and band.low[-1] < shape.tip_lateral < band.high[-1]
-    assert 0.3 < band.high[-1] - band.low[-1] < 0.6
-
-
 def test_draws_beside_a_scene_are_checked(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(find_file("scene", "phantom1").read_text("utf-8"))
@@ -243,33 +202,3 @@ def test_a_run_without_draws_has_no_band_and_a_note(project, tmp_path):
     put(results.with_frames(draws=results.frames["draws"].assign(certified=False)), tmp_path)
     viewed_scene = open_target(str(tmp_path))
     assert viewed_scene.spread is None and "certified" in viewed_scene.note
-
-
-def test_an_ambiguous_name_lists_each_path(project):
-    scenes = project / "configs" / "scenes"
-    scenes.mkdir(exist_ok=True)
-    (scenes / "small.toml").write_text("schema = 1\n")
-    with pytest.raises(ConfigError) as error:
-        find_view_target("small")
-    (scenes / "small.toml").unlink()
-    assert "scene" in error.value.what and "run" in error.value.what
-    assert "configs/scenes/small.toml" in error.value.fix and "reports/small" in error.value.fix
-    assert find_view_target("reports/small").kind == "run"
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("studi3", "`studi3`.*expected: .*study3"),
-        ("needels/needle-1", "`needels/needle-1`.*expected: .*needles"),
-        ("needles/needle-9", "needles .*`needle-9`.*needle-"),
-        ("small/needle-9", "insertion .*small .*`needle-9`"),
-        ("configs/nix.toml", "scene.*configs/nix.toml"),
-        ("configs/media", "dataset.*configs/media"),
-        ("study3/needle-1", "dataset .*`study3/needle-1`"),
-    ],
-)
-def test_an_unknown_name_lists_the_nearest(name, words, project):
-    with pytest.raises(ConfigError) as error:
-        open_target(name)
-    assert re.search(words, str(error.value), re.DOTALL)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needlefit.errors import ModelError, NeedlefitError
+from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
@@ -111,25 +111,3 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
         list(replay(read_recording(path)))
-
-
-def test_a_refused_input_changes_nothing() -> None:
-    steering = steer()
-    act(steering, ("depth_mm", 30.0))
-    before = steering.now
-    for changes in (
-        [("depth_mm", 151.0)],
-        [("guide_x_mm", 1, -20.0)],
-        [("mu_pa", 1, -5.0)],
-        [("mu_pa", 1, 1e300)],
-        [("base_y_mm", 1.0), ("base_y_mm", 2.0)],
-        [("return_to", 0.0), ("base_y_mm", 2.0)],
-        [("mu_pa", 9, 5.0)],
-        [("tip_y_mm", 500.0)],
-        [("return_to", 5.0)],
-        [("guide_x_mm", 1, -200.0), ("guide_y_mm", 1, 0.0)],
-    ):
-        with pytest.raises(ModelError):
-            act(steering, *changes)
-    assert steering.number == 1
-    assert steering.now.shape is before.shape and steering.now.step == before.step
