@@ -33,6 +33,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import (
+    DEPTHS_KEY,
     MEDIAN_METHOD,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
@@ -41,7 +42,6 @@ from needlefit.studies.fit_frames import (
 )
 from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
-from needlefit.studies.stated_depths import DEPTHS_KEY
 
 TEXT = KindText("cross_validation")
 

@@ -22,10 +22,9 @@ from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.studies.fit_frames import select_fitted, select_free
+from needlefit.studies.fit_frames import DEPTHS_KEY, select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
-from needlefit.studies.stated_depths import DEPTHS_KEY
 from needlefit.studies.validity import list_outside
 
 if TYPE_CHECKING:

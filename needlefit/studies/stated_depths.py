@@ -11,10 +11,8 @@ from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.problem import Problem
 from needlefit.reporting.table_files import Row
 
-DEPTHS_KEY = "stated_depths"  #: key in `run.json`
-STEP_MM = (
-    1.0  #: of a boundary, either way, for derivatives: that of constraint points, between which they jump
-)
+#: of a boundary, either way, for derivatives, mm: that of constraint points, between which they jump
+STEP_MM = 1.0
 
 
 def examine_depths(problem: Problem, theta: Floats) -> list[Row]:

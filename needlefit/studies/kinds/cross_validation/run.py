@@ -43,7 +43,7 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault, find_fault_kind
 from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
+from needlefit.studies.fit_frames import DEPTHS_KEY, MEDIAN_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.held_out_predictions import (
     FoldDraws,
@@ -66,7 +66,7 @@ from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.stated_depths import DEPTHS_KEY, examine_depths
+from needlefit.studies.stated_depths import examine_depths
 from needlefit.studies.validity import MOSTLY_OUTSIDE, VALIDITY_KEY, ValidityCounts
 
 __all__ = ["FRAMES", "Settings", "run"]
