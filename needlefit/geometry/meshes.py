@@ -115,3 +115,27 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
         largest_faces = largest_faces[:, ::-1]
     others = float(np.abs(volumes).sum() / abs(volumes[largest])) - 1.0
     return Surface(name, make_mesh(points[used], largest_faces), "solid", into), others
+
+
+# Voxels by which a surface is moved before it is cut: no vertex shall lie exactly in a plane of centres.
+_SHIFT = np.array([1.3e-5, 1.7e-5, 2.3e-5])
+
+
+def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return the pixels (J, I) whose centres lie inside an odd number of closed outlines.
+
+    `lines`: (L, 2, 2); ends of the pieces of the outlines: column and row, whole at the centres of pixels.
+    """
+    rows, columns = shape
+    low, high = np.sort(lines[:, :, 1], axis=1).T
+    first = np.clip(np.ceil(low), 0, rows).astype(np.int64)
+    counts = np.clip(np.ceil(high), 0, rows).astype(np.int64) - first
+    piece = np.repeat(np.arange(len(lines)), counts)
+    row = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts) + first[piece]
+    (x0, y0), (x1, y1) = lines[piece, 0].T, lines[piece, 1].T
+    crossing = x0 + (row - y0) / (y1 - y0) * (x1 - x0)  # a piece along a row has no rows: counts is 0
+    column = np.clip(np.ceil(crossing), 0, columns).astype(np.int64)
+    turns = np.zeros((rows, columns + 1), dtype=np.int32)
+    np.add.at(turns, (row, column), 1)
+    inside: NDArray[np.bool_] = np.cumsum(turns, axis=1)[:, :columns] % 2 == 1
+    return inside

@@ -1,4 +1,4 @@
-"""Read segmentations: volumes in which every voxel holds the number of its layer."""
+"""Read segmentations: volumes in which every voxel holds the number of its layer, and contours of layers."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -9,8 +9,8 @@ import numpy as np
 
 from needlefit.errors import DataError
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume
-from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file, read_structures
 
 MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
 SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
@@ -36,7 +36,7 @@ class Labels:
 
 
 def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
-    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, a .zip of one.
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, RTSTRUCT, a .zip of one.
 
     The layers are the segments that are named, in this order; by default all in the order in which the file
     lists them, or, where it names none, the labels in the order of their values. A label without a name is
@@ -47,9 +47,8 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     """
     with open_member(path) as place, located(place):
         if not is_image_file(place):
-            raise refusal(f"""is no segmentation that is read
-                expected: {", ".join(IMAGE_SUFFIXES)}, or a .zip of one
-                fix: load it into 3D Slicer, and save it as .seg.nrrd""")
+            volume, found = read_structures(place, names)
+            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
         volume, texts = read_labels_file(place)
         labels = _check_labels(volume, _parse_segments(texts))
         chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)

@@ -282,10 +282,13 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
     return np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
 
 
-TOP_12_BIT_HU = 2900.0, 3100.0  # the greatest number of 12 bits lies there, HU
+# The greatest number of 12 bits lies there, HU. Few voxels have it where values run over it.
+TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
 BRIGHTEST_FRACTION, MIN_BRIGHTEST, MAX_SHARED_FRACTION = 0.97, 20, 0.85
+# In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
+MIN_HOLE_HU, MIN_HOLES = 800.0, 30
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 
 
@@ -296,9 +299,29 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     """
     low, high = float(volume.values.min()), float(volume.values.max())
     if low < 0 and high - low >= MIN_RANGE_HU:
+        _refuse_wrapped_metal(volume, high, where)
         return
     raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}
         expected: a CT volume in HU
         fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
             values: HU = 1000 (mu / mu of water - 1)
         where: {where}""")
+
+
+def _refuse_wrapped_metal(volume: Volume, high: float, where: str) -> None:
+    """Refuse metal whose values have run over 12 bits, and begin again at the lowest."""
+    low, top = TOP_12_BIT_HU
+    if not low <= high <= top:
+        return
+    holes, saturated = 0, 0
+    for plane in volume.values:
+        if plane.max() > low / 2:
+            saturated += int(np.count_nonzero(plane >= high - 1))
+            depth = np.minimum(plane[:, :-2], plane[:, 2:]) - plane[:, 1:-1]
+            holes += int(np.count_nonzero(depth > MIN_HOLE_HU))
+    if holes >= MIN_HOLES and saturated < MAX_SATURATED:
+        raise refusal(f"""the values of its metal have run over 12 bits: {holes} voxels are {MIN_HOLE_HU:.0f}
+                HU darker than both neighbours, and {saturated} have the greatest number
+            expected: metal that ends at the greatest number, or an extended scale
+            fix: export the series again, with values that are cut or with 16 bits
+            where: {where}""")

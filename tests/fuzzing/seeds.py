@@ -273,6 +273,13 @@ def archives() -> list[Seed]:
     ]
 
 
+def segmentations() -> list[Seed]:
+    from test_imaging_segmentations import cylinder, write_contours
+
+    regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
+    return [saved("rt.dcm", write_contours, regions)]
+
+
 def meshes() -> list[Seed]:
     import trimesh
     from import_cases import vtk_binary_sheet, vtk_sheet

@@ -1,1 +1,1 @@
-"""Read DICOM: `stack` (slices to a checked grid), `series` (find, read)."""
+"""Read DICOM: `stack` (slices to a checked grid), `series` (find, read), `contours` (RTSTRUCT)."""
