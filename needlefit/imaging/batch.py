@@ -63,7 +63,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        tubes = search.tubes
+        tubes = search.find_tubes()
         parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
         points = segmentation.locate_needles(search.volume, parts)
         if len(points) > 1:

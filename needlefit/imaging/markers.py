@@ -7,6 +7,7 @@ shows at a low one.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
-from needlefit.imaging.reconstruction import MarkerResult
+from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
@@ -103,6 +104,7 @@ DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
 FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
+Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and what its fit gave
 
 
 def _measure_diameter(
@@ -162,20 +164,11 @@ def find_markers(
             where: markers in the volume""")
 
     blobs = find_blobs(volume, listed, levels, diameter, exclude)
-    shown: list[tuple[Blob, SphereFit]] = []
-    centers: list[Floats] = []
-    rejected: list[tuple[float, Floats, str]] = []  # how unlike a ball, where, in words
-    for blob, ball, middle in _fit_balls(volume, blobs, diameter, fit):
-        limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
-        reason = _find_fault(volume, ball, middle, limit)
-        if reason is None and not _is_near(ball.center, centers, diameter / 2):
-            shown.append((blob, ball))
-            centers.append(ball.center)
-        elif reason is not None:
-            place = ", ".join(f"{x:.0f}" for x in middle)
-            words = f"{blob.diameter:.1f} mm wide with its blur at L, P, S = {place}: {reason}"
-            rejected.append((ball.misfit / limit, middle, words))
+    found = list(_fit_balls(volume, blobs, diameter, rules.max_misfit, fit))
+    shown = [(blob, one) for blob, one in found if isinstance(one, SphereFit)]
     balls = [ball for _, ball in shown]
+    rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
+    centers = [ball.center for ball in balls]
     warnings: list[str] = []
     measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
     if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
@@ -188,11 +181,7 @@ def find_markers(
         sd=np.array([ball.sd for ball in balls]),
         source="volume",
         misfits=np.array([ball.misfit for ball in balls]),
-        rejected=tuple(
-            words
-            for _, middle, words in sorted(rejected, key=lambda one: one[0])
-            if not _is_near(middle, centers, diameter / 2)
-        ),
+        rejected=tuple(one for one in rejected if not _is_near(one.center, centers, diameter / 2)),
         # with a wrong diameter the blur is wrong
         spread=None if warnings else average_spreads([ball.spread for ball in balls]),
         warnings=tuple(warnings),
@@ -200,16 +189,25 @@ def find_markers(
 
 
 def _fit_balls(
-    volume: Volume, blobs: Sequence[Blob], diameter: float, fit: FitSphere
-) -> Iterator[tuple[Blob, SphereFit, Floats]]:
-    """Yield blobs, each with the ball of a diameter, mm, that fits it, and its middle (3,), LPS, mm."""
+    volume: Volume, blobs: Sequence[Blob], diameter: float, max_misfit: float, fit: FitSphere
+) -> Iterator[Candidate]:
+    """Yield the balls of a diameter, mm, and the candidates that are none."""
+    radius = diameter / 2
     tried: list[Floats] = []
     for blob in blobs:
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
         # the same ball appears at several levels: it is fitted once
-        if not _is_near(middle, tried, diameter / 2):
-            tried.append(middle)
-            yield blob, fit(volume, blob, diameter / 2), middle
+        if _is_near(middle, tried, radius):
+            continue
+        tried.append(middle)
+        ball = fit(volume, blob, radius)
+        limit = _limit_misfit(ball, max_misfit)
+        reason = _find_fault(volume, ball, middle, limit)
+        if reason is None:
+            tried.append(ball.center)
+            yield blob, ball
+        else:
+            yield blob, RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason)
 
 
 def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
@@ -219,9 +217,21 @@ def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> st
     what = f"{len(found.centers)} balls of {recipe.markers.diameter_mm:g} mm were found"
     if not found.rejected:
         return f"{what}, nothing else of about that size"
-    return f"{what}; {len(found.rejected)} other candidates, the most similar {found.rejected[0]}"
+    one = min(found.rejected, key=lambda one: one.misfit / one.max_misfit)
+    place = ", ".join(f"{x:.0f}" for x in one.center)
+    reason = REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)
+    return (
+        f"{what}; {len(found.rejected)} other candidates, the most similar {one.diameter:.1f} mm wide with "
+        f"its blur at L, P, S = {place}: {reason}"
+    )
 
 
+REASONS = {
+    "misfit": "misfit {misfit:.2f}, at most {limit:.2f} allowed",
+    "blur": "no ball of this size explains it",
+    "moved": "no ball of this size explains it",
+    "edge": "cut by the volume's face",
+}
 CANDIDATE_FIX = (
     "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
     "fiducials by hand"
@@ -285,15 +295,24 @@ def refine_fiducials(
     return replace(balls, centers=centers, sd=sd, source=given.source, misfits=np.empty(0))
 
 
-def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> str | None:
-    """Return in words why a fit, begun at `middle`, shows no whole ball; None if it does."""
+def _limit_misfit(ball: SphereFit, allowed: float) -> float:
+    """Return the greatest misfit of a ball: what the recipe allows, and what the noise around it leaves."""
+    return float(np.hypot(allowed, MAX_MISFIT_NOISE * ball.noise))
+
+
+def _find_fault(
+    volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float
+) -> Literal["misfit", "blur", "moved", "edge"] | None:
+    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does."""
     index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
     if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.diameter / 2:
-        return "cut by the volume's face"
+        return "edge"
+    if np.linalg.norm(ball.center - middle) >= ball.diameter / 2:
+        return "moved"
     # a blur at its upper bound means that the fit did not find a ball
-    if np.linalg.norm(ball.center - middle) >= ball.diameter / 2 or ball.spread.blur >= 0.99 * MAX_BLUR_MM:
-        return "no ball of this size explains it"
-    return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" if ball.misfit > max_misfit else None
+    if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
+        return "blur"
+    return "misfit" if ball.misfit > max_misfit else None
 
 
 def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:

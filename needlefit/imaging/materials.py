@@ -74,13 +74,12 @@ AIR_SD_HU = 30.0  # deviation of the level of air in a narrow gap, HU
 EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
-# Deviation of an edge in parts of its blur: kernels and slices blur both sides of an edge differently. And in
-# parts of the slope behind it, times the blur squared, over its step: what a hardened beam does.
-SYSTEMATIC_WIDTH_RATIO, SLOPE_FACTOR = 0.02, 25.0
+# Deviation of an edge in parts of its blur: kernels and slices blur both sides of an edge differently.
+SYSTEMATIC_WIDTH_RATIO = 0.03
 # A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-SYSTEMATIC_SD_MM = 0.015  # deviation of an edge that no scatter along the needle shows, mm
+SYSTEMATIC_SD_MM = 0.025  # deviation of an edge that no scatter along the needle shows, mm
 
 
 Kind = Literal["air", "soft", "metal"]
@@ -238,8 +237,7 @@ def _fit_edge(
     # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
     between = max(float(np.median(np.diff(s))), 2 * width) / np.sqrt(12)
     scatter = min(np.sqrt(variance), between)
-    sloped = SLOPE_FACTOR * best.x[-1] / (levels[this + 1] - levels[this]) * width**2
-    deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width, sloped])
+    deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
     return float(best.x[this]), float(deviation)
 
 

@@ -6,12 +6,12 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 
@@ -55,6 +55,7 @@ from needlefit.imaging.needle.segmentation import (
     median_tissue_hu,
     select_needle,
 )
+from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import (
     EntryPose,
     IntensityProfile,
@@ -85,6 +86,7 @@ MAX_BEVEL_ANGLE_DEG = 30.0
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
+TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
 # Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply.
 MAX_LAYER_SD_MM = 0.5
@@ -131,7 +133,24 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
+    if (further := _find_metal_beyond(one)) is not None:
+        notes.append(
+            f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "
+            "needle: rays may hide a part of it, and the tip lie further on; look at it"
+        )
     return notes
+
+
+def _find_metal_beyond(one: Reconstruction) -> float | None:
+    """Return how far beyond the tip the axis meets metal again, mm; None if it does not."""
+    profile = one.profile
+    excess = profile.core - profile.around
+    shaft = excess[(profile.s > one.depth - END_LENGTH_MM) & (profile.s < one.depth - TIP_CLEARANCE_MM)]
+    beyond = profile.s > one.depth + TIP_CLEARANCE_MM
+    if not np.isfinite(shaft).any():
+        return None
+    bright = np.flatnonzero(beyond & (excess > np.nanmedian(shaft) / 2))
+    return float(profile.s[bright[0]] - one.depth) if len(bright) else None
 
 
 def _input_warnings(one: Reconstruction) -> Iterator[str]:
@@ -334,6 +353,7 @@ def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
+T = TypeVar("T")
 
 
 class VolumeSearch:
@@ -341,27 +361,37 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = volume, recipe
-        self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
+        self._found: dict[tuple[str, float | None, bytes], object] = {}
 
-    @cached_property
-    def tubes(self) -> list[Component]:
-        """The components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return find_tubes(self.volume, self.recipe, self.bright)
+    def find_tubes(self) -> list[Component]:
+        """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
+        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
 
-    @cached_property
+    @property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU)
+        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
+        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
-        key = blob.level, radius, blob.voxels.tobytes()
-        if key not in self._balls:
-            self._balls[key] = fit_sphere(volume, blob, radius)
-        return self._balls[key]
+        work = partial(fit_sphere, volume, blob, radius)
+        return self._once(f"ball above {blob.level}", work, radius, blob.voxels.tobytes())
+
+    def _once(self, name: str, work: Callable[[], T], radius: float | None = None, own: bytes = b"") -> T:
+        key = name, radius, own
+        if key not in self._found:
+            try:
+                self._found[key] = work()
+            except DataError as error:
+                self._found[key] = error
+        found: Any = self._found[key]
+        if isinstance(found, DataError):
+            raise found
+        return cast(T, found)
 
 
 def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
@@ -373,7 +403,7 @@ def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
     if points is not None:
         axis = follow_points(search.volume, points, recipe)
         return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
-    return select_needle(search.volume, recipe, scan.needle_at, search.tubes)
+    return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
 
 
 def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> MarkerResult | None:

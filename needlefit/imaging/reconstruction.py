@@ -19,6 +19,19 @@ from needlefit.imaging.volume import Volume, to_index
 
 
 @dataclass(frozen=True)
+class RejectedMarker:
+    """What has about a marker's size and is none."""
+
+    center: Floats  # (3,); LPS, mm
+    diameter: float  # of a ball of as many voxels, mm
+    # Of a ball's model to it, and the largest allowed, in parts of its brightness.
+    misfit: float
+    max_misfit: float
+    # "misfit", "blur", "moved" (the fit ran away), or "edge" (the volume's face is too near).
+    reason: Literal["misfit", "blur", "moved", "edge"]
+
+
+@dataclass(frozen=True)
 class MarkerResult:
     """The markers found in the scan."""
 
@@ -27,7 +40,7 @@ class MarkerResult:
     source: Literal["volume", "fiducials"]  # "volume", or "fiducials": placed by hand
     # (M,); of the balls' model, in parts of their brightness; empty for fiducials.
     misfits: Floats = field(default_factory=lambda: np.empty(0))
-    rejected: tuple[str, ...] = ()  # other candidates in the volume in words, the most similar first
+    rejected: tuple[RejectedMarker, ...] = ()  # other candidates in the volume
     spread: PointSpread | None = None  # the scanner's, as the balls show it
     warnings: tuple[str, ...] = ()  # what a person should know of the balls
 

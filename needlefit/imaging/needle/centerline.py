@@ -27,9 +27,9 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
     select_sections,
 )
-from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE, follow_points
+from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import TIP_ERROR_MM, fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, TIP_ERROR_MM, fit_slices, runs_in_slices
 from needlefit.imaging.needle.tip import (
     MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
@@ -114,7 +114,7 @@ def trace_needle(
 
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
-    rough = component if isinstance(component, AxisSpline) else find_rough_axis(volume, component, recipe)
+    rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
     axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
@@ -146,7 +146,7 @@ def trace_needle(
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
-    return replace(_sample_centerline(axis, end, recipe), warnings=tuple(notes))
+    return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
 def _list_warnings(volume: Volume, axis: AxisSpline, end: TipFit, diameter: float) -> Iterator[str]:
@@ -189,8 +189,8 @@ def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
     return at + along, float(np.linalg.norm(away - along * frame.tangents[0]))
 
 
-def find_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
-    """Return the axis through the bright centroids of pieces of the component, as far as the needle shows."""
+def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
+    """Fit a spline through the bright centroids of slices of the component along its main axis."""
     points = to_patient(volume, component.voxels)
     i, j, k = component.voxels.T
     bright = volume.values[k, j, i].astype(np.float64)
@@ -200,7 +200,8 @@ def find_rough_axis(volume: Volume, component: Component, recipe: Reconstruction
     piece = np.floor((along - along.min()) / BIN_LENGTH_MM).astype(int)
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
-    return follow_points(volume, moments[mass > 0] / mass[mass > 0, None], recipe)
+    pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
+    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_spacing_mm)
 
 
 def refine_axis(
@@ -321,15 +322,36 @@ def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool
     return shown
 
 
-def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> Centerline:
+def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> float:
+    """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
+
+    The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
+    shows that, and thin slices show the needle in several.
+    """
+    thick, wide = volume.grid.slice_distance, recipe.needle.diameter_mm
+    if thick <= MIN_SLICE_MM:
+        return 0.0
+    ends = axis.spline(np.array([0.0, axis.length]))
+    steep = float((ends[1] - ends[0]) @ volume.grid.normal) / float(np.linalg.norm(ends[1] - ends[0]))
+    left = recipe.centerline.knot_spacing_mm * steep / thick
+    return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
+
+
+def _sample_centerline(
+    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
+) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
     count = int(np.ceil(end.at / recipe.centerline.station_spacing_mm)) + 1
     s = np.linspace(0.0, end.at, count)
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    # what neighbours share of a needle near thick slices; in the spline's own deviation already
-    hidden = 0.0 if axis.normal_sd is None else float(np.sqrt(np.mean(axis.normal_sd**2) / 2))
-    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), SYSTEMATIC_SD_MM)
+    # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
+    if axis.normal_sd is None:
+        hidden = slice_sd(volume, axis, recipe)
+        more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
+    else:  # in the spline's own deviation already
+        hidden, more = float(np.sqrt(np.mean(axis.normal_sd**2) / 2)), SYSTEMATIC_SD_MM
+    sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     sections = axis.s[:-1]  # the last is the tip
     beside = axis.points[:-1] - axis.spline(sections)

@@ -66,9 +66,16 @@ MAX_FACE_FRACTION = 0.15
 MIN_COMPONENT_VOXELS = 8  # smaller components are noise
 MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ along it to fit a parabola
 NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
+# A needle is followed to levels that lie above the tissue by more than so many deviations of its noise.
+MIN_GROWTH_NOISE_SD = 4.0
 # Pieces are joined beyond a wider gap where metal, as a plate, fills it but for `join_gap_mm`, mm.
 MAX_HIDDEN_MM = 40.0
+MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
+# Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
+GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
 SEED_PART = 1 / 3  # part of a needle's least length and elongation that a piece has from which one is joined
+# A tube that becomes wider than that at a lower threshold takes in what surrounds it.
+MAX_GROWTH_WIDENING = 1.5
 
 
 @dataclass(frozen=True)
@@ -92,13 +99,18 @@ def find_tubes(
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     levels = list_thresholds(volume, recipe)
-    for low, high in levels:
+    for n, (low, high) in enumerate(levels):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         # a holder, or the change from one slice to the next, may leave short pieces only
         seeds = [part for part in parts if is_tube(part, recipe, SEED_PART)]
         joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
         if joined:
-            return joined
+            _, dense = _sample_dense(volume)
+            noise = 1.4826 * float(np.median(np.abs(dense - np.median(dense)))) if dense.size else 0.0
+            floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
+            lower = [low for low, _ in levels[n + 1 :] if low > floor]
+            grown = _grow_tube(volume, joined[0], lower, recipe)
+            return [grown, *_drop_pieces(grown, joined[1:])]
     largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
     raise refusal(f"""none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f}
             mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
@@ -106,6 +118,38 @@ def find_tubes(
             {rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide
         fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask
             or points on the needle""")
+
+
+def _grow_tube(
+    volume: Volume, tube: Component, levels: Sequence[float], recipe: ReconstructionRecord
+) -> Component:
+    """Return the tube as far as lower levels (HU) show it: near a hub or in rays it is darker."""
+    points = to_patient(volume, tube.voxels)
+    center, axes = principal_axes(points)
+    along = (points - center) @ axes[0]
+    ends = center + np.outer([along.min() - GROWTH_REACH_MM, along.max() + GROWTH_REACH_MM], axes[0])
+    index = np.vstack([to_index(volume, ends), tube.voxels])
+    margin = GROWTH_MARGIN_MM / volume.spacing
+    size = np.array(volume.grid.size)
+    low = np.clip(np.floor(index.min(axis=0) - margin), 0, size).astype(np.int64)
+    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, 0, size).astype(np.int64)
+    box = tuple(slice(a, b) for a, b in zip(low[::-1], high[::-1], strict=True))
+    own = {tuple(voxel) for voxel in tube.voxels[:: max(1, len(tube.voxels) // 1000)].tolist()}
+    grown = tube
+    # a needle that runs in a slice fills its thickness
+    filled = recipe.needle.diameter_mm * max(recipe.needle.diameter_mm, float(volume.spacing.max()))
+    expected = max(tube.width, np.sqrt(4 / np.pi * filled))
+    for level in levels:
+        found = [part[:, ::-1] + low for part in _list_parts(volume.values[box] > level)]
+        whole = [measure_component(volume, one) for one in found if len(one) >= MIN_COMPONENT_VOXELS]
+        parts = cut_components(volume, whole, recipe)
+        same = [part for part in parts if own & {tuple(voxel) for voxel in part.voxels.tolist()}]
+        longest = max(same, key=lambda part: part.length, default=tube)
+        longest = _join_pieces(volume, longest, [part for part in parts if part is not longest], recipe)
+        wide = longest.width > MAX_GROWTH_WIDENING * expected
+        if is_tube(longest, recipe) and not wide and longest.length > grown.length + MIN_GROWTH_MM:
+            grown = longest
+    return grown
 
 
 def cut_components(
@@ -243,9 +287,13 @@ def measure_component(volume: Volume, voxels: Ints) -> Component:
 
 def median_tissue_hu(volume: Volume) -> float:
     """Return the median of all voxels that are not air (HU), from every third voxel along each axis."""
-    some = volume.values[::3, ::3, ::3]
-    dense = some[some > MAX_AIR_HU]
+    some, dense = _sample_dense(volume)
     return float(np.median(dense if dense.size > some.size / 100 else some))
+
+
+def _sample_dense(volume: Volume) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    some = volume.values[::3, ::3, ::3]
+    return some, some[some > MAX_AIR_HU]
 
 
 def _join_pieces(
