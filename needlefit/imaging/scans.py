@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -184,9 +185,9 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if not is_file(path):
         return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
     mesh = path.suffix.lower() in MESH_SUFFIXES
-    if not mesh and not path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
+    if not mesh and not _may_be_segmentation(path):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}"
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:
@@ -201,6 +202,15 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if match is None:
         return LayerSource(path)
     return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
+
+
+def _may_be_segmentation(path: Path) -> bool:
+    """Whether a file is an image file, an archive, or begins as DICOM; archives of PACS use no ending."""
+    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
+        return True
+    with suppress(DataError):  # one that may not be read
+        return begins_as_dicom(path)
+    return False
 
 
 def build_scan(row: ScanRow, id_: str) -> Scan:
