@@ -19,6 +19,7 @@ from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_C
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
+from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
