@@ -4,11 +4,11 @@
                                        [--profile]
 
 Runs commands as whole processes, in turns: those of this source tree and, with `--beside-python`, those of
-another interpreter's needlefit. Other work stretches the wall; processor seconds (user and system, of all
-processes of a command) and their ratio are what to compare. `--profile` runs each command once more with
-`--jobs 1`, looks every 4 ms of processor time where it is, and adds up: by package, of each its own functions
-alone, and by function with what that calls. A profiler that counts calls would double what calls small
-functions. Memory is the largest resident set of a process.
+another interpreter's needlefit, such as one of commit 1e6ded96. Other work stretches the wall; processor
+seconds (user and system, of all processes of a command) and their ratio are what to compare. `--profile` runs
+each command once more with `--jobs 1`, looks every 4 ms of processor time where it is, and adds up: by
+package, of each its own functions alone, and by function with what that calls. A profiler that counts calls
+would double what calls small functions. Memory is the largest resident set of a process.
 """
 
 import argparse
@@ -105,9 +105,9 @@ def profile(words: tuple[str, ...], folder: Path, program: Program) -> dict[str,
 
 
 def _compare(figures: dict[str, Figures], name: str) -> str:
-    """Return the ratio of a command's wall seconds to those of the interpreter beside."""
-    beside = figures.get(f"{BESIDE}: {name}")
-    return f", ratio {figures[name]['wall_seconds'] / beside['wall_seconds']:.2f}" if beside else ""
+    """Return the ratio of a command's processor seconds to those of the interpreter beside."""
+    key, beside = "processor_seconds", figures.get(f"{BESIDE}: {name}")
+    return f", ratio {figures[name][key] / beside[key]:.2f}" if beside else ""
 
 
 def _sort(values: Figures, most: int) -> Figures:
