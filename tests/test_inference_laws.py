@@ -12,8 +12,8 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
+from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.schemas.medium import MediumRecord
-from needlefit.viewer.measured import make_scene_record
 
 SHAPE = {
     "linear": {},

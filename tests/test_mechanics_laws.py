@@ -14,7 +14,8 @@ from needlefit.mechanics.batch import Batch, linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
-from needlefit.mechanics.packing import compile_law, evaluate_layer
+from needlefit.mechanics.native import evaluate_law
+from needlefit.mechanics.packing import compile_law, differentiate_law
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
@@ -24,7 +25,13 @@ REST = np.zeros(1)
 
 
 def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int = 0):
-    return evaluate_layer(tissue, layer, e, number)
+    """The law of one layer at |e| = `e`, as the kernel has it, by the shape parameter of a number."""
+    shape = tissue.shape[:, layer : layer + 1]
+    parts, slopes = compile_law(tissue.law, shape), differentiate_law(tissue.law, shape)
+    law = np.concatenate(parts, axis=1)[0]
+    by = np.broadcast_to(slopes, (1, len(shape), len(law)))[0, number].copy() if len(shape) else None
+    mu, thickness = float(tissue.mu[layer]), float(tissue.thickness[layer])
+    return evaluate_law(law, parts[1].shape[1], mu, thickness, np.asarray(e, dtype=np.float64), by)
 
 
 def test_a_table_ends_where_its_law_is_too_steep() -> None:

@@ -17,10 +17,10 @@ from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
+from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
-from needlefit.viewer.measured import make_scene_record
 
 PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[7, 13, 18])
 RULES = ModelOptions(advance="path_angle")

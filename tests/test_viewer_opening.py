@@ -19,6 +19,7 @@ from needlefit.inference.forward_model import (
 )
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
+from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
@@ -27,7 +28,6 @@ from needlefit.studies.fit_frames import select_draws
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.cross_validation.run import run
 from needlefit.studies.store import pack, restore_run
-from needlefit.viewer.measured import make_scene_record
 from needlefit.viewer.opening import open_target
 
 VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}

@@ -20,9 +20,9 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.tissue import Tissue
+from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.planning.steering import StartedInsertion
 from needlefit.viewer.export import PAGE
-from needlefit.viewer.measured import make_scene_record
 from needlefit.viewer.messages import encode_measured
 from needlefit.viewer.overlays import compute_band, make_measured_overlay
 

@@ -264,21 +264,6 @@ def pack_layers(
     return sizes, arrays
 
 
-def evaluate_layer(tissue: Tissue, layer: int, size: Floats, number: int = 0) -> native.EvaluatedLaw:
-    """Return the law of one layer at |e| = `size` (K,), mm, as the kernel has it.
-
-    `number` is that of the shape parameter to differentiate by; of a law without any that derivative is 0.
-    """
-    shape = tissue.shape[:, layer : layer + 1]
-    parts, slopes = compile_law(tissue.law, shape), differentiate_law(tissue.law, shape)
-    law = np.concatenate(parts, axis=1)[0]
-    by = np.broadcast_to(slopes, (1, len(shape), len(law)))[0, number].copy() if len(shape) else None
-    mu, thickness = float(tissue.mu[layer]), float(tissue.thickness[layer])
-    return native.evaluate_law(
-        law, parts[1].shape[1], mu, thickness, np.ascontiguousarray(size, dtype=np.float64), by
-    )
-
-
 def pack_problem(
     needle: Needle,
     tissue: Tissue,

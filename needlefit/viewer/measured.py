@@ -14,26 +14,17 @@ from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.compared_points import select_points
 from needlefit.inference.forward_model import (
     ParameterDraws,
-    make_rules,
     select_layer_draws,
 )
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
+from needlefit.planning.insertion_scene import find_layers, make_scene_record
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.scene import (
-    BevelRecord,
-    ControlsRecord,
-    LayerRecord,
-    NeedleRecord,
-    SceneRecord,
-    StepRecord,
-)
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -239,72 +230,3 @@ def _describe_band(draws: pd.DataFrame, specimen: str) -> str:
         return f"No band: the posterior draws ({how}) are not certified."
     new = ", in a specimen that was not tuned on" if specimen == NEW_SPECIMEN else ""
     return f"Band: 95 % of the needles of posterior draws ({how}){new}."
-
-
-def make_scene_record(
-    values: Mapping[str, float], medium: MediumRecord, dataset: Dataset, insertion: Insertion, title: str = ""
-) -> SceneRecord:
-    """Return a scene file's content that reproduces the prediction of one insertion, in C.
-
-    `values` are all parameters of the medium, ties resolved (Pa, mm).
-    """
-    guide = values.get("guide_distance_mm", insertion.guide_distance)
-    moved = insertion.base_moved
-
-    layers = []
-    for top, layer in find_layers(insertion):
-        shape = {kind: values[f"{kind}{layer}"] for kind in LAWS[medium.law].shape_names}
-        layers.append(
-            LayerRecord(
-                name=f"layer {layer}",
-                top_mm=top,
-                mu_pa=values[f"mu{layer}_pa"],
-                alpha=shape.pop("alpha", None),
-                shape=shape,
-                thickness_mm=medium.thickness_mm,
-            )
-        )
-    bevel = {
-        medium.bevel_parameter.replace("bevel_mm", "offset_mm"): insertion.bevel_factor
-        * values[medium.bevel_parameter],
-        "side": 1 if insertion.side > 0 else -1,
-    }
-    return SceneRecord(
-        schema_=SceneRecord.SCHEMA,
-        title=title,
-        depth_mm=None if moved or insertion.turns else insertion.depth,
-        law=medium.law,
-        needle=NeedleRecord(  # by its rigidity, whatever that was stated by
-            name=f"needle of {dataset.name}",
-            length_mm=dataset.needle.length,
-            outer_diameter_mm=dataset.outer_diameter,
-            flexural_rigidity_nmm2=dataset.needle.flexural_rigidity,
-        ),
-        layers=tuple(layers),
-        bevel=BevelRecord.model_validate(bevel),
-        rules=make_rules(medium),
-        controls=ControlsRecord(guide_distance_mm=guide),
-        steps=_record_steps(insertion) if moved or insertion.turns else (),
-    )
-
-
-def _record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
-    """Return the steps of an insertion with turns of its bevel, or a move of its base at the end."""
-    contact = 0.0 if insertion.side > 0 else 180.0
-    turned = [(None, 0.0), *insertion.turns]
-    ends = [*(depth for depth, _ in insertion.turns), insertion.depth]
-    steps = [
-        StepRecord(depth_mm=end, roll_deg=None if begin is None else contact + roll)
-        for end, (begin, roll) in zip(ends, turned, strict=True)
-    ]
-    if insertion.base_moved:
-        steps.append(StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved))
-    return tuple(steps)
-
-
-def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
-    """Return depth (mm) and number of each layer that an insertion meets, but those of zero thickness."""
-    tops = [0.0, *insertion.boundaries.tolist()]
-    ends = [*tops[1:], float("inf")]
-    met = zip(tops, ends, insertion.sequence, strict=True)
-    return tuple((top, layer) for top, end, layer in met if end > top)
