@@ -71,7 +71,7 @@ CASES = {
     ),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
-    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr"),
+    "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project"),
     "twin build": Case("twin build --out out/twin -q", "twin"),

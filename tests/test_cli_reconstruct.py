@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from dicom_series import save_volume
 from pydicom import dcmread
 from pydicom.encaps import encapsulate
 from pydicom.uid import UID
@@ -131,7 +130,7 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
 @pytest.mark.usefixtures("searched_once")
 def test_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
-    save_volume(series, read_volume(VOLUME))
+    write_volume(read_volume(VOLUME), series)
     out = tmp_path / "out"
     layers = [word for file in LAYERS for word in ("--layers", file)]
     words = ("reconstruct", series, "--markers", MARKERS, *layers, "--out", out, "-q", "--json")
@@ -143,15 +142,27 @@ def test_dicom_is_read_alike(tmp_path, capsys):
 
 
 @pytest.mark.sweep
-def test_one_failure_loses_nothing(tmp_path):
-    """Of two scans one is truncated."""
+def test_one_failure_loses_nothing_and_resumed_results_equal_those_of_one_run(tmp_path):
+    """Of two scans one is truncated at first."""
     cut, out = tmp_path / "truncated.nrrd", tmp_path / "out"
     cut.write_bytes(VOLUME.read_bytes()[:40_000])
     shutil.copy(VOLUME, tmp_path / "whole.nrrd")
+    words = ("reconstruct", cut, tmp_path / "whole.nrrd", "--jobs", "1", "-q", "--out")
     with redirect_stderr(StringIO()) as errors:
-        assert run("reconstruct", cut, tmp_path / "whole.nrrd", "--jobs", "1", "-q", "--out", out) == 3
+        assert run(*words, out) == 3
     assert "1 of 2 scans failed" in errors.getvalue() and "fix" in errors.getvalue()
+    assert f"kept in {tmp_path / 'out.partial'}; to go on: " in errors.getvalue()
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
+    shutil.copy(VOLUME, cut)
+    assert run(*words, out, "--resume") == 0
+    assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
+    assert not out.with_name("out.partial").exists()
+    again = out.with_name("again") / "out"
+    assert run(*words, again) == 0
+    found, at_once = files(out), files(again)
+    where = {"volumes.csv", "needlefit.json"}  # scans as seen from the dataset, and the digest of that
+    assert {name for name in found if at_once[name] != found[name]} == where
+    assert found.keys() == at_once.keys()
 
 
 def table(folder, **changes):
@@ -253,7 +264,7 @@ def truncated(folder):
 
 
 def no_decoder(folder):
-    save_volume(folder / "series", read_volume(VOLUME))
+    write_volume(read_volume(VOLUME), folder / "series")
     for path in sorted((folder / "series").iterdir()):
         data = dcmread(path)
         data.file_meta.TransferSyntaxUID = UID("1.2.840.10008.1.2.4.103")  # MPEG-4: video

@@ -25,11 +25,12 @@ from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_frames import DEPTHS_KEY
 from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
 from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.run import Run
-from needlefit.studies.stated_depths import DEPTHS_KEY, examine_depths
+from needlefit.studies.stated_depths import examine_depths
 
 
 def warn(key: str, results: Run):

@@ -26,8 +26,7 @@ from needlefit.errors import (
 class Invocation:
     """One call of the program, and the values of its common options.
 
-    `resumable` is whether the command has --resume. `warned` is whether a warning was printed: with `strict`
-    the exit code then is that of no convergence.
+    `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
     """
 
     words: tuple[str, ...]
@@ -38,7 +37,6 @@ class Invocation:
     out: Path = Path("reports")
     reference: bool = False
     resume: bool = False
-    resumable: bool = True
     strict: bool = False
     explain: bool = False
     json: bool = False
@@ -53,7 +51,7 @@ class Invocation:
 
     def interrupt_message(self) -> str:
         """Return the line that says how to go on."""
-        return "needlefit: interrupted" + f"; to go on: {self.resuming()}" * self.resumable
+        return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
 UNEXPECTED, NOT_CONVERGED, CALIBRATION_FAILED, INTERRUPTED = 1, 5, 6, 130

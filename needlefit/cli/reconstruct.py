@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 MAX_DEFAULT_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
 
+CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
+"""Of the checkpoint: each reconstruction in it has a digest of what decided it."""
+
 
 def reconstruct(
     context: typer.Context,
@@ -81,6 +84,7 @@ def reconstruct(
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
     insecure: options.Insecure = False,
+    resume: options.Resume = False,
     strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
@@ -102,7 +106,6 @@ def reconstruct(
     stated |= {"mask": mask, "series": series, "acquisition": acquisition, "medium": medium}
     named = {key: value for key, value in stated.items() if value}
     invocation = context.find_root().obj
-    invocation.resumable = False
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.datasets.read import check_all
         from needlefit.imaging.assembly import DatasetDescription
@@ -113,6 +116,12 @@ def reconstruct(
         )
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
+        from needlefit.project.checkpoint import (
+            open_checkpoint,
+            release_checkpoint,
+            remove_checkpoint,
+            require_own_checkpoint,
+        )
         from needlefit.project.folders import remove_result, require_no_inputs_within, require_replaceable
         from needlefit.project.locate import find_file
         from needlefit.project.toml import load
@@ -126,18 +135,21 @@ def reconstruct(
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
         require_file_name(place.name, str(out))
+        keep = place.with_name(f"{place.name}.partial")
         refused = place.with_name(f"{place.name}.refused")  # scans without a dataset
+        require_own_checkpoint(keep)
         for folder in (out, refused):
             require_replaceable(folder)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
+        checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
             with open_pool(
                 invocation.jobs or min(MAX_DEFAULT_JOBS, count_cores()),
                 invocation.scheduler,
                 invocation.insecure,
             ) as pool:
-                batch = ReconstructionBatch(pool, report, stop, every)
+                batch = ReconstructionBatch(pool, checkpoint, report, stop, every)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
                 screen.print_note(invocation.interrupt_message())
@@ -168,6 +180,11 @@ def reconstruct(
     _print_failures(written, failed, out if written else refused)
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
+    if failed and written:
+        screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
+    else:
+        remove_checkpoint(keep, print_remark)
+    release_checkpoint(keep)
     if failed:
         raise typer.Exit(DataError.exit_code)
 

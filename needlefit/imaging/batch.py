@@ -1,27 +1,36 @@
-"""Reconstruct many scans, in one process or several, or on machines that see their files in the same place.
+"""Reconstruct many scans, in one process or several, or on machines that do not have their files.
 
-A scan that is refused does not stop the others; an error of the program does.
+A scan that is refused does not stop the others; an error of the program does, after which `--resume` goes on.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import chdir, suppress
+import hashlib
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
 import numpy as np
 
 from needlefit.datasets.markups import Markups
-from needlefit.errors import NeedlefitError
+from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
-from needlefit.imaging.corrections import make_control_points
+from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
+from needlefit.imaging.corrections import describe_changes, make_control_points
 from needlefit.imaging.entry import list_candidates
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
+from needlefit.imaging.volume import list_series_files
 from needlefit.imaging.volume_files import read_volume
+from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
+from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
@@ -30,6 +39,82 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 T = TypeVar("T")
 
 
+def _try(step: Callable[[], T]) -> T | None:
+    """Return what a step finds; None if it refuses the scan: another step has raised its error."""
+    with suppress(NeedlefitError):
+        return step()
+    return None
+
+
+SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file
+
+
+@dataclass(frozen=True)
+class PackedScan:
+    """A scan, the folder that all of its files lie in, and their bytes by their paths in that folder."""
+
+    scan: Scan
+    root: Path
+    files: tuple[tuple[str, bytes], ...]
+
+    def original(self, error: NeedlefitError, unpacked: Path) -> NeedlefitError:
+        """Return an error about unpacked files as one about those that were packed."""
+        texts = {name: text.replace(str(unpacked), str(self.root)) for name, text in vars(error).items()}
+        return type(error)(**texts)
+
+
+class PackedScans(Sequence[PackedScan]):
+    """Scans that are packed one by one, when they are asked for: their volumes are large."""
+
+    def __init__(self, scans: Sequence[Scan]) -> None:
+        self._scans = scans
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __getitem__(self, index: int) -> PackedScan:  # type: ignore[override]  # no slices
+        return pack_scan(self._scans[index])
+
+
+def pack_scan(scan: Scan) -> PackedScan:
+    """Return a scan with the bytes of its files; those that are missing are left out."""
+    scan = _move(scan, Path.absolute)
+    files = sorted({path for path in list_scan_files(scan) if path.is_file()})
+    root = Path(os.path.commonpath([path.parent for path in (*scan.files, *files)]))
+    return PackedScan(scan, root, tuple((str(path.relative_to(root)), path.read_bytes()) for path in files))
+
+
+@contextmanager
+def unpack_scan(packed: PackedScan) -> Iterator[tuple[Scan, Path]]:
+    """Write the files of a packed scan into a folder of this machine; that scan and the folder."""
+    with TemporaryDirectory(prefix="needlefit-") as name:
+        folder = Path(name)
+        for path, data in packed.files:
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        yield _move(packed.scan, lambda path: folder / path.relative_to(packed.root)), folder
+
+
+def list_scan_files(scan: Scan) -> Iterator[Path]:
+    """Yield every file that a reconstruction may read.
+
+    One slice stands for its series, and a header for the file of its voxels: all files of the folder count,
+    and of those below.
+    """
+    yield from scan.files[1:]
+    alone = scan.volume.name.lower().endswith(SINGLE_FILE_SUFFIXES)
+    yield from [scan.volume] if alone else list_series_files(scan.volume)
+
+
+def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
+    """Return a scan whose files are elsewhere."""
+    surfaces = tuple(replace(source, path=moved(source.path)) for source in scan.surfaces)
+    files = {name: getattr(scan, name) for name in ("volume", "mask", "markers", "fiducials")}
+    elsewhere: dict[str, Any] = {name: path and moved(path) for name, path in files.items()}
+    return replace(scan, surfaces=surfaces, **elsewhere)
+
+
+_HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
 
@@ -45,10 +130,11 @@ class ReconstructionFailure:
 
 @dataclass(frozen=True)
 class ReconstructionBatch:
-    """Options of a batch: where it runs, and callbacks."""
+    """Options of a batch: where it runs, checkpoints and callbacks."""
 
     # Where scans are reconstructed; each takes as much memory as its volume, several times.
     pool: TaskPool = THIS_PROCESS
+    checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
     progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
     stop: Stop = never_stop  # whether to begin no further scan
     every: bool = False  # whether each needle of a scan is reconstructed
@@ -83,43 +169,77 @@ def reconstruct_all(
     Of fewer scans after a stop.
     """
     found: dict[int, tuple[Result, ...]] = {}
-    batch.progress("reconstructing", 0, len(scans))
-    work = partial(reconstruct_needles, recipe=recipe, every=batch.every, folder=Path.cwd())
-    for at, results in batch.pool.run(work, scans, batch.stop):
-        found[at] = results
-        batch.progress(scans[at].id, len(found), len(scans))
+    for n, scan in enumerate(scans):
+        finished = _read_checkpoint(scan, recipe, batch)
+        if finished is not None:
+            found[n] = finished
+    left = [n for n in range(len(scans)) if n not in found]
+    batch.progress("reconstructing", len(found), len(scans))
+    remaining = [scans[n] for n in left]
+    items = PackedScans(remaining) if batch.pool.remote else remaining
+    work = partial(reconstruct_needles, recipe=recipe, every=batch.every)
+    for at, results in batch.pool.run(work, items, batch.stop):
+        scan = remaining[at]
+        ones = tuple(_move_to(one, scan) for one in results)  # those of a packed one have other paths
+        found[left[at]] = ones
+        if all(isinstance(one, Reconstruction) for one in ones):
+            arrays: Arrays = {}
+            plain = [encode(one, _HOOKS, arrays) for one in ones]
+            kept = {"inputs": _digest_inputs(scan, recipe, batch.every), "reconstructions": plain}
+            batch.checkpoint.keep_row(_work_of(scan), kept, arrays)
+        batch.progress(scan.id, len(found), len(scans))
     return tuple(found[n] for n in sorted(found))
 
 
-@one_thread
-def reconstruct_needles(
-    scan: Scan, recipe: ReconstructionRecord, every: bool = False, folder: Path = Path()
-) -> tuple[Result, ...]:
-    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds.
+def _move_to(one: Result, scan: Scan) -> Result:
+    """Return a result of one needle of `scan` with the files of that scan."""
+    own = {name: getattr(one.scan, name) for name in ("id", "needle_at", "divided")}
+    return replace(one, scan=replace(scan, **own))
 
-    Relative paths of the scan count from `folder`.
-    """
-    with chdir(folder):
-        read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
-        search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
-        if isinstance(search, ReconstructionFailure):
-            return (search,)
-        needles = divide_scan(search, scan) if every else (scan,)
-        return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
+
+def reconstruct_needles(
+    scan: Scan | PackedScan, recipe: ReconstructionRecord, every: bool = False
+) -> tuple[Result, ...]:
+    """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds."""
+    if isinstance(scan, Scan):
+        return _reconstruct_needles(scan, recipe, every)
+    with unpack_scan(scan) as (unpacked, folder):
+        found = _reconstruct_needles(unpacked, recipe, every)
+    return tuple(
+        replace(one, error=scan.original(one.error, folder))
+        if isinstance(one, ReconstructionFailure)
+        else one
+        for one in found
+    )
+
+
+@one_thread
+def _reconstruct_needles(scan: Scan, recipe: ReconstructionRecord, every: bool) -> tuple[Result, ...]:
+    read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
+    search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
+    if isinstance(search, ReconstructionFailure):
+        return (search,)
+    needles = divide_scan(search, scan) if every else (scan,)
+    return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
 
 
 def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     found = examine(search.volume, scan, search.recipe, search)
     if found.error is None and found.reconstruction is not None:
-        return add_views(found.reconstruction, search.volume)
+        one = add_views(found.reconstruction, search.volume)
+        if scan.corrections is None:
+            return one
+        plain = replace(scan, corrections=None)
+        before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
+        return replace(one, warnings=(describe_changes(before, one), *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     needle = None if found.needle_axis is None else found.needle_axis.points
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entry, profile = None, found.profile
     if needle is not None and profile is not None:
-        with suppress(NeedlefitError):  # another step has raised its error
-            for rise in list_candidates(profile, float(arc_length(needle)[-1])):
-                (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
+        length = float(arc_length(needle)[-1])
+        for rise in _try(lambda: list_candidates(profile, length)) or ():
+            (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
     points = make_control_points(scan.id, needle, entry, balls)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings)
 
@@ -129,3 +249,45 @@ def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:
         return work()
     except NeedlefitError as error:
         return ReconstructionFailure(scan, error)
+
+
+def _read_checkpoint(
+    scan: Scan, recipe: ReconstructionRecord, batch: ReconstructionBatch
+) -> tuple[Result, ...] | None:
+    """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
+    for row in batch.checkpoint.rows(_work_of(scan), ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
+        if row["inputs"] == _digest_inputs(scan, recipe, batch.every):
+            with suppress(DataError):
+                return tuple(_move_to(one, scan) for one in _decode_checkpoint(row))
+    return None
+
+
+def _decode_checkpoint(row: Mapping[str, Any]) -> list[Reconstruction]:
+    """Return the reconstructions that a row keeps; DataError if it keeps none."""
+    try:
+        ones = [decode(Reconstruction, one, _HOOKS, row[ARRAYS_KEY]) for one in row["reconstructions"]]
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
+        raise DataError(f"holds no reconstruction: {error}") from None
+    if not all(isinstance(one, Reconstruction) for one in ones):
+        raise DataError("holds no reconstruction")
+    return ones
+
+
+def _work_of(scan: Scan) -> str:
+    return f"scan {scan.id}"
+
+
+def _digest_inputs(scan: Scan, recipe: ReconstructionRecord, every: bool) -> str:
+    """Return a digest of all that decides a reconstruction; of files their size and time."""
+    arrays: Arrays = {}
+    plain = json.dumps([encode(scan, _HOOKS, arrays), [[name, one.tolist()] for name, one in arrays.items()]])
+    parts = [
+        plain,
+        f"{every}",
+        recipe.model_dump_json(),
+        *(version(name) for name in ("needlefit", *VERSIONED_PACKAGES)),
+    ]
+    for path in sorted(set(list_scan_files(scan))):
+        status = path.stat()
+        parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
