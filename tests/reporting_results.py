@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.reporting import paper
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies import paper
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation import report
 from needlefit.studies.kinds.cross_validation.run import find_faults

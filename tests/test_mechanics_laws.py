@@ -1,7 +1,9 @@
 """Tissue laws: what each says by hand, and how truly the kernel's polynomial says it."""
 
 from collections.abc import Iterator
+from ctypes import c_double, c_int64, c_void_p
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -9,12 +11,11 @@ from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
 from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import reference
+from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
-from needlefit.mechanics.native import evaluate_law
 from needlefit.mechanics.packing import compile_law, differentiate_law
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
@@ -24,14 +25,29 @@ H = 1e-30  # of complex steps
 REST = np.zeros(1)
 
 
-def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int = 0):
-    """The law of one layer at |e| = `e`, as the kernel has it, by the shape parameter of a number."""
+class EvaluatedLaw(NamedTuple):
+    """A layer's law at |e| (K,) mm, as the kernel evaluates it; MPa and mm."""
+
+    k: np.ndarray
+    tangent: np.ndarray  # d(k e)/de
+    by_shape: np.ndarray  # dk/dp of a shape parameter
+    limit: float  # the |e| up to which the polynomial holds
+    curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
+    series: np.ndarray  # of k in |e|
+
+
+def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int = 0) -> EvaluatedLaw:
+    """The law of one layer at |e| = `e`, mm, as the kernel has it, by the shape parameter of a number."""
     shape = tissue.shape[:, layer : layer + 1]
     parts, slopes = compile_law(tissue.law, shape), differentiate_law(tissue.law, shape)
-    law = np.concatenate(parts, axis=1)[0]
+    law, size = np.concatenate(parts, axis=1)[0], np.ascontiguousarray(e, dtype=np.float64)
     by = np.broadcast_to(slopes, (1, len(shape), len(law)))[0, number].copy() if len(shape) else None
-    mu, thickness = float(tissue.mu[layer]), float(tissue.thickness[layer])
-    return evaluate_law(law, parts[1].shape[1], mu, thickness, np.asarray(e, dtype=np.float64), by)
+    found, about = np.zeros((3, len(size))), np.empty(2 + native.SERIES_TERMS)
+    arrays = [None if one is None else c_void_p(one.ctypes.data) for one in (law, by, size, *found, about)]
+    mu, thickness = c_double(tissue.mu[layer]), c_double(tissue.thickness[layer])
+    counts = c_int64(parts[1].shape[1]), c_int64(len(size))
+    native.load_library().nf_law(counts[0], *arrays[:2], mu, thickness, counts[1], *arrays[2:])
+    return EvaluatedLaw(*found, float(about[0]), float(about[1]), about[2:])
 
 
 def test_a_table_ends_where_its_law_is_too_steep() -> None:

@@ -141,7 +141,7 @@ def _list_topics() -> dict[str, list[Topic]]:
 
 def paper(context: typer.Context, json: options.Json = False) -> None:
     """Print the paper's tables."""
-    from needlefit.studies import paper as published
+    from needlefit.reporting import paper as published
 
     if context.find_root().obj.json:
         tables = published.TABLE_TITLES

@@ -604,33 +604,6 @@ def compute_position_derivatives(
     return found
 
 
-class EvaluatedLaw(NamedTuple):
-    """A layer's law at |e| (K,) mm, as the kernel evaluates it; MPa and mm."""
-
-    k: Floats
-    tangent: Floats  # d(k e)/de
-    by_shape: Floats  # dk/dp of a shape parameter
-    limit: float  # the |e| up to which the polynomial holds
-    curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
-    series: Floats  # (SERIES_TERMS,) of k in |e|
-
-
-def evaluate_law(
-    numbers: Floats, terms: int, mu: float, thickness: float, size: Floats, by: Floats | None = None
-) -> EvaluatedLaw:
-    """Return a law at |e| = `size` (K,), mm; `numbers` and `by` (its derivatives) as in `native/law.hpp`."""
-    found, about = np.zeros((3, len(size))), np.empty(2 + SERIES_TERMS)
-    for name, array in (("numbers", numbers), ("by", numbers if by is None else by)):
-        check_array(name, array, float, (2 * terms if terms else 2 + TABLE_PIECES * TABLE_TERMS,))
-    check_array("size", size, float, (-1,))
-    load_library().nf_law(
-        c_int64(terms), _at(numbers), None if by is None else _at(by), c_double(mu), c_double(thickness),
-        c_int64(len(size)), _at(size), *map(_at, (*found, about)),
-    )  # fmt: skip
-    k, tangent, by_shape = found
-    return EvaluatedLaw(k, tangent, by_shape, float(about[0]), float(about[1]), about[2:])
-
-
 def compute_sine_cosine(angle: float) -> tuple[float, float]:
     """Return sine and cosine of an angle, rad, to the bit those of the page."""
     at, found = np.array([angle]), np.empty((2, 1))

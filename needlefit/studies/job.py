@@ -34,11 +34,11 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
 from needlefit.project.toml import add_file_context, add_key_context, check, load, locate_key
 from needlefit.project.unit_warnings import medium_warnings
+from needlefit.reporting import paper
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies import paper
 
 MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
 

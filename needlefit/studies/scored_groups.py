@@ -9,8 +9,8 @@ import pandas as pd
 
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
+from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies import paper
 from needlefit.studies.fit_frames import list_methods
 from needlefit.studies.run import Run, once_per_run
 

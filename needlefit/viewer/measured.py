@@ -85,7 +85,7 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
         described = f"no medium {name} of {met} layer{'s' if met > 1 else ''} is described in configs/media"
         return StartParameters(medium, values, f"Parameters: invented, because {described}.")
     parameters = Parameters.from_record(medium)
-    from needlefit.studies import paper
+    from needlefit.reporting import paper
 
     if name in paper.read_hand_tuned_names():
         values = paper.hand_tuned_set(name, parameters, name)
