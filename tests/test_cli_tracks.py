@@ -158,7 +158,7 @@ def test_guided_runs_are_tuned_and_identified_like_shapes(project):
     assert errors.loc[("straight", "moved0"), "ipe_mean_mm"] > 0.2
     assert run("tune", "moved", "--design", "--jobs", "1", "-q") == 0
     before = pd.read_csv(project / "reports/moved-design/identify.csv").set_index("parameter")
-    assert (before.loc["mu1_pa", "determined"], before.loc["alpha1", "determined"]) == ("yes", "no")
+    assert (before.loc["mu1_pa", "determined"], before.loc["bevel_mm", "determined"]) == ("yes", "no")
 
 
 @pytest.mark.usefixtures("few_draws")
