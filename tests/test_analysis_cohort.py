@@ -50,7 +50,7 @@ def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(pro
     assert {"specimens/b", "failures.csv"} <= set(re.findall(r"[\w./]+\w", result.verdicts[0].sentence))
     assert fits["specimen"].drop_duplicates().tolist() == ["chicken-piece1", "chicken-piece2"]
     assert result.origin == "synthetic"
-    keys = {key: value for key, value in COHORT.items() if key in FitRecord.model_fields}
+    keys = {key: COHORT[key] for key in ("schema", "medium", "recipe")}
     record = FitRecord.model_validate({**keys, "dataset": "twin", "tune": {"specimens": ["chicken-piece2"]}})
     job = prepare("cohort specimens/a", record, Settings())
     kept = tuple(one for one in job.folds[0].tune if one.id in CHOSEN)

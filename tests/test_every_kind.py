@@ -2,6 +2,7 @@
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -55,6 +56,8 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
 @EVERY
 def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs(world, kind):
     expected, out = read_files(world.find(kind)), world.folder / f"resumed-{kind}"
+    for other in COMMANDS[kind].after:
+        shutil.copytree(world.find(other), out / COMMANDS[other].folder)
     words = [sys.executable, "-m", "needlefit", *find_words(kind, out, jobs=2), "-q"]
     where = {"cwd": world.folder, "env": {**os.environ, "PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo"}}
     running = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **where)
