@@ -87,7 +87,7 @@ Plugins = Annotated[
 
 # ---- other parameters of several commands
 
-Target = Annotated[str, argument("TARGET", "A study, a fit in configs/fits, or a path.")]
+Target = Annotated[str, argument("TARGET", "A study, a fit in configs/fits, a path, or the folder of a run.")]
 RunName = Annotated[
     str,
     argument("RUN", "A folder of results, or its bare name in reports/."),

@@ -246,8 +246,9 @@ def predict(
         require_file_name(Path(scene).stem, scene)
         name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         execution.prepare([name])
-        tuned = execution.folder(target_name)
-        judged = execution.folder(target_name.removesuffix("-tune"))
+        stored = None if file.suffix == ".toml" else file.parent  # of the run that the target is
+        tuned = stored or execution.folder(target_name)
+        judged = stored or execution.folder(target_name.removesuffix("-tune"))
         inputs = Inputs(judged=restore_run(judged) if is_file(judged / RESULTS_FILE) else None)
         if run is not None:
             run = find_run(str(run))

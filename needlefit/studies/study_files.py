@@ -20,6 +20,7 @@ from needlefit.studies.job import Job, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
+from needlefit.studies.store import RUN_FILE, read_run
 
 PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
@@ -127,10 +128,13 @@ def _find_files(table: Mapping[str, object]) -> None:
 def load_target(target: str) -> tuple[str, FitRecord, Path]:
     """Return the name of the results of a fit, the fit, and the file that it stands in.
 
-    Of a study of tip tracks with several fits, STUDY:FIT names one.
+    The folder of a run means what was fitted there. Of a study of tip tracks with several fits, STUDY:FIT
+    names one.
 
     Raises ConfigError if there is no such study or fit, or it does more than tune.
     """
+    if is_file(stored := Path(target) / RUN_FILE):
+        return _load_stored_target(stored)
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)
     record = load_fit(path) if kind == "fit" else load_study(path)
@@ -156,6 +160,20 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
             fix=f"use: needlefit validate {target}",
         )
     return f"{path.stem}-tune", record.tuning(), path
+
+
+def _load_stored_target(path: Path) -> tuple[str, FitRecord, Path]:
+    """Return the same of the fit that a run has stored, its paths relative to the working folder."""
+    run = read_run(path.parent)
+    if run["kind"] == "fit":
+        return run["name"], check(run["study"], FitRecord, path), path
+    if run["kind"] == "cross_validation":
+        return f"{run['name']}-tune", check(run["study"], StudyRecord, path).tuning(), path
+    raise ConfigError(
+        f"is of kind {run['kind']}, no fit",
+        where=str(path.parent),
+        expected="a run of `needlefit tune`, or of `needlefit validate` that fits and predicts",
+    )
 
 
 def target_name(record: TargetRecord, settings: Settings) -> str:

@@ -397,7 +397,6 @@ def describe(found: Run) -> dict[str, Any]:
         "title": study["scene"]["title"] or study["scene_name"],
         "scene": study["scene_name"],
         "target": study["target"],
-        "target_file": found.record.target,  # as it was named: what a command takes
         "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
         "wide": MAX_AIMING_WIDTH_MM,
     }
