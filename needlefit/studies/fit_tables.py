@@ -17,7 +17,7 @@ from needlefit.inference.parameters import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
-from needlefit.reporting.labels import SPECIMEN_NAMES, method_name
+from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
     format_metric,
@@ -96,8 +96,9 @@ def lay_out_summary(results: Run) -> TableLayout:
     groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
     method, several = choose_method(results), len(groups) > 1
     ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
+    fitted_to = medium_name(str(results.record.medium))
     paper = (
-        _RowKind("paper's parameters, these needles", "hand_tuned"),
+        _RowKind(f"paper's parameters for {fitted_to}, these needles", "hand_tuned"),
         _RowKind("paper's result, its own needles", column="paper"),
     )
     blocks = []

@@ -118,11 +118,12 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
         {
             "check": CHECKS.sentence(one.check, vars(one)),
             "check_found": CHECKS.sentence(f"{one.check}_found", vars(one)),
+            "check_required": CHECKS.sentence(f"{one.check}_required", vars(one)),
             "passed": "–" if one.passed is None else one.passed,
         }
         for one in answer.checks
     ]
-    return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "passed")), {})
+    return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "check_required", "passed")), {})
 
 
 def recall(result: Run) -> str:
