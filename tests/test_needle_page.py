@@ -1,4 +1,4 @@
-"""The page of a report that computes its needles: the bundle, its data, and what it shows in a browser."""
+"""The page of a report that computes its needles: its modules, its data, and what it shows in a browser."""
 
 import re
 from dataclasses import replace
@@ -57,18 +57,9 @@ def list_exports(module: Path) -> set[str]:
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda one: one.name)
 def test_every_name_that_a_module_imports_is_exported(module) -> None:
-    """Also by the module that stands for one in a file without the program."""
-    shared = needle_page.OFFLINE_MODULES
-    of_file = needle_page.bundle_modules([needle_page.SHARE_MODULE])
     for names, path in IMPORTS.findall(module.read_text("utf-8")):
-        target = (module.parent / path).resolve()
-        exported = [list_exports(target)]
-        name = target.relative_to(PACKAGE).as_posix()
-        if name in shared and f'$of["{module.relative_to(PACKAGE).as_posix()}"]' in of_file:
-            exported.append(list_exports(PACKAGE / shared[name]))
         wanted = {one.split(" as ")[0].strip() for one in names.strip("{} \n").split(",")} - {"", "*"}
-        for one in exported:
-            assert wanted <= one, (name, wanted - one)
+        assert wanted <= list_exports((module.parent / path).resolve())
 
 
 def test_the_page_holds_every_scored_insertion(page, result) -> None:

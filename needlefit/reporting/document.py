@@ -267,17 +267,19 @@ def _raise_exponents(words: str) -> Markup:
 
 
 def _compose_page(data: PageData | None) -> dict[str, Any]:
-    """Return script, policy, and of a page that computes needles its part, style and data.
+    """Return scripts, policy, and of a page that computes needles its part, style and data.
 
     Nothing in them can end their elements.
     """
-    script = needle_page.read_script(computes=data is not None, tables=True)
-    parts = {"script": script, "policy": needle_page.write_policy(script), "style": "", "data": ""}
+    parts = {"script": "", "style": "", "data": ""}
+    parts["sorting"] = needle_page.read_package_file("reporting/templates/tables.js")
     if data is not None:
         parts |= {
+            "script": needle_page.read_package_file(needle_page.SCRIPT),
             "stage": needle_page.read_package_file(needle_page.STAGE),
             "style": needle_page.read_style("#explorer"),
             "kernel": needle_page.read_kernel(),
             "data": data.pack(),
         }
-    return {name: Markup(part) for name, part in parts.items()}  # noqa: S704
+    policy = needle_page.write_policy(filter(None, (parts["script"], parts["sorting"])))
+    return {name: Markup(part) for name, part in (parts | {"policy": policy}).items()}  # noqa: S704

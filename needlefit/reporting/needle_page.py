@@ -1,7 +1,7 @@
-"""Pages that compute needles: one HTML file with the kernel in WebAssembly, its data and one script.
+"""Pages that compute needles: one HTML file with the kernel in WebAssembly, its data and its script.
 
-The file opens from disk and asks for nothing. Its modules, those of `needlefit view` among them, become one
-script, which the content security policy names by its SHA-256; a worker runs the same text from a blob.
+The file opens from disk and asks for nothing. esbuild makes its script of modules, those of `needlefit view`
+among them; the content security policy names it by its SHA-256, and a worker runs the same text from a blob.
 """
 
 import base64
@@ -9,7 +9,6 @@ import hashlib
 import html
 import json
 import math
-import posixpath
 import re
 import zlib
 from collections.abc import Iterable, Sequence
@@ -32,94 +31,23 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.help_pages import read_terms
 from needlefit.project.json_values import to_json_values
 
-SHARE_MODULE = "viewer/page/share/main.js"
-TABLES_MODULE = "reporting/templates/tables.js"
-#: modules that talk to the program, and what stands for them in a file
-OFFLINE_MODULES = {
-    "viewer/page/steering.js": "viewer/page/share/offline.js",
-}
-WORKER_MODULE = "viewer/page/model/band_worker.js"
+SCRIPT = "reporting/needle_page.js"  #: made of the page's modules by `npm run build`
 SHARE_PAGE = "viewer/page/share/share.html"
 STAGE = "viewer/page/share/stage.html"
 STYLES = ("viewer/page/style.css", "viewer/page/controls.css")
 SHARE_STYLE = "viewer/page/share/share.css"
-
-_IMPORT = re.compile(r'^import\s+(?:(\*\s+as\s+\w+|\{[^}]*\})\s+from\s+)?"([^"]+)";?', re.MULTILINE)
-_EXPORT = re.compile(r"^export\s+(async\s+function|function|class|const)\s+(\w+)", re.MULTILINE)
-_EXPORT_LIST = re.compile(r"^export\s+\{\s*(\w+(?:,\s*\w+)*),?\s*\};", re.MULTILINE)
-_COMMENT = re.compile(r"^[ \t]*(?:/\*\*(?:[^*]|\*(?!/))*\*/|//.*)\n|^[ \t]+", re.MULTILINE)  # or indent
 
 
 def read_package_file(name: str) -> str:
     return (files("needlefit") / name).read_text("utf-8")
 
 
-# ---- the script
-
-
-def bundle_modules(entries: Sequence[str], worker: str = "") -> str:
-    """Return one script that runs modules of the package, in order; in a worker, that of the worker alone.
-
-    Modules name what they import by relative paths. ValueError if they import each other in a circle, or one
-    exports what can change: an import is read once.
-    """
-    of_page, of_worker = dict[str, str](), dict[str, str]()
-    for entry in entries:
-        _add_module(entry, of_page, ())
-    if worker:
-        _add_module(worker, of_worker, ())
-
-    def write(names: Iterable[str]) -> str:
-        each = ((json.dumps(name), (of_page | of_worker)[name]) for name in names)
-        return "\n".join(f"$of[{name}] = (() => {{\n{text}\n}})();" for name, text in each)
-
-    both = [name for name in of_worker if name in of_page]
-    alone = [write(name for name in of if name not in both) for of in (of_worker, of_page)]
+def write_policy(scripts: Iterable[str]) -> str:
+    """Return the content security policy of a page with these inline scripts."""
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
     return (
-        f'(() => {{\n"use strict";\nconst $of = {{}};\n{write(both)}\n'
-        f'if (typeof document === "undefined") {{\n{alone[0]}\n}} else {{\n{alone[1]}\n}}\n}})();\n'
-    )
-
-
-def _add_module(name: str, done: dict[str, str], path: tuple[str, ...]) -> None:
-    """Add the body of a function that runs a module and returns what it exports, after those it imports."""
-    if name in path:
-        raise ValueError(f"modules import each other: {' -> '.join((*path, name))}")
-    if name in done:
-        return
-
-    source = OFFLINE_MODULES.get(name, name)
-
-    def take(found: re.Match[str]) -> str:
-        needed = posixpath.normpath(posixpath.join(posixpath.dirname(source), found[2]))
-        _add_module(needed, done, (*path, name))
-        given = (found[1] or "").removeprefix("* as ").replace(" as ", ": ")
-        return f"const {given} = $of[{json.dumps(needed)}];" if given else ""
-
-    text = _IMPORT.sub(take, read_package_file(source))
-    exported = [found[2] for found in _EXPORT.finditer(text)]
-    exported += [found[1] for found in _EXPORT_LIST.finditer(text)]
-    text = _EXPORT_LIST.sub("", _EXPORT.sub(r"\1 \2", text))
-    if left := re.search(r"^(export|import)\b.*", text, re.MULTILINE):
-        raise ValueError(f"{name}: cannot bundle `{left[0]}`")
-    done[name] = f"{text}\nreturn {{ {', '.join(exported)} }};"
-
-
-@lru_cache(maxsize=2)
-def read_script(computes: bool, tables: bool) -> str:
-    """Return the script of a page that computes needles, or has sortable tables; without comments."""
-    entries = [name for name, is_there in ((TABLES_MODULE, tables), (SHARE_MODULE, computes)) if is_there]
-    script = _COMMENT.sub("", bundle_modules(entries, WORKER_MODULE if computes else ""))
-    if re.search(r"</script|<!--", script, re.IGNORECASE):
-        raise ValueError("the script contains what would end its element")
-    return script
-
-
-def write_policy(script: str) -> str:
-    """Return the content security policy of a page with one inline script."""
-    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return (
-        f"default-src 'none'; script-src 'sha256-{digest}' 'wasm-unsafe-eval'; worker-src blob:; "
+        f"default-src 'none'; script-src {allowed} 'wasm-unsafe-eval'; worker-src blob:; "
         "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
     )
 
@@ -135,10 +63,10 @@ def read_style(within: str) -> str:
 
 def compose_file(title: str, note: str, data: "PageData") -> str:
     """Return the text of an HTML file that is one page of needles; `title` and `note` may be any text."""
-    script = read_script(computes=True, tables=False)
+    script = read_package_file(SCRIPT)
     style = "".join(map(read_package_file, (*STYLES, SHARE_STYLE)))
     parts = {
-        "title": html.escape(title), "note": html.escape(note), "policy": write_policy(script),
+        "title": html.escape(title), "note": html.escape(note), "policy": write_policy([script]),
         "style": style, "stage": read_package_file(STAGE), "kernel": read_kernel(), "data": data.pack(),
         "script": script,
     }  # fmt: skip

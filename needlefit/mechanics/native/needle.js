@@ -105,7 +105,7 @@ const controlsKey = ({ base, guides, tip }) =>
   JSON.stringify([listBase(base), guides.map((guide) => [guide.x, guide.y, guide.slope ?? null]), listTip(tip, 2)]);
 
 /** The arrays of a problem that hold the inputs. */
-function packInputs(heap, { bevel, base, guides, tip }, model, { sets, strength }, planes) {
+function packInputs(heap, { bevel, base, guides, tip }, model, { sets, strength = null }, planes) {
   const before = guides.filter((guide) => guide.x < 0),
     within = guides.filter((guide) => guide.x >= 0),
     toward = findToward(heap, bevel).slice(0, planes),
@@ -167,6 +167,8 @@ export class Session {
     return new Session(await Heap.make(kernel), model, completeInputs(inputs));
   }
 
+  heap; start; base; end; model; planes; depth; rays; ids; maxIds; solved; parts; stateBytes;
+
   constructor(heap, model, inputs) {
     Object.assign(this, { heap, start: heap.top, failed: false });
     this.#begin(model, inputs);
@@ -216,7 +218,7 @@ export class Session {
    *
    * `failed` tells whether it has not converged, or `accepts(shape)` is false: the needle has then stayed as it was.
    */
-  go(depth, given, accepts = () => true) {
+  go(depth, given, accepts = (_shape) => true) {
     if (!(depth >= 0 && depth <= this.deepest)) throw new RangeError(`the needle cannot be ${depth} mm deep`);
     const inputs = completeInputs(given),
       { heap } = this;
@@ -428,13 +430,13 @@ export class Session {
 }
 
 /** The points at beam coordinates of a needle whose nodes, u and u' are at addresses of the heap. */
-function findPositions(heap, planes, nodes, [x, u, slope], s) {
+function findPositions(heap, planes, nodes, addresses, s) {
   return heap.borrow(() => {
     const size = (1 + planes) * s.length,
       out = heap.take(8 * size),
       memory = heap.take(8 * (1 + 5 * planes) * (nodes + 2) * Number(heap.call.nf_lanes())),
       counts = [planes, 1, nodes, s.length].map(BigInt);
-    heap.call.nf_positions(...counts, x, u, slope, heap.put(s), memory, out);
+    heap.call.nf_positions(...counts, ...addresses, heap.put(s), memory, out);
     return heap.floats(out, size).slice();
   });
 }
@@ -451,6 +453,8 @@ export class SessionBatch {
   static async begin(kernel, model, values, rays, planes) {
     return new SessionBatch(await Heap.make(kernel), model, values, rays, planes);
   }
+
+  heap; model; values; planes; problem; ids; spare; scratch; bevel; held;
 
   constructor(heap, model, values, rays, planes) {
     const more = { rays, deepest: findDeepest(model) },

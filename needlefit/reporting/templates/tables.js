@@ -31,7 +31,9 @@
     const rows = [...body.rows].sort((a, b) => compare(a.cells[column].textContent, b.cells[column].textContent));
     body.append(...(up ? rows : rows.reverse()));
   };
-  window.needlefitSortable = (table) => {
+  /** @type {NodeListOf<HTMLTableElement>} */
+  const tables = document.querySelectorAll("main figure table");
+  for (const table of tables) {
     [...table.tHead.rows[0].cells].forEach((head, column) => {
       head.tabIndex = 0;
       head.title = "Sort";
@@ -40,6 +42,5 @@
         if (event.key === "Enter" || event.key === " ") { event.preventDefault(); sort(table, column); }
       });
     });
-  };
-  document.querySelectorAll("main figure table").forEach(window.needlefitSortable);
+  }
 })();

@@ -82,4 +82,4 @@ listen("plan", (plan) => {
   aim.plan = plan.fault ? null : { ...plan, left: plan.step !== now.state.step && !now.state.planned };
   publish("aimed");
 });
-window.needlefit.aim = aim;
+Object.assign(now, { aim });

@@ -1,5 +1,6 @@
 /** Parts of the page: found, made, written, and announced to screen readers. */
 
+/** @type {(id: string) => any} */
 export const part = (id) => document.getElementById(id);
 
 /** Write a text into a part, if it is another one. */

@@ -14,7 +14,7 @@ import { fit, zoom } from "./view.js";
 const MOVES = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
 const FINDS = /^[\p{L}\p{N} _./-]$/u; // what finds an entry of a list as it is typed
 
-/** Keys as the browser calls them, what is written for them, and what they do. */
+/** Keys as the browser calls them, what is written for them, and what they do. @type {[string[], string, string, (event: any) => void][]} */
 const KEYS = [
   [["ArrowRight"], "→", "insert, held; with Shift by 0.1 mm", (e) => along(e, 1)],
   [["ArrowLeft"], "←", "retract, held; with Shift by 0.1 mm", (e) => along(e, -1)],

@@ -10,7 +10,7 @@ const act = part("banner-act");
 let fading = 0;
 
 /** Say what was refused and how to fix it, until it is read. */
-function refuse({ what, expected, fix }) {
+function refuse({ what, expected = "", fix = "" }) {
   const parts = [what, expected && `Expected: ${expected}.`, fix && `To fix it: ${fix}.`].filter(Boolean);
   refusal.replaceChildren(...parts.map((part, i) => element(i ? "span" : "strong", {}, part)));
   clearTimeout(fading);
@@ -36,7 +36,7 @@ listen("line", (line) => {
 });
 for (const kind of ["refused", "ended", "notice"]) listen(kind, refuse);
 listen("accepted", () => refusal.replaceChildren()); // something later was carried out: an input, a reset
-addEventListener("input", ({ target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
+addEventListener("input", (/** @type {any} */ { target }) => target.type === "number" && refusal.replaceChildren()); // or is about to be
 listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
 press(refusal, () => refusal.replaceChildren());
 press(act, () => location.reload());

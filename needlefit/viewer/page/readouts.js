@@ -33,7 +33,7 @@ export function fillReadouts(list, readouts) {
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
 const SHOWN_METRICS = ["ipe_mean_mm", "te_mm", "edp_percent"];
 const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
-let writeErrors = () => {}; // of the comparison with a measured needle: each that is shown
+let writeErrors = (_errors) => {}; // of the comparison with a measured needle: each that is shown
 
 export function refresh() {
   const { state, scene } = now;

@@ -2,7 +2,7 @@
 
 /** The page's knowledge (`forces`: on the tip, N, as it stood at each constraint point, by depth, mm); also `window.needlefit`, for whoever measures the page. */
 export const now = { scene: null, state: null, band: null, connected: false, pinned: null, marked: null, frames: [], forces: { x: [], y: [] } };
-window.needlefit = now;
+Object.assign(window, { needlefit: now });
 
 const listeners = new Map();
 

@@ -15,7 +15,7 @@ part("strip").append(canvas);
 const context = canvas.getContext("2d");
 let size = [1, 1]; // px
 
-/** What is drawn against depth: its name, unit, decimals, and the curve of a needle. */
+/** What is drawn against depth: its name, unit, decimals, and the curve of a needle. @type {[string, string, number, (one: any) => any][]} */
 const PANELS = [
   ["tip y", "mm", 2, ({ path }) => path],
   ["tip force", "N", 2, ({ forces }) => forces],

@@ -15,6 +15,7 @@ const CHIPS = [
   ["strip", "tip against depth", "Deflection of the tip and tip force, against depth", false],
 ];
 const TALL = 800; // px of a window that has room for the strip
+/** @type {NodeListOf<HTMLElement>} */
 const fits = document.querySelectorAll("[data-fit]");
 const chips = Object.fromEntries(CHIPS.map(([name, called, title = "", marked = true]) => {
   const swatch = marked ? [element("i", { ariaHidden: "true", className: `swatch ${name}` })] : [];
@@ -38,7 +39,7 @@ const offer = (there) => Object.entries(there).forEach(([name, is]) => (chips[na
 offer({ measured: false, errors: false, band: false, plan: false, pinned: false });
 if (innerHeight < TALL) toggle("strip"); // the picture needs the room
 for (const one of fits) press(one, () => fit(one.dataset.fit));
-for (const one of document.querySelectorAll("[data-zoom]")) press(one, () => zoom(one.dataset.zoom === "in" ? 1.25 : 0.8));
+for (const [way, factor] of [["in", 1.25], ["out", 0.8]]) press(document.querySelector(`[data-zoom=${way}]`), () => zoom(factor));
 listen("scene", ({ measured, draws }) => offer({ measured, errors: measured, band: draws, plan: false }));
 listen("aimed", () => offer({ plan: aim.plan }));
 listen("pinned", () => offer({ pinned: now.pinned }));

@@ -15,6 +15,7 @@ const SHORTEST = 0.1; // mm; a shorter move is not divided
 export const kernel = fetch("/mechanics/native/kernel.wasm").then((answer) => answer.arrayBuffer()).then(compile);
 
 class Trial {
+  pinned; // steps whose states are kept, for a later step returns to them
   scene = null;
   steered = null;
   outbox = []; // steps that the program has not confirmed: [number, time (s), gesture, changes, y of the tip (mm)]

@@ -11,6 +11,8 @@ const BACK = 1e-6; // mm; a needle retracted by that much has left inputs under 
 /** The needles of draws. Each goes on from where it stands, so that a small step costs little. */
 export class Band {
   /** draws: {sets, mu, law, strength} in place of the model's. */
+  kernel; model; draws; values; chunks; rays; points;
+
   constructor(kernel, model, draws) {
     const chunks = Array.from({ length: Math.ceil(draws.sets / CHUNK) }, (_, n) => ({
       numbers: Array.from({ length: Math.min(CHUNK, draws.sets - n * CHUNK) }, (_, i) => n * CHUNK + i),

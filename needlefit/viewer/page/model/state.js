@@ -69,7 +69,7 @@ function listStations({ x, depth }) {
 }
 
 /** Points given by beam coordinate and deflections, where the needle is: each moves with the needle's point beside it. */
-function mapPoints(session, [s, ...beside]) {
+function mapPoints(session, /** @type {any[]} */ [s, ...beside]) {
   const [along, ...places] = columns(session.positions(s), 1 + beside.length);
   const deflections = session.deflections(s);
   return [along, ...places.map((one, plane) => one.map((place, i) => place + (beside[plane][i] - deflections[plane * s.length + i])))];

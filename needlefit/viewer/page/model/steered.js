@@ -21,6 +21,8 @@ export class SteeredNeedle {
     return new SteeredNeedle(scene, await Session.begin(kernel, model, toInputs(steps[0], model.pathAngle)));
   }
 
+  scene; session; rules; shape; names; number; saved; valid; validity;
+
   constructor(scene, session) {
     const { shape, steps, rules } = scene.simulation;
     Object.assign(this, { scene, session, rules, shape, names: scene.guide_names });
@@ -167,7 +169,7 @@ export class SteeredNeedle {
         "retract the needle, or move the guide toward the tissue",
       );
     }
-    let [refused, judged] = [false, {}];
+    let [refused, judged] = [false, /** @type {any} */ ({})];
     const judge = (shape) => {
       const validity = computeValidity(shape, this.model);
       judged = { validity, valid: listFaults(validity, this.rules.validity).length === 0 };

@@ -96,7 +96,8 @@ export const paintPath = (context, { tip_path: [x, y] }) => line(context, x, y, 
 /** Draw where the tip stood at the depth (mm) that is marked in the strip. */
 export function paintMark(context, { depth_mm: depth, depths, tip, tip_path: [x, y] }, at) {
   if (at > depth) return;
-  const [px, py] = [[toPx, [...x, tip.x]], [toPy, [...y, tip.y]]].map(([to, places]) => to(heightAt({ x: [...depths, depth], y: places }, at)));
+  const read = (places) => heightAt({ x: [...depths, depth], y: places }, at);
+  const [px, py] = [toPx(read([...x, tip.x])), toPy(read([...y, tip.y]))];
   ring(context, px, py, 5, palette.accent, palette.air);
 }
 

@@ -39,6 +39,8 @@ export function insert(steered) {
 
 /** Replays a recording: `to(n)` carries out its first n steps, from the beginning if it is beyond, or `changed` by the reader. */
 export class Replay {
+  steered; steps; at; changed; last;
+
   constructor(steered, steps) {
     Object.assign(this, { steered, steps, at: 0, changed: false, last: new Map() });
     this.steps.forEach(([, changes], i) => {

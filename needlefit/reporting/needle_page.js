@@ -1,0 +1,1135 @@
+(()=>{var __getOwnPropNames=Object.getOwnPropertyNames;var __esm=(fn,res,err)=>function(){if(err)throw err[0];try{return fn&&(res=(0,fn[__getOwnPropNames(fn)[0]])(fn=
+0)),res}catch(e){throw err=[e],e}};function check(fault){if(fault)throw new TypeError(`the kernel refuses a problem: ${FAULTS[Number(fault)]}`)}function makeProblem(heap,fields2,arrays){
+let f=fields2,n=f.sets*f.layers,counts={boundaries:f.layers-1,rigidity:f.sets,mu:n,thickness:n,friction:n,law:n*
+f.numbers,turn:f.bevels*f.sets*f.planes,base:3*f.inputs*f.sets*f.planes,before_first:f.inputs+1,within_first:f.
+inputs+1,held_tip:2*f.inputs*f.planes,guide_x:f.sets};for(let[name,count]of Object.entries(counts))if((arrays[name]||
+name!=="guide_x")&&arrays[name].length!==count)throw new TypeError(`${name} has ${arrays[name].length} numbers\
+, not ${count}`);let addresses=ARRAYS.map(name=>arrays[name]?heap.put(arrays[name]):0),at2=makeStructure(heap,
+f,addresses),sizes=heap.take(24);check(heap.call.nf_check(at2,sizes));let[room,points,quadrature]=heap.integers(
+sizes,3);return{at:at2,sizes,fields:f,arrays:Object.fromEntries(ARRAYS.map((name,i)=>[name,addresses[i]])),room:Number(
+room),maxPoints:Number(points),maxQuadrature:Number(quadrature)}}function rewrite(heap,problem,arrays){for(let[
+name,array]of Object.entries(arrays))heap.put(array,problem.arrays[name]);check(heap.call.nf_check(problem.at,
+problem.sizes))}function makeShapes(heap,problem,points){let{sets,columns:columns2,planes}=problem.fields,{room}=problem,
+counts={x:sets*room,u:planes*sets*room,slope:planes*sets*room,constraints:(1+planes)*sets*points,track:2*planes*
+sets*points,status:sets,passes:sets,nodes:1,u_by:planes*sets*room*columns2,slope_by:planes*sets*room*columns2,
+constraints_by:planes*sets*points*columns2,track_by:planes*sets*points*columns2},shapes={points,counts,room,planes};
+for(let[name,count]of Object.entries(counts))shapes[name]=columns2||!name.endsWith("_by")?heap.take(8*count):0;
+return shapes.at=heap.structure([room,points],[],Object.keys(counts).map(name=>shapes[name])),shapes}function readPlanes(heap,shapes,name,planes,nodes){
+let read=new Float64Array(planes*nodes);for(let plane=0;plane<planes;plane+=1)read.set(heap.floats(shapes[name]+
+8*plane*shapes.room,nodes),plane*nodes);return read}function readShape(heap,shapes,points){let{planes}=shapes,
+number=name=>Number(heap.integers(shapes[name],1)[0]),read=(name,count)=>heap.floats(shapes[name],count).slice(),
+nodes=number("nodes"),x=read("x",nodes);return{status:STATUS[number("status")],passes:number("passes"),depth:x.
+at(-1),planes,x,u:readPlanes(heap,shapes,"u",planes,nodes),slope:readPlanes(heap,shapes,"slope",planes,nodes),
+constraints:read("constraints",(1+planes)*points),track:read("track",2*planes*points)}}var STATUS,FAULTS,SIZES,
+NUMBERS,ARRAYS,compile,Heap,makeStructure,init_memory=__esm({"needlefit/mechanics/native/memory.js"(){STATUS=[
+"converged","over-compressed","not converged","non-finite"],FAULTS=["","size","mesh","stop","guides","column",
+"output","points"],SIZES="planes sets layers shapes terms numbers stop_count bevels inputs rays guides columns\
+ max_iterations".split(" "),NUMBERS="length first_cell spacing element part tangent tolerance deepest".split("\
+ "),ARRAYS="boundaries stops rigidity mu thickness friction law law_by turn base before_first within_first bef\
+ore within held_tip guide_x turn_by column_of guide_columns".split(" "),compile=bytes=>WebAssembly.compile(bytes),
+Heap=class _Heap{constructor(instance){this.call=instance.exports,this.memory=instance.exports.memory,this.top=
+this.bottom=this.memory.buffer.byteLength}static async make(kernel){return new _Heap(await WebAssembly.instantiate(
+kernel,{}))}take(bytes){let at2=Math.ceil(this.top/64)*64;this.top=at2+Number(bytes);let missing=this.top-this.
+memory.buffer.byteLength;return missing>0&&this.memory.grow(Math.ceil(missing/65536)),at2}put(array,at2=this.take(
+array.byteLength)){return new Uint8Array(this.memory.buffer,at2,array.byteLength).set(new Uint8Array(array.buffer,
+array.byteOffset,array.byteLength)),at2}borrow(work2){let top=this.top;try{return work2()}finally{this.top=top}}evaluate(which,x){
+return this.borrow(()=>{let[at2,out]=[this.put(Float64Array.of(x)),this.take(8)];return this.call.nf_function(
+BigInt(which),1n,at2,out),this.floats(out,1)[0]})}floats(at2,count){return new Float64Array(this.memory.buffer,
+at2,count)}integers(at2,count){return new BigInt64Array(this.memory.buffer,at2,count)}view(at2){return new DataView(
+this.memory.buffer,at2)}structure(integers,numbers,addresses){let at2=this.take(8*(integers.length+numbers.length)+
+4*addresses.length),view2=this.view(at2);return integers.forEach((value,i)=>view2.setBigInt64(8*i,BigInt(value),
+!0)),numbers.forEach((value,i)=>view2.setFloat64(8*(integers.length+i),value,!0)),addresses.forEach((value,i)=>view2.
+setUint32(8*(integers.length+numbers.length)+4*i,value,!0)),at2}};makeStructure=(heap,fields2,addresses)=>heap.
+structure(SIZES.map(name=>fields2[name]),NUMBERS.map(name=>fields2[name]),addresses)}});function completeInputs(inputs){let{bevel={},base={},guides=[],tip=null}=inputs;return{bevel:{side:1,roll:0,strength:0,
+...bevel},base:{y:0,slope:0,stageSlope:0,...base},guides:guides.map(guide=>({y:0,slope:0,...guide})).sort((a,b)=>a.
+x-b.x),tip}}function checkInputs(model,inputs,depth){let{guides}=inputs,base=depth-model.length,ends=[base,...guides.
+map(guide=>guide.x)];for(let name of["mu","thickness"])if(!model[name].every(value=>value>0))throw new RangeError(
+`${name} is not above 0`);if(!(model.rigidity>0&&base<0))throw new RangeError("the needle is too short, or its\
+ rigidity not above 0");if(guides.length>MAX_GUIDES)throw new RangeError(`${guides.length} guides; there may b\
+e ${MAX_GUIDES}`);if(ends.some((x,i)=>i>0&&!(x>ends[i-1])))throw new RangeError(`base and guides stand at ${ends}\
+ mm; they must increase`)}function findToward(heap,{side,roll}){if(roll===0)return[side,0];let quarters=Math.floor(
+roll/90+.5),rest=(roll-90*quarters)*(Math.PI/180),[z,y]=[3,4].map(which=>side*heap.evaluate(which,rest));return[
+[y,z],[-z,y],[-y,-z],[z,-y]].at(quarters%4)}function listGuides(guides,planes){let listed=new Float64Array((1+
+2*planes)*MAX_GUIDES);return guides.forEach(({x,y,slope:slope2},i)=>listed.set([x,...listHeld(y,slope2,0,planes)],
+i*(1+2*planes))),listed}function packInputs(heap,{bevel,base,guides,tip},model,{sets,strength=null},planes){let before2=guides.
+filter(guide=>guide.x<0),within2=guides.filter(guide=>guide.x>=0),toward=findToward(heap,bevel).slice(0,planes),
+turn2=(part2,set)=>part2*(strength?.[set]??bevel.strength)/(model.pathAngle?1:model.spacing);return{turn:Float64Array.
+from(Array.from({length:sets},(_,set)=>toward.map(part2=>turn2(part2,set))).flat()),base:repeat([...listBase(base),
+0,0,0].slice(0,3*planes),sets),before_first:BigInt64Array.of(0n,BigInt(before2.length)),within_first:BigInt64Array.
+of(0n,BigInt(within2.length)),before:listGuides(before2,planes),within:listGuides(within2,planes),held_tip:Float64Array.
+from(listTip(tip,planes))}}function pack(heap,model,inputs,values,planes,more){let{sets}=values,layers=model.mu.
+length,ofLayers=["mu","thickness","friction","law"].map(name=>[name,values[name]??repeat(model[name],sets)]),arrays={
+boundaries:Float64Array.from(model.boundaries),stops:new Uint8Array(STOP_BYTES),rigidity:repeat([model.rigidity],
+sets),...Object.fromEntries(ofLayers),...packInputs(heap,inputs,model,values,planes)};return[{planes,sets,layers,
+shapes:1,terms:model.terms,numbers:model.law.length/layers,stop_count:1,bevels:1,inputs:1,guides:MAX_GUIDES,columns:0,
+max_iterations:model.maxIterations??40,length:model.length,first_cell:model.firstCell,spacing:model.spacing,element:model.
+element,part:model.pathAngle?LINEAR_CUT:model.switch??.5,tangent:model.tangent??1,tolerance:model.tolerance??1e-7,
+...more},arrays]}function findPositions(heap,planes,nodes,addresses,s){return heap.borrow(()=>{let size3=(1+planes)*
+s.length,out=heap.take(8*size3),memory=heap.take(8*(1+5*planes)*(nodes+2)*Number(heap.call.nf_lanes())),counts=[
+planes,1,nodes,s.length].map(BigInt);return heap.call.nf_positions(...counts,...addresses,heap.put(s),memory,out),
+heap.floats(out,size3).slice()})}var SAME_DEPTH,MAX_ELEMENTS,MAX_GUIDES,LINEAR_CUT,MAX_RAYS,KEPT_IDS,STOP_BYTES,
+MOVE_BYTES,POSITION_BYTES,findDeepest,isPlanar,listHeld,repeat,listTip,listBase,bevelKey,controlsKey,Session,SessionBatch,
+init_needle=__esm({"needlefit/mechanics/native/needle.js"(){init_memory();SAME_DEPTH=1e-9,MAX_ELEMENTS=5e3,MAX_GUIDES=
+50,LINEAR_CUT=-1,MAX_RAYS=15e3,KEPT_IDS=256,STOP_BYTES=48,MOVE_BYTES=24,POSITION_BYTES=64,findDeepest=model=>Math.
+min(model.length,MAX_ELEMENTS*model.element);isPlanar=(heap,{bevel,tip})=>findToward(heap,bevel)[1]===0&&!tip?.
+z;listHeld=(y,slope2,z,planes)=>[y,slope2??NaN,z,(slope2??null)===null?NaN:0].slice(0,2*planes),repeat=(numbers,sets)=>Float64Array.
+from({length:sets*numbers.length},(_,i)=>numbers[i%numbers.length]),listTip=(tip,planes)=>tip?listHeld(tip.y,tip.
+slope,tip.z??0,planes):Array(2*planes).fill(NaN),listBase=base=>[base.y,base.slope,base.stageSlope],bevelKey=({
+bevel})=>JSON.stringify([bevel.side,bevel.roll,bevel.strength]),controlsKey=({base,guides,tip})=>JSON.stringify(
+[listBase(base),guides.map(guide=>[guide.x,guide.y,guide.slope??null]),listTip(tip,2)]);Session=class _Session{static async begin(kernel,model,inputs={}){
+return new _Session(await Heap.make(kernel),model,completeInputs(inputs))}heap;start;base;end;model;planes;depth;rays;ids;maxIds;solved;parts;stateBytes;constructor(heap,model,inputs){
+Object.assign(this,{heap,start:heap.top,failed:!1}),this.#begin(model,inputs)}#begin(model,inputs,planes=model.
+spatial||!isPlanar(this.heap,inputs)?2:this.planes??1){this.deepest=findDeepest(model);let rays=Math.ceil(this.
+deepest/model.spacing);this.#layOut({model,inputs,planes,depth:0,ids:new Map,maxIds:KEPT_IDS,solved:0,shape:null,
+rays}),this.shape=this.go(0,inputs)}#layOut(fields2){Object.assign(this,fields2,{base:this.start}),this.#reserve()}#reserve(old){
+let{heap,model,inputs,planes,rays,deepest:deepest2}=this,{call}=heap;heap.top=this.base;let problem=makeProblem(
+heap,...pack(heap,model,inputs,{sets:1},planes,{rays,deepest:deepest2}));this.problem=problem,this.shapes=makeShapes(
+heap,problem,problem.maxPoints),this.done=heap.take(24),call.nf_session_memory(problem.at,this.done);let[fixed,
+state,scratch]=heap.integers(this.done,3).map(BigInt),parts={fixed:heap.take(fixed),now:heap.take(state),next:heap.
+take(state),scratch:heap.take(scratch)};if(Object.assign(this,{parts,stateBytes:Number(state),end:heap.top}),call.
+nf_session_begin(problem.at,parts.fixed,parts.now,parts.scratch),old){let{now:now2,scratch:room}=old.parts;call.
+nf_session_copy(old.problem.at,problem.at,parts.fixed,now2,room,parts.now,parts.scratch)}}go(depth,given,accepts=_shape=>!0){
+if(!(depth>=0&&depth<=this.deepest))throw new RangeError(`the needle cannot be ${depth} mm deep`);let inputs=completeInputs(
+given),{heap}=this;if(checkInputs(this.model,inputs,depth),this.planes===1&&!isPlanar(heap,inputs)){let path=this.
+path();this.#begin(this.model,path[0].inputs,2);for(let one of path)this.go(one.depth,one.inputs)}let before2=this.
+inputs;this.inputs=inputs,rewrite(heap,this.problem,packInputs(heap,inputs,this.model,{sets:1},this.planes));let bevel=this.#number(
+bevelKey(inputs),inputs.bevel),held=this.#number(controlsKey(inputs),inputs),advance2=()=>{let{fixed,now:now2,
+next,scratch}=this.parts,{at:at2}=this.problem;return[heap.call.nf_session_advance(at2,fixed,now2,next,scratch,
+this.shapes.at,depth,BigInt(bevel),BigInt(held),this.done),...heap.integers(this.done,3)].map(Number)},[fault,
+stops,points,rays]=advance2();if(rays>MAX_RAYS)throw this.inputs=before2,new RangeError(`the needle has change\
+d its direction of cutting ${rays} times`);if(rays>this.rays){let old={problem:this.problem,parts:this.parts};
+Object.assign(this,{rays:2*rays,base:this.end}),this.#reserve(old),[fault,stops,points,rays]=advance2()}check(
+fault),this.solved+=stops;let{shape}=this;return stops>0&&(shape=readShape(heap,this.shapes,points),this.failed=
+shape.status!==STATUS[0]||!accepts(shape),this.failed)?(this.inputs=before2,shape):(this.failed=!1,[this.parts.
+now,this.parts.next]=[this.parts.next,this.parts.now],Object.assign(this,{depth,shape}),this.ids.size>this.maxIds&&
+this.#dropUnused(new Set([bevel,held])),shape)}#number(key,value){let found=this.ids.get(key);return found||(this.
+nextId=(this.nextId??0)+1,this.ids.set(key,found={number:this.nextId,value})),found.number}#dropUnused(used){for(let{
+bevel,held}of this.#listRays().rays)used.add(bevel).add(held);for(let[key,{number}]of this.ids)used.has(number)||
+this.ids.delete(key);this.maxIds=KEPT_IDS+2*this.ids.size}#listRays(){let{heap,parts,problem}=this;return heap.
+borrow(()=>{let cut=heap.take(MOVE_BYTES*this.rays),position=heap.take(POSITION_BYTES),count=Number(heap.call.
+nf_session_rays(problem.at,parts.fixed,parts.now,parts.scratch,cut,position)),view2=heap.view(cut),id=at2=>Number(
+view2.getBigInt64(at2,!0));return{rays:Array.from({length:count},(_,n)=>({start:view2.getFloat64(MOVE_BYTES*n,
+!0),bevel:id(MOVE_BYTES*n+8),held:id(MOVE_BYTES*n+16)})),changed:heap.view(position).getBigInt64(POSITION_BYTES-
+8,!0)!==0n}})}save(){let{model,inputs,planes,depth,shape,rays,ids,maxIds,solved,heap,parts,stateBytes}=this,state=new Uint8Array(
+heap.memory.buffer,parts.now,stateBytes).slice();return{model,inputs,planes,depth,shape,rays,ids:new Map(ids),
+maxIds,solved,state}}restore({state,...saved}){this.#layOut({...saved,ids:new Map(saved.ids)}),new Uint8Array(
+this.heap.memory.buffer).set(state,this.parts.now)}path(){let{firstCell,spacing}=this.model,{rays,changed:changed2}=this.#listRays(),
+values=new Map([...this.ids.values()].map(({number,value})=>[number,value])),alike=(one,other)=>one.bevel===other.
+bevel&&one.held===other.held,flip=({depth,inputs})=>({depth,inputs:{...inputs,bevel:{...inputs.bevel,side:-inputs.
+bevel.side}}}),isPoint=depth=>{let cell=depth<=SAME_DEPTH?0:1+Math.max(0,Math.ceil((depth-firstCell-SAME_DEPTH)/
+spacing));return Math.abs((cell&&firstCell+(cell-1)*spacing)-depth)<=SAME_DEPTH},steps2=[];rays.forEach(({start:start2,
+bevel,held},n)=>{let depth=n+1<rays.length?rays[n+1].start:this.depth,step={depth,inputs:{...values.get(held),
+bevel:values.get(bevel)}},again=n>0&&alike(rays[n-1],rays[n]);again&&isPoint(start2)?steps2.pop():again&&steps2.
+push(flip(steps2.at(-1))),steps2.push(step)});let last={depth:this.depth,inputs:this.inputs},now2={bevel:this.#number(
+bevelKey(this.inputs)),held:this.#number(controlsKey(this.inputs))};return!rays.length||!alike(rays.at(-1),now2)?
+steps2.push(last):changed2&&steps2.push(flip(last),last),steps2}again(model,steps2){this.#begin(model,completeInputs(
+steps2[0].inputs));for(let{depth,inputs}of steps2)if(this.go(depth,inputs),this.failed)return!1;return!0}deflections(s){
+let{heap,shape}=this,nodes=shape.x.length;return heap.borrow(()=>{let[x,u,slope2,at2]=[shape.x,shape.u,shape.slope,
+Float64Array.from(s)].map(array=>heap.put(array)),out=heap.take(8*shape.planes*s.length);for(let plane=0;plane<
+shape.planes;plane+=1){let there=[u,slope2].map(address=>address+8*plane*nodes);heap.call.nf_deflections(BigInt(
+nodes),BigInt(s.length),x,...there,at2,out+8*plane*s.length)}return heap.floats(out,shape.planes*s.length).slice()})}positions(s){
+let{heap,shape}=this,at2=Float64Array.from(s);if(!at2.every(one=>one>=shape.x[0]&&one<=shape.depth))throw new RangeError(
+"s lies beyond the needle");return heap.borrow(()=>findPositions(heap,shape.planes,shape.x.length,[shape.x,shape.
+u,shape.slope].map(array=>heap.put(array)),at2))}forces(){let{heap,shape,inputs,model,planes}=this,{call}=heap;
+return heap.borrow(()=>{let depth=shape.depth,cells=shape.constraints.length/(1+planes)-1,depths=shape.constraints.
+filter((_,i)=>i%(1+planes)===0),first=cells>0?depths[1]:model.spacing,deepest2=Math.max(depths.length*model.spacing,
+depth)+first+2*model.spacing,problem=makeProblem(heap,...pack(heap,{...model,firstCell:first},inputs,{sets:1},
+planes,{rays:1,deepest:deepest2})),memory=heap.take(call.nf_memory(problem.at,1n)),front=shape.x.findIndex(x=>x>=
+0),room=problem.maxQuadrature,[s,weight,layer,near2]=[0,1,2,3].map(()=>heap.take(8*room)),[nodes,at2]=[shape.x.
+slice(front),depths].map(array=>heap.put(array)),count=Number(call.nf_quadrature(problem.at,BigInt(shape.x.length-
+front),nodes,BigInt(cells),at2,memory,s,weight,layer,near2));count<0&&check(7);let parts=[shape.x,shape.u,shape.
+slope,shape.constraints].map(array=>heap.put(array)),bent=heap.structure([shape.x.length,cells],[],parts),load2=heap.
+take(8*planes*count),nodal=heap.take(16*planes*shape.x.length);call.nf_load(problem.at,bent,BigInt(count),s,memory,
+load2),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load2,memory,nodal));let held=heap.floats(
+nodal,2*shape.x.length).slice(),supportAt=(x,clamped)=>{let i=shape.x.indexOf(x);return{force:i<0?0:held[2*i],
+moment:i<0||!clamped?0:held[2*i+1]}},[places,weights,loads]=[s,weight,load2].map(address=>heap.floats(address,
+count).slice()),nearest=heap.integers(near2,count);return{s:places,load:loads,tipRegionForce:loads.reduce((sum,q,i)=>sum+
+(nearest[i]===BigInt(cells)?q*weights[i]:0),0),base:supportAt(shape.x[0],!0),guides:inputs.guides.map(guide=>supportAt(
+guide.x,(guide.slope??null)!==null)),tip:inputs.tip?supportAt(depth,(inputs.tip.slope??null)!==null):{force:0,
+moment:0}}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){return new _SessionBatch(
+await Heap.make(kernel),model,values,rays,planes)}heap;model;values;planes;problem;ids;spare;scratch;bevel;held;constructor(heap,model,values,rays,planes){
+let more={rays,deepest:findDeepest(model)},problem=makeProblem(heap,...pack(heap,model,completeInputs({}),values,
+planes,more));Object.assign(this,{heap,model,values,planes,problem,ids:new Map});let{fields:fields2,arrays,maxPoints,
+room}=problem,{layers,numbers}=fields2,stride={rigidity:1,mu:layers,thickness:layers,friction:layers,law:layers*
+numbers,turn:planes,base:3*planes},alone={...fields2,sets:1};this.done=heap.take(24);let problems=Array.from({
+length:fields2.sets},(_,i)=>makeStructure(heap,alone,ARRAYS.map(name=>arrays[name]&&arrays[name]+8*i*(stride[name]??
+0))));heap.call.nf_session_memory(problems[0],this.done);let[fixed,state,scratch]=heap.integers(this.done,3).map(
+BigInt);Object.assign(this,{spare:heap.take(state),scratch:heap.take(scratch)}),this.needles=problems.map(at2=>{
+let shapes=makeShapes(heap,{fields:alone,room},maxPoints);return{at:at2,shapes,fixed:heap.take(fixed),state:heap.
+take(state)}}),problems.forEach((_,i)=>this.restart(i))}restart(i){let{at:at2,fixed,state}=this.needles[i];this.
+heap.call.nf_session_begin(at2,fixed,state,this.scratch)}hold(given){let{heap,ids}=this,inputs=completeInputs(
+given),number=key=>ids.get(key)??ids.set(key,BigInt(ids.size+1)).get(key);rewrite(heap,this.problem,packInputs(
+heap,inputs,this.model,this.values,this.planes)),Object.assign(this,{bevel:number(bevelKey(inputs)),held:number(
+controlsKey(inputs))})}go(i,depth){let{heap,done:done2,scratch,spare,bevel,held}=this,needle2=this.needles[i],
+{at:at2,fixed,state,shapes}=needle2;return check(heap.call.nf_session_advance(at2,fixed,state,spare,scratch,shapes.
+at,depth,bevel,held,done2)),heap.integers(done2,1)[0]>0n&&heap.integers(shapes.status,1)[0]!==0n?!1:([needle2.
+state,this.spare]=[spare,state],!0)}positions(i,s){let{heap,planes}=this,{shapes}=this.needles[i],nodes=Number(
+heap.integers(shapes.nodes,1)[0]);return heap.borrow(()=>{let[u,slope2]=["u","slope"].map(name=>heap.put(readPlanes(
+heap,shapes,name,planes,nodes)));return findPositions(heap,planes,nodes,[shapes.x,u,slope2],s)})}}}});function mark(steps2){let changes=0;return steps2.map(({depth,inputs},n)=>{n&&inputs.bevel.strength!==steps2[n-
+1].inputs.bevel.strength&&(changes+=1);let alike={...inputs,bevel:{...inputs.bevel,strength:changes}};return{depth,
+inputs:alike,text:JSON.stringify(alike)}})}function findWay(past,path){let shared=0,alike=n=>past[n]?.text===path[n]?.
+text;for(;shared<past.length&&shared<path.length&&alike(shared)&&same(past[shared].depth,path[shared].depth);)
+shared+=1;let[last,rest]=[past.at(-1),path.slice(shared)],left=past.length-shared,begun=left>0&&rest.length>0&&
+alike(shared),turned2=shared>0&&rest.length>0&&same(last.depth,path[shared-1].depth);if(left===0||begun&&left===
+1||!begun&&turned2)return rest;let from=begun?shared:shared-1;if(from<0)return null;let depth=(begun?Math.min(
+past[shared].depth,path[shared].depth):path[from].depth)-BACK;return depth>0?[{...path[from],depth},...path.slice(
+from)]:null}function quantile(sorted,share){let place2=share*(sorted.length-1),below=Math.floor(place2);return sorted[below]+
+(place2-below)*((sorted[below+1]??sorted[below])-sorted[below])}var POINTS,EDGES,CHUNK,SAME,BACK,Band,same,init_band=__esm(
+{"needlefit/viewer/page/model/band.js"(){init_needle();POINTS=51,EDGES=[.025,.975],CHUNK=20,SAME=1e-9,BACK=1e-6,
+Band=class{kernel;model;draws;values;chunks;rays;points;constructor(kernel,model,draws){let chunks=Array.from(
+{length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,draws.sets-n*CHUNK)},(_2,i)=>n*
+CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),values={sets:draws.
+sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,points:[]})}async compute(steps2,planes,cancelled,pause2){
+let path=mark(steps2),{depth}=path.at(-1);if(!(depth>0))return null;let rays=path.length+Math.ceil(depth/this.
+model.spacing)+2;if(rays>this.rays||planes!==this.batch.planes){this.rays=2*rays,this.batch=await SessionBatch.
+begin(this.kernel,this.model,this.values,this.rays,planes);for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.
+chunks)if(this.#move(chunk,path),await pause2(),cancelled())return null;let found=this.points.filter(one=>one);
+if(!found.length)return null;let at2=(k,share)=>quantile(Float64Array.from(found,one=>one[k]).sort(),share),read=(axis,share)=>Array.
+from({length:POINTS},(_,k)=>at2((1+planes)*k+axis,share)),edges=axis=>({low:read(axis,EDGES[0]),high:read(axis,
+EDGES[1])});return{x:read(0,.5),...edges(1),z:planes>1?edges(2):null,failed:this.values.sets-found.length}}#move(chunk,path){
+let{batch,points}=this,way=chunk.path&&findWay(chunk.path,path);if(!way||way[0]?.depth<=chunk.failed){way=path,
+chunk.failed=-1/0;for(let i of chunk.numbers)batch.restart(i),points[i]=[]}chunk.path=path;let{depth}=path.at(
+-1),s=Float64Array.from({length:POINTS},(_,k)=>k===POINTS-1?depth:depth*k/(POINTS-1));way.forEach((step,n)=>{batch.
+hold(step.inputs);for(let i of chunk.numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&
+(points[i]=batch.positions(i,s)):[points[i],chunk.failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.
+abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
+init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;constructor(kernel){Object.assign(this,
+{kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path=steps2.map(one=>({
+...one,text:JSON.stringify(one.inputs)})),same2=this.model===JSON.stringify(model),way=this.path&&same2&&findWay(
+this.path,path);way||await this.#begin(model,steps2[0].inputs),way||=path,this.path=null;let reached=0;for(let{
+depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+SAME2));
+for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
+if(this.#add(),reached+=1,!(reached%CHUNK2)&&(await pause2(),cancelled()))return null}this.session.go(depth,inputs)}
+return this.path=path,this.#read()}async#begin(model,inputs){this.session?this.session.again(model,[{depth:0,inputs}]):
+this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(model),[]],
+this.#add()}#listStops(depth){let{model:{firstCell,spacing},depth:from}=this.session,first=from<firstCell-SAME2?
+0:Math.floor((from-firstCell+SAME2)/spacing)+1,count=Math.floor((depth-firstCell+SAME2)/spacing)+1-first;return Array.
+from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this,{
+tipRegionForce,tip}=session.forces();this.points.push({depth:session.depth,force:tipRegionForce+tip.force})}#read(){
+return{x:this.points.map(({depth})=>depth),y:this.points.map(({force})=>force)}}}}});var band_worker_exports={};async function work(){busy=!0;let order=null;for(;order!==newest&&newest.steps;){order=
+newest;let{kernel,model,draws,steps:steps2,planes,id}=order,isOld=()=>newest!==order&&(newest.draws!==draws||performance.
+now()-done<STALE);tipForces??=new TipForces(kernel);let forces=await tipForces.compute(model,steps2,isOld,pause);
+if(!isOld()){if(postMessage({id,forces}),draws){band?.draws!==draws&&(band=new Band(kernel,model,draws));let found=await band.
+compute(steps2,planes,isOld,pause);if(isOld())continue;postMessage({id,band:found})}done=performance.now()}}busy=
+!1}var STALE,newest,band,tipForces,busy,done,channel,waiting,pause,init_band_worker=__esm({"needlefit/viewer/p\
+age/model/band_worker.js"(){init_band();init_tip_forces();STALE=100,newest={},[band,tipForces]=[null,null],busy=
+!1,done=0,channel=new MessageChannel,waiting=[];channel.port1.onmessage=()=>waiting.shift()();pause=()=>new Promise(
+resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data:data2})=>{newest={...newest,...data2},
+busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
+text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
+return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
+n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
+"",requestAnimationFrame(()=>part("announced").textContent=words)}function colour(name){let both=getComputedStyle(
+document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g)??[""];return both[isDark()?both.length-
+1:0]}var part,press,entry,dark,isDark,onScheme,init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.
+getElementById(id);press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element(
+"div",{},element("dt",{},term),element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),isDark=
+()=>dark.matches,onScheme=act=>dark.addEventListener("change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
+item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
+`${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
+max_mm:rules.max,finite=Math.abs(value)<=most,{least,above,upto,below,values}=known;if(!(finite&&!(value<least||
+value<=above||value>upto||value>=below)&&(!values||values.includes(value)))){let expected=finite||known.expected&&
+!lengths?known.expected:`a finite number, at most ${most}${lengths?" mm":""}`;throw new ModelError(`${nameOf(name)}${item===
+null?"":` of ${known.item} ${item}`} is ${written(name,value)}`,expected)}}function written(name,value){if(name===
+"mu_pa")return Math.abs(value)<1e6?`${significant(value*.001)} kPa`:`${significant(value*1e-6)} MPa`;if(name.endsWith(
+"slope"))return`${(Math.atan(value)*DEGREES).toFixed(1)}°`;let[,unit]=UNITS.find(([end])=>name.endsWith(end))??
+["",""];return`${significant(value)}${unit}`}function guideNumber(name,names){let at2=names.indexOf(name);return at2<
+0?Number(name.replace("guide ","")):at2+1}function applyChanges(step,changes,names,stands){let values=new Map(
+changes.map(([name,item,value])=>[`${name} ${item??""}`,value])),of=(name,now2)=>values.get(`${name} `)??now2,
+held=step.controls,{tip}=held;if(of("tip_held",1)===0)tip=null;else if(tip||values.has("tip_held ")||values.has(
+"tip_y_mm ")){let[y,z]=tip?[tip.y,tip.z??0]:stands;tip={y:of("tip_y_mm",y),slope:of("tip_slope",tip?tip.slope:
+null),z}}let[angle2,side]=[of("cut_angle_deg",null),of("bevel_side",null)],roll=side===null?rollOf(step.bevel):
+side>0?0:180;return{depth:of("depth_mm",step.depth),bevel:{...toSide(of("bevel_roll_deg",roll)),offset:of("bev\
+el_offset_mm",step.bevel.offset),cutAngle:angle2===null?step.bevel.cutAngle:angle2*RADIANS},controls:{baseY:of(
+"base_y_mm",held.baseY),baseSlope:of("base_slope",held.baseSlope),stageSlope:held.stageSlope,guides:applyToGuides(
+held.guides,changes,names),tip}}}function applyToGuides(guides,changes,names){let moves=new Map;for(let[name,item,
+value]of changes)item===null||!name.startsWith("guide_")||(moves.has(item)||moves.set(item,{}),moves.get(item)[name.
+slice(6)]=value);if(!moves.size)return guides;let now2=new Map(guides.map(guide=>[guide.name,guide]));for(let[
+item,moved2]of[...moves].sort(([one],[other])=>one-other)){let name=names[item-1]??`guide ${item}`;if(moved2.engaged===
+0){now2.delete(name);continue}let guide=now2.get(name);if(!guide){if(moved2.x_mm===void 0||moved2.y_mm===void 0)
+throw new ModelError(`there is no ${name}`,"guide_x_mm and guide_y_mm together, which make a guide","add it be\
+fore it is moved");guide={slope:0,name}}let slope2=moved2.slope??guide.slope;moved2.turns_freely!==void 0&&(slope2=
+moved2.turns_freely?null:moved2.slope??guide.slope??0),now2.set(name,{name,x:moved2.x_mm??guide.x,y:moved2.y_mm??
+guide.y,slope:slope2})}let ordered=[...now2.values()].sort((one,other)=>one.x-other.x),twice=ordered.find((guide,i)=>guide.
+x===ordered[i+1]?.x);if(twice)throw new ModelError(`two guides stand at the same x = ${twice.x} mm`,"guides at\
+ different x","move one of them, or leave it out");return ordered}function findChanges(step,now2,names){let[wanted,
+held]=[step.controls,now2.controls],changes=[step.bevel.roll||now2.bevel.roll?["bevel_roll_deg",rollOf(step.bevel),
+rollOf(now2.bevel)]:["bevel_side",step.bevel.side,now2.bevel.side],["bevel_offset_mm",step.bevel.offset,now2.bevel.
+offset],["cut_angle_deg",step.bevel.cutAngle*DEGREES,now2.bevel.cutAngle*DEGREES],["base_y_mm",wanted.baseY,held.
+baseY],["base_slope",wanted.baseSlope,held.baseSlope]].filter(([,value,before2])=>value!==before2).map(([name,
+value])=>[name,null,value]);for(let{name}of held.guides)wanted.guides.some(guide=>guide.name===name)||changes.
+push(["guide_engaged",guideNumber(name,names),0]);for(let{name,x,y,slope:slope2}of wanted.guides){if(held.guides.
+some(guide=>guide.x===x&&guide.y===y&&guide.slope===slope2))continue;let item=guideNumber(name,names);changes.
+push(["guide_x_mm",item,x],["guide_y_mm",item,y],["guide_turns_freely",item,slope2===null?1:0]),slope2!==null&&
+changes.push(["guide_slope",item,slope2])}return!wanted.tip&&held.tip?changes.push(["tip_held",null,0]):wanted.
+tip&&!(held.tip&&wanted.tip.y===held.tip.y&&wanted.tip.slope===held.tip.slope)&&(changes.push(["tip_y_mm",null,
+wanted.tip.y]),wanted.tip.slope!==null&&changes.push(["tip_slope",null,wanted.tip.slope])),changes}function toInputs({
+bevel,controls},pathAngle){if((pathAngle?bevel.offset:bevel.cutAngle)!==0)throw new ModelError("the strength o\
+f the bevel is that of the other rule of advance",pathAngle?"a cut angle alone":"an offset alone");let{baseY,baseSlope,
+stageSlope,guides,tip}=controls;return{bevel:{side:bevel.side,roll:bevel.roll,strength:pathAngle?bevel.cutAngle:
+bevel.offset},base:{y:baseY,slope:baseSlope,stageSlope},guides,tip}}function toStep({depth,inputs},pathAngle){
+let{bevel,base,guides,tip}=inputs,[offset,cutAngle]=pathAngle?[0,bevel.strength]:[bevel.strength,0];return{depth,
+bevel:{side:bevel.side,roll:bevel.roll,offset,cutAngle},controls:{baseY:base.y,baseSlope:base.slope,stageSlope:base.
+stageSlope,guides,tip}}}function listSteps({simulation:{steps:steps2},guide_names:names}){return steps2.map((step,i)=>[
+...findChanges(step,steps2[i-1]??steps2[0],names),["depth_mm",null,step.depth]])}var ModelError,RADIANS,DEGREES,
+UNITS,nameOf,significant,rollOf,toSide,wrap,turnOver,init_inputs=__esm({"needlefit/viewer/page/model/inputs.js"(){
+ModelError=class extends Error{constructor(what,expected,fix){super(what),Object.assign(this,{what,expected,fix})}},
+RADIANS=Math.PI/180,DEGREES=180/Math.PI,UNITS=[["_mm"," mm"],["_deg","°"],["_pa"," Pa"]];nameOf=name=>name.replace(
+/_(mm|deg|pa)$/,"").replaceAll("_"," ");significant=value=>Number(value.toPrecision(6));rollOf=({side,roll})=>roll+
+(side>0?0:180),toSide=roll=>Math.abs(roll%360)===180?{side:-1,roll:roll-180}:{side:1,roll},wrap=roll=>180-((180-
+roll)%360+360)%360,turnOver=roll=>roll%180?["bevel_roll_deg",null,wrap(roll+180)]:["bevel_side",null,roll%360?
+1:-1]}});function signed(value,digits2){let size3=Math.abs(value).toFixed(digits2);return Number(size3)===0?size3:(value<
+0?"−":"+")+size3}function modulusLike(one){let[unit,pascals]=one<1e6?["kPa",1e3]:["MPa",1e6];return{unit,write:(value,digits2=4)=>brief(
+value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
+value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x){let after=xs.findIndex(one=>one>=x);
+if(after<=0)return after===0?ys[0]:ys.at(-1);let share=(x-xs[after-1])/(xs[after]-xs[after-1]);return ys[after-
+1]+share*(ys[after]-ys[after-1])}function roundStep(value){let decade=10**Math.floor(Math.log10(value)),times=value/
+decade;return decade*(times>=5?5:times>=2?2:1)}function strengthOf(values){let about="cut_angle_deg"in values?
+ANGLE:OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
+bevel,layers},{fitted:fitted2}){let{key,value}=strengthOf(fitted2);return!near(bevel[key],value)||layers.some(
+(layer,i)=>Object.entries(fitted2.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){
+let{steps:steps2}=scene.simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.
+at(-1),{base,guides,tip}=state;return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.
+held!==!!controls.tip||base.input_y!==controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.
+guides.length||guides.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var brief,counted,toDegrees,
+degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,near,init_quantities=__esm({
+"needlefit/viewer/page/quantities.js"(){init_inputs();brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(
+digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,
+degrees=slope2=>Math.atan(slope2)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/
+180);numbered=item=>`guide ${item}`,shortName=({item,name})=>name&&name!==numbered(item)?name:String(item),OFFSET=
+{key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,
+step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angl\
+e_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[-180,180],write:value=>brief(
+value,6)},describeRoll=({roll_deg:roll})=>roll%180?`roll ${brief(roll).replace("-","−")}°`:roll?"−y":"+y",
+near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other)}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
+for(let hear of listeners.get(kind)??[])hear(message)}function take(message){message.kind==="scene"?(now.scene=
+message,now.band=null):message.kind==="state"?now.state=message:message.kind==="band"?now.band=message.x.length?
+message:null:message.kind==="forces"&&(now.forces=message),publish(message.kind,message)}var now,listeners,tipForce,
+init_store=__esm({"needlefit/viewer/page/store.js"(){now={scene:null,state:null,band:null,connected:!1,pinned:null,
+marked:null,frames:[],forces:{x:[],y:[]}};Object.assign(window,{needlefit:now});listeners=new Map;tipForce=()=>now.
+forces.y.at(-1)??null}});var change,newGesture,init_offline=__esm({"needlefit/viewer/page/share/offline.js"(){init_store();change=set=>publish(
+"steered",set),newGesture=()=>0}});function setAim(changes){let{target,radius,obstacles}={...aim,...changes};[target??[],radius,obstacles].flat(2).
+every(one=>Math.abs(one)<=MOST)?(Object.assign(aim,changes,{plan:null,planning:!1}),asked=null,publish("goal")):
+publish("refused",{what:"the target or an obstacle is out of range",expected:`numbers of at most ${MOST} mm`}),
+publish("aimed")}function put(x,y){let what=aim.placing;return what?(aim.placing=null,what==="target"?setAim({
+target:[x,y]}):aim.obstacles.length<MAX_OBSTACLES?setAim({obstacles:[...aim.obstacles,[x,y,Math.max(aim.radius,
+SMALLEST)]]}):(publish("notice",{what:`There are ${MAX_OBSTACLES} obstacles.`,expected:`at most ${MAX_OBSTACLES}`,
+fix:"remove one"}),publish("aimed")),!0):!1}function moveTo(number,x,y){if(number===null)return setAim({target:[
+x,y]});setAim({obstacles:aim.obstacles.map((one,i)=>i===number?[x,y,...one.slice(2)]:one)})}var SMALLEST,MOST,
+MAX_OBSTACLES,NOTHING,asked,at,aim,nameOf2,init_aim=__esm({"needlefit/viewer/page/aim.js"(){init_offline();init_store();
+SMALLEST=.05,MOST=1e3,MAX_OBSTACLES=16,NOTHING={target:null,obstacles:[],plan:null,planning:!1,placing:null},asked=
+null,at=null,aim={radius:2,...NOTHING},nameOf2=number=>`obstacle ${number+1}`;listen("scene",()=>{Object.assign(
+aim,NOTHING),publish("aimed")});listen("refused",()=>{aim.planning=!1,publish("aimed")});listen("state",({step,
+planned})=>{aim.plan&&step!==at&&!planned&&(aim.plan.left=!0),at=step});listen("plan",plan=>{plan.answers===asked&&
+(plan.fault&&publish("notice",plan.fault),aim.planning=!1,aim.plan=plan.fault?null:{...plan,left:plan.step!==now.
+state.step&&!now.state.planned},publish("aimed"))});Object.assign(now,{aim})}});function takeChange(){let was=changed;return changed=!1,was}function touch(){changed=!0,publish("redraw")}function resize(width,height){
+view.low=height<LOW_PICTURE,view.box={left:GUTTER.left,top:GUTTER.top,width:Math.max(width-GUTTER.left-GUTTER.
+right,10),height:Math.max(height-GUTTER.top-(view.low?LOW_BOTTOM:GUTTER.bottom),10)},view.held||fit(view.fit)}
+function fit(which){if(view.fit=which,touch(),!now.scene||!now.state||!which)return;if(which==="tip"){let{x,y}=now.
+state.tip;return Object.assign(view,{scale:limited(view.box.width/TIP_WINDOW),magnified:1,x,y})}let[low,high,before2,
+after]=which==="whole"?[-now.scene.length_mm,deepest()+4,Math.min(74,.1*view.box.width+20),34]:[0,1.04*deepest(),
+Math.min(84,.2*view.box.width),34],room=view.box.width-before2-after,[bottom,top]=heights(which),[along,across]=[
+room/(high-low),roomAcross()/(top-bottom)];view.scale=limited(Math.min(along,across));let least=LEAST_SPAN[isMoving()?
+"moving":"still"]*deepest(),times=roomAcross()/view.scale/Math.max(top-bottom,least);view.magnified=MAGNIFICATIONS.
+filter(one=>one<=times).at(-1)??1,view.x=(low+high)/2+(after-before2)/(2*view.scale),view.y=(bottom+top)/2}function deepest(){
+let{depth_mm:depth,boundaries_mm:tops,measured:measured2}=now.scene,goals=goalCircles().map(([x,,radius])=>x+radius);
+return Math.max(depth,now.state.depth_mm,(tops.at(-1)??0)+5,measured2?.depth_mm??0,...goals)}function heights(which){
+let{x,y}=now.state,seen=which==="whole"?y:y.filter((_,i)=>x[i]>=0),goals=goalCircles().flatMap(([,y2,radius])=>[
+y2-radius,y2+radius]),band2=[...now.band?.low??[],...now.band?.high??[]].filter(Number.isFinite),all2=[...seen,
+...now.scene.measured?.y??[],...now.pinned?now.pinned.y.filter((_,i)=>which==="whole"||now.pinned.x[i]>=0):[],
+...goals,...band2,0];return[Math.min(...all2),Math.max(...all2)]}function sees(x,y){let{left,top,width,height}=view.
+box,[px,py]=[toPx(x)-left,toPy(y)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){if(view.held)
+return;if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.
+max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=!isMoving()&&(top-bottom)*px<LOW*roomAcross();
+(out||low&&view.magnified<MAGNIFICATIONS.at(-1))&&fit(view.fit);return}if(view.fit!=="tip")return;let{x,y}=now.
+state.tip,across=(x-view.x)*view.scale/view.box.width,up2=(y-view.y)*view.scale*view.magnified/view.box.height;
+Math.abs(across)<EDGE&&Math.abs(up2)<EDGE||(view.x=x+Math.sign(across)*AHEAD*view.box.width/view.scale,view.y=
+y,touch())}function zoom(factor,px=toPx(view.x),py=toPy(view.y)){let[x,y]=[fromPx(px),fromPy(py)];view.scale=limited(
+view.scale*factor),view.x+=x-fromPx(px),view.y+=y-fromPy(py),view.fit!=="tip"&&(view.fit=null),touch()}function pan(px,py){
+view.x-=px/view.scale,view.y+=py/(view.scale*view.magnified),view.fit=null,touch()}function hold(on){view.held!==
+on&&(view.held=on,!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW,
+SCALES,EDGE,AHEAD,TIP_WINDOW,view,changed,toPx,toPy,fromPx,fromPy,isMoving,roomAcross,goalCircles,seesTip,limited,
+init_view=__esm({"needlefit/viewer/page/view.js"(){init_aim();init_store();GUTTER={left:56,right:10,top:50,bottom:40},
+LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN={moving:.05,
+still:.01},LOW=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,held:!1,
+fit:null,low:!1,box:{left:0,top:0,width:1,height:1}},changed=!0;toPx=x=>view.box.left+view.box.width/2+(x-view.
+x)*view.scale,toPy=y=>view.box.top+view.box.height/2-(y-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-
+view.box.left-view.box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.
+magnified);isMoving=()=>now.state.moving||now.state.playing,roomAcross=()=>view.box.height-2*Math.min(ROOM,.2*
+view.box.height);goalCircles=()=>[...aim.target?[[...aim.target,aim.radius]]:[],...aim.obstacles];seesTip=()=>sees(
+now.state.tip.x,now.state.tip.y);limited=scale=>Math.min(Math.max(scale,SCALES[0]),SCALES[1]);listen("goal",()=>{
+!now.state||view.held||(view.fit!=="tip"&&fit(view.fit),aim.target&&!sees(...aim.target)&&fit("tissue"))});listen(
+"band",follow)}});function readPalette(){for(let name of NAMES)palette[name]=colour(name)}function shades(layers){let stiffness=layers.
+map(({mu_pa:mu})=>Math.log10(mu)),least=Math.min(...stiffness),decades=Math.max(Math.max(...stiffness)-least,1);
+return stiffness.map(one=>between(palette.soft,palette.stiff,(one-least)/decades))}function between(one,other,share){
+return`rgb(${[1,3,5].map(at2=>{let[low,high]=[one,other].map(colour2=>parseInt(colour2.slice(at2,at2+2),16));return Math.
+round(low+share*(high-low))}).join(" ")})`}function faintly(context3,opacity,draw3){context3.globalAlpha=opacity,
+draw3(),context3.globalAlpha=1}function stroke(context3,colour2,width){context3.strokeStyle=colour2,context3.lineWidth=
+width,context3.stroke()}function trace(context3,...lines){context3.beginPath();for(let places of lines)places.
+forEach(([px,py],i)=>i?context3.lineTo(px,py):context3.moveTo(px,py))}function arrow(context3,[px,py],length,colour2){
+let[end,head]=[py-length,8*Math.sign(length)];segments(context3,[[[px,py],[px,end+head]]],colour2,2.5),polygon(
+context3,[[px-5,end+head],[px,end],[px+5,end+head]],colour2)}function line(context3,x,y,colour2,width,dash=[]){
+context3.setLineDash(dash),trace(context3,placesOf(x,y)),stroke(context3,colour2,width),context3.setLineDash([])}
+function fillBetween(context3,x,low,high,colour2){trace(context3,[...placesOf(x,low),...placesOf(x,high).reverse()]),
+context3.closePath(),context3.fillStyle=colour2,context3.fill()}function polygon(context3,corners,colour2){context3.
+fillStyle=colour2,context3.beginPath();for(let corner of corners)context3.lineTo(...corner);context3.fill()}function segments(context3,pairs,colour2,width){
+context3.beginPath();for(let[from,to]of pairs)context3.moveTo(...from),context3.lineTo(...to);stroke(context3,
+colour2,width)}function ring(context3,px,py,radius,edge,inside){context3.beginPath(),context3.arc(px,py,radius,
+0,2*Math.PI),context3.fillStyle=inside,context3.fill(),stroke(context3,edge,2)}function turned(context3,px,py,angle2,draw3){
+context3.save(),context3.translate(px,py),context3.rotate(-angle2),draw3(),context3.restore()}function setFont(context3,font,align="\
+center",baseline="middle"){context3.font=FONTS[font],context3.textAlign=align,context3.textBaseline=baseline}function label(context3,text,px,py,colour2=palette.
+label){context3.strokeStyle=palette.halo,context3.lineWidth=4,context3.strokeText(text,px,py),context3.fillStyle=
+colour2,context3.fillText(text,px,py)}function avoid(places){for(let[px,py]of places){let[left,top]=avoided.at(
+-1)??[-1/0,0];Math.hypot(px-4-left,py-4-top)>8&&avoided.push([px-4,py-4,8,8])}}function labelFree(context3,text,places,colour2){
+let{left,top,width,height}=view.box,wide=context3.measureText(text).width+6,within2=(value,low,high)=>Math.max(
+low,Math.min(value,high)),free=places.map(([px,py])=>[within2(px-wide/2,left+2,left+width-wide-2),within2(py-LINE/
+2,top+2,top+height-LINE-2),wide,LINE]).filter(isFree),box2=free.find(one=>!avoided.some(other=>overlap(one,other)))??
+free[0];box2&&(boxes.push(box2),context3.textAlign="center",context3.textBaseline="middle",label(context3,text,
+box2[0]+wide/2,box2[1]+LINE/2,colour2))}function labelBeside(context3,text,sides,colour2){setFont(context3,"st\
+rong");let half=context3.measureText(text).width/2,curves=sides.map(([points,away])=>[placesOf(...points),away]);
+for(let[places]of curves)avoid(places);let beside=SHARES.flatMap(share=>curves.flatMap(([places,away])=>{let[px,
+py]=places[Math.round(share*(places.length-1))];return[0,-half,half].map(aside=>[px+aside,py+away])}));labelFree(
+context3,text,beside,colour2)}var NAMES,FONTS,palette,placesOf,cross,LINE,boxes,avoided,clearBoxes,overlap,isFree,
+reserve,SHARES,init_strokes=__esm({"needlefit/viewer/page/painters/strokes.js"(){init_dom();init_view();NAMES=
+["air","gutter","ink","quiet","edge","needle","points","path","tip","guide","load","measured","band","ghost","\
+plan","gap","bad","halo","soft","stiff","label","accent"],FONTS={small:"11px system-ui, sans-serif",plain:"12p\
+x system-ui, sans-serif",strong:"600 12px system-ui, sans-serif"},palette={};placesOf=(x,y)=>x.map((one,i)=>[toPx(
+one),toPy(y[i])]);cross=(px,py,arm,oblique=!1)=>(oblique?[[arm,arm],[arm,-arm]]:[[arm,0],[0,arm]]).map(([dx,dy])=>[
+[px-dx,py-dy],[px+dx,py+dy]]);LINE=16,[boxes,avoided]=[[],[]],clearBoxes=()=>[boxes,avoided]=[[],[]],overlap=([
+x,y,w,h],[x2,y2,w2,h2])=>x<x2+w2&&x2<x+w&&y<y2+h2&&y2<y+h,isFree=box2=>!boxes.some(one=>overlap(one,box2)),reserve=
+(...box2)=>boxes.push(box2);SHARES=[1,.8,.6,.4]}});function paintTissue(context3){let{left,top,width,height}=view.box;context3.fillStyle=palette.air,context3.fillRect(
+left,top,width,height);let layers=listLayers();for(let{from,to,shade}of layers)context3.fillStyle=shade,context3.
+fillRect(from,top,to-from,height);for(let{from,number,top:edge}of layers)edge<left||(context3.fillStyle=number===
+1?palette.ink:palette.edge,context3.fillRect(Math.round(from)-.5,top,number===1?1.5:1,height));let axis=Math.round(
+toPy(0))+.5;context3.setLineDash([5,4]),segments(context3,[[[left,axis],[left+width,axis]]],palette.quiet,1),context3.
+setLineDash([])}function listLayers(){let{boundaries_mm:tops,layer_names:names}=now.scene,{left,width}=view.box,
+depths=[0,...tops,1/0];return shades(now.state.layers).map((shade,i)=>({shade,number:i+1,name:names[i]||`layer\
+ ${i+1}`,mu:now.state.layers[i].mu_pa,top:toPx(depths[i]),from:Math.max(toPx(depths[i]),left),to:Math.min(toPx(
+depths[i+1]),left+width)})).filter(({from,to})=>to>from)}function paintNames(context3){let{left,top}=view.box,
+layers=listLayers().map(layer=>({...layer,middle:(layer.from+layer.to)/2,modulus:modulus(layer.mu)})),row=write2=>layers.
+map(layer=>({px:layer.middle,text:write2(layer)})),fits2=texts=>texts.every(({px,text},i)=>{let half=context3.
+measureText(text).width/2,[before2,after]=[texts[i-1],texts[i+1]].map(other=>other?context3.measureText(other.
+text).width/2+APART:0);return(!i||px-half>=texts[i-1].px+before2)&&(!texts[i+1]||px+half<=texts[i+1].px-after)});
+setFont(context3,"plain");let whole=row(one=>`μ ${one.modulus}`),names=row(one=>one.name),called=fits2(names)?
+names:row(one=>String(one.number)),part2=(n,before2="")=>row(one=>before2+one.modulus.split(" ")[n]),values=fits2(
+part2(0,"μ "))?part2(0,"μ "):part2(0),rows=fits2(whole)?[called,whole]:[called,values,part2(1)];rows.length>
+2&&setFont(context3,"small"),rows.forEach((texts,n)=>{let end=-1/0;for(let{px,text}of texts){let half=context3.
+measureText(text).width/2;px-half<end+2||(context3.fillText(text,px,top+(rows.length>2?ROWS:TWO_ROWS)[n]),end=
+px+half)}});let skin=toPx(0);skin<=left+40||skin>left+view.box.width||(context3.textAlign="right",context3.fillText(
+"skin",skin-4,top-11))}function paintFrame(context3,name){let{left,top,width,height}=view.box,bottom=top+height;
+context3.lineWidth=1,context3.strokeStyle=palette.quiet,context3.strokeRect(left-.5,top-.5,width+1,height+1),context3.
+fillStyle=palette.label,setFont(context3,"small","right");let scale=view.scale*view.magnified,across=ticks(fromPy(
+bottom),fromPy(top),scale,height).map(y=>[y,Math.round(toPy(y))+.5]);segments(context3,across.map(([,py])=>[[left-
+TICK,py],[left,py]]),palette.quiet,1);for(let[y,py]of across)context3.fillText(written2(y),left-TICK-2,py);context3.
+textAlign="center",turned(context3,11,top+height/2,QUARTER,()=>context3.fillText(name,0,0))}function paintAxes(context3){
+let{left,top,width,height}=view.box,bottom=top+height;setFont(context3,"small"),paintFrame(context3,nameAcross(
+context3,height)),paintNames(context3),setFont(context3,"small","center","top");let along=ticks(fromPx(left),fromPx(
+left+width),view.scale,width).map(x=>[x,Math.round(toPx(x))+.5]);segments(context3,along.map(([,px])=>[[px,bottom],
+[px,bottom+TICK]]),palette.quiet,1);let end=left+width-(view.low?context3.measureText(IN_ROW).width+APART:0);for(let[
+x,px]of along)(px<end-APART||!view.low)&&context3.fillText(written2(x),px,bottom+TICK+2);view.low?context3.fillText(
+IN_ROW,(end+APART+left+width)/2,bottom+TICK+2):context3.fillText("x along the entry (mm)",left+width/2,bottom+
+26)}function ticks(low,high,scale,length){let step=roundStep(2.5*Math.min(TICKS_APART,length/6)/scale),first=Math.
+ceil(low/step);return Array.from({length:Math.max(Math.floor(high/step)-first+1,0)},(_,i)=>(first+i)*step)}function nameAcross(context3,room){
+if(view.magnified===1)return"y (mm)";let long=`y (mm), drawn ${view.magnified}× as large as x`;return context3.
+measureText(long).width<room?long:`y (mm), drawn ${view.magnified}×`}var APART,ROWS,TWO_ROWS,TICK,TICKS_APART,
+QUARTER,IN_ROW,written2,init_background=__esm({"needlefit/viewer/page/painters/background.js"(){init_quantities();
+init_store();init_view();init_strokes();APART=8,ROWS=[-34,-20,-6],TWO_ROWS=[-27,-11],TICK=5,TICKS_APART=48,QUARTER=
+Math.PI/2,IN_ROW="x (mm)";written2=value=>brief(value,6).replace("-","−")}});function basePlace({base}){let[px,py,angle2]=[toPx(base.x),toPy(base.y),angleOf(Math.tan(base.rotation))];return{
+place:[px,py],turn:[px-ARM.base*Math.cos(angle2),py+ARM.base*Math.sin(angle2)],angle:angle2}}function guidePlace({
+x,y,slope:slope2}){let[px,py,angle2]=[toPx(x),toPy(y),angleOf(slope2)];return{place:[px,py],turn:[px-ARM.guide*
+Math.sin(angle2),py-ARM.guide*Math.cos(angle2)],angle:angle2}}function bevelPlace({tip,bevel}){let[px,py]=[toPx(
+tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.cos(bevel.roll_deg*Math.PI/180)*ARM.bevel]}}function all(){
+let{state}=now,base=basePlace(state),bevel=bevelPlace(state),handles=[{at:bevel.turn,cursor:"grab",drag:turnBevel(
+state)},{at:bevel.tip,cursor:"ns-resize",drag:dragTip(state)}],add=(at2,cursor,drag2)=>handles.push({at:at2,cursor,
+drag:drag2});for(let guide of state.guides){let{place:place2,turn:turn2}=guidePlace(guide);guide.turns_freely||
+add(turn2,"grab",turnGuide(guide,place2)),add(place2,"move",dragGuide(guide))}return[aim.target,...aim.obstacles].
+forEach((one,i)=>{one&&add([toPx(one[0]),toPy(one[1])],"move",dragGoal(i?i-1:null,one))}),add(base.turn,"grab",
+turnBase(state,base.place)),add(base.place,"move",dragBase(state)),handles}function handleAt(px,py,kind="mouse"){
+if(!now.state)return null;let[nearest,least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of all()){let distance2=Math.
+hypot(handle.at[0]-px,handle.at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({
+base,depth_mm:depth,guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x})=>x))-.001,along=null;
+return(from,to)=>{let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.
+times*py?along??=!0:py>BEGINS.across&&(along??=!1),along===null?[]:along?[["depth_mm",null,Math.min(Math.max(depth+
+fromPx(to[0])-fromPx(from[0]),0),reach)]]:[["base_y_mm",null,base.input_y+rise(from,to)]]}}function turnBevel({
+bevel}){let{side}=bevel;return(_,[,py])=>(bevelPlace(now.state).tip[1]-py)*side>-BEGINS.across?[]:(side=-side,
+[turnOver(now.state.bevel.roll_deg)])}var ARM,AHEAD2,NEAR,BEGINS,angleOf,rise,dragGoal,dragTip,dragGuide,turnBase,
+turnGuide,init_handles=__esm({"needlefit/viewer/page/handles.js"(){init_aim();init_inputs();init_store();init_view();
+ARM={base:56,guide:42,bevel:26},AHEAD2=16,NEAR={mouse:16,touch:28},BEGINS={across:3,along:8,times:2},angleOf=slope2=>Math.
+atan(slope2*view.magnified);rise=(from,to)=>fromPy(to[1])-fromPy(from[1]);dragGoal=(number,[x,y])=>(from,to)=>(moveTo(
+number,x+fromPx(to[0])-fromPx(from[0]),y+rise(from,to)),[]),dragTip=({tip})=>(from,to)=>[["tip_y_mm",null,tip.
+input_y+rise(from,to)]],dragGuide=({item,x,y})=>(from,to)=>[["guide_x_mm",item,x+fromPx(to[0])-fromPx(from[0])],
+["guide_y_mm",item,y+rise(from,to)]],turnBase=({base},place2)=>(_,to)=>{let stage=base.rotation-base.input_slope,
+along=(to[1]-place2[1])/Math.max(place2[0]-to[0],1)/view.magnified;return[["base_slope",null,Math.atan(along)-
+stage]]},turnGuide=({item},place2)=>(_,to)=>{let[across,up2]=[to[0]-place2[0],place2[1]-to[1]];return[["guide_\
+slope",item,-across/Math.max(up2,1)/view.magnified]]}}});function describeShaft({x,y,faults}){let outside=faults?.length>0,points=placesOf(x,y),tip=points.at(-1),shaft=points.
+filter(one=>distance(one,tip)>BEVEL.length),last=shaft.at(-1)??tip,share=1-BEVEL.length/(distance(last,tip)||1);
+return shaft.push(last.map((from,i)=>from+share*(tip[i]-from))),{shaft,tip,outside,shown:outside?palette.bad:palette.
+needle}}function paintNeedle(context3,state){let{shaft,tip,outside,shown:shown3}=describeShaft(state);trace(context3,
+shaft),context3.lineCap="butt",context3.setLineDash(outside?[9,5]:[]),stroke(context3,shown3,LINE2),context3.setLineDash(
+[]);let[end,{half},{side}]=[shaft.at(-1),BEVEL,state.bevel],size3=distance(end,tip)||1,[dx,dy]=tip.map((to,i)=>(to-
+end[i])/size3),at2=([px,py],to)=>[px+to*dy*half,py-to*dx*half],[back,near2,point]=[at2(end,-side),at2(end,side),
+at2(tip,side)];polygon(context3,[back,near2,point],palette.needle),segments(context3,[[back,point]],palette.tip,
+2)}function reserveNeedle(state){let{tip:[px,py],turn:turn2}=bevelPlace(state);reserve(turn2[0]-9,turn2[1]-9,18,
+18);let arrow2=Array.from({length:5},(_,i)=>[px,py-i/6*arrowLength()]),{constraints:[along,across]}=state;avoid(
+[...placesOf(state.x,state.y),...placesOf(along,across),...arrow2])}function arrowLength(){let force=tipForce()??
+0;return greatestForce.scene!==now.scene&&(greatestForce={scene:now.scene,newton:LEAST_FORCE}),greatestForce.newton=
+Math.max(greatestForce.newton,Math.abs(force)),tallest()*force/greatestForce.newton}function paintTip(context3,state){
+let{tip,turn:turn2}=bevelPlace(state);segments(context3,[[tip,turn2]],palette.tip,1.5),ring(context3,...turn2,
+6,palette.air,palette.tip),setFont(context3,"small"),labelFree(context3,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],
+turn2[1]-18*state.bevel.side]],palette.tip),state.tip.held&&ring(context3,...tip,11,palette.tip,"transparent")}
+function paintTipForce(context3,state){let{tip}=state,[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<
+SHORTEST)return;let[px,py]=[toPx(tip.x),toPy(tip.y)];arrow(context3,[px,py],length,palette.load),setFont(context3,
+"small");let[end,half]=[py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+
+30,half],[px-34,half],[px,end-14*Math.sign(length)]];labelFree(context3,`${brief(Math.abs(force),2)} N`,places,
+palette.load)}function paintMark(context3,{depth_mm:depth,depths,tip,tip_path:[x,y]},at2){if(at2>depth)return;
+let read=places=>heightAt({x:[...depths,depth],y:places},at2),[px,py]=[toPx(read([...x,tip.x])),toPy(read([...y,
+tip.y]))];ring(context3,px,py,5,palette.accent,palette.air)}function paintPoints(context3,{constraints:[x,y]}){
+let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),crosses=placesOf(
+x,y).flatMap(place2=>cross(...place2,half,!0));segments(context3,crosses,palette.points,half>2?1.4:1)}function paintBase(context3,state){
+let{place:[px,py],turn:turn2,angle:angle2}=basePlace(state);segments(context3,[[[px,py-46],[px,py+46]]],palette.
+quiet,2),segments(context3,[-46,46].map(to=>[[px-5,py+to],[px+5,py+to]]),palette.quiet,2),segments(context3,[[
+[px,py],turn2]],palette.ink,1.5),turned(context3,px,py,angle2,()=>box(context3,-22,-7,26,14,4,palette.ink)),ring(
+context3,...turn2,HANDLE,palette.ink,palette.air)}function box(context3,px,py,width,height,radius,fill){context3.
+fillStyle=fill,context3.beginPath(),context3.roundRect(px,py,width,height,radius),context3.fill()}function paintGuides(context3,{
+guides}){for(let guide of guides){let{place:place2,turn:turn2,angle:angle2}=guidePlace(guide),clamps=!guide.turns_freely;
+clamps&&segments(context3,[[place2,turn2]],palette.guide,1.5),turned(context3,...place2,angle2,()=>{for(let to of[
+-1,1]){let from=GAP*to;clamps?box(context3,-13,Math.min(from,from+7*to),26,7,2,palette.guide):polygon(context3,
+[[0,from],[-7,from+11*to],[7,from+11*to]],palette.guide)}}),clamps&&ring(context3,...turn2,HANDLE,palette.guide,
+palette.air)}writeNames(context3,guides)}function writeNames(context3,guides){setFont(context3,"strong");for(let guide of guides.
+toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(guide.x),toPy(guide.y)+27];px<view.box.left||px>view.
+box.left+view.box.width||labelFree(context3,shortName(guide),[[px,py]],palette.guide)}}function paintLoad(context3,{
+load:{x,y,n_per_mm:values}}){let load2=smooth(x,values,now.scene.spacing_mm),greatest2=load2.reduce((most,one)=>Math.
+max(most,Math.abs(one)),0);if(greatest2<LEAST_LOAD||x.length<2)return;let height=greatest2*(perLoad??0);(height>
+tallest()||height<Math.min(LOWEST,tallest()/3))&&(perLoad=.75*tallest()/(2*roundStep(greatest2)));let[px,py]=[
+x.map(toPx),y.map(toPy)],[surface,ends]=[0,perLoad].map(scale=>px.map((x2,i)=>[x2,py[i]-load2[i]*scale])),starts=load2.
+map((_,i)=>i).filter(i=>i===0||load2[i]*load2[i-1]<=0),edges=starts.map((from,n)=>{let to=starts[n+1]??load2.length;
+return[surface[from],...ends.slice(from,to),surface[to-1]]});trace(context3,...edges.map((edge,n)=>[...edge,...surface.
+slice(starts[n],starts[n+1]??load2.length).reverse()])),context3.fillStyle=palette.load,faintly(context3,.32,()=>context3.
+fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function smooth(x,load2,reach){let sums=[0];
+for(let i=1;i<x.length;i+=1)sums.push(sums[i-1]+(load2[i]+load2[i-1])/2*(x[i]-x[i-1]));let sumTo=(at2,i)=>{if(i===
+0)return 0;if(i===x.length)return sums.at(-1);let part2=(at2-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load2[i-
+1]+part2*(load2[i]-load2[i-1])/2)*(at2-x[i-1])},[from,to]=[0,0];return x.map(at2=>{let half=Math.min(reach,at2-
+x[0],x.at(-1)-at2);if(half<=0)return load2[at2===x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at2-half;)from+=
+1;for(;to<x.length&&x[to]<=at2+half;)to+=1;return(sumTo(at2+half,to)-sumTo(at2-half,from))/(2*half)})}function paintKey(context3){
+if(!perLoad)return;let size3=roundStep(30/perLoad),[px,height]=[7,size3*perLoad],py=view.box.top-6-height;segments(
+context3,[[[px,py],[px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(
+context3,"small","left"),label(context3,`${brief(size3)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,HANDLE,
+GAP,LOWEST,tallest,SHORTEST,LEAST_FORCE,LEAST_LOAD,perLoad,greatestForce,distance,paintPath,init_needle2=__esm(
+{"needlefit/viewer/page/painters/needle.js"(){init_handles();init_quantities();init_store();init_view();init_strokes();
+LINE2=2.5,CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},HANDLE=7,GAP=3,LOWEST=16,tallest=()=>Math.
+min(48,.2*view.box.height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,perLoad=null,greatestForce={scene:null,
+newton:0},distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context3,{tip_path:[x,y]})=>line(
+context3,x,y,palette.path,1.5)}});function paintMeasured(context3,{x,y}){context3.lineCap="round",line(context3,x,y,palette.halo,4),line(context3,
+x,y,palette.measured,2,[7,4]),context3.lineCap="butt"}function paintPinned(context3,{x,y}){line(context3,x,y,palette.
+halo,5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned",[[[x,y],-18],[[x,y],18]],palette.
+ghost)}function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of \
+the fit",[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,
+pale?.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[
+low,high])line(context3,x,edge,palette.band,1.5)})}function paintGaps(context3,state,measured2){let{errors,tip}=state;
+if(!errors)return;let reach=Math.min(tip.x,measured2.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+
+1)/GAPS).map(x2=>[state,measured2].map(curve=>[toPx(x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.
+gap,1.25);let[x,y]=errors.whole?[measured2.x.at(-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.
+whole?[tip.x,tip.y]:[reach,heightAt(state,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])
+line(context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let px=toPx(x),[top,bottom]=[toPy(
+y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&sides.
+reverse(),labelFree(context3,`tip error (TE) ${errors.te_mm.toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,
+bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){if(!aim.plan)return;
+let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(context3,x,y,palette.
+plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),line(context3,aim.plan.
+x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(([x2,y2,radius],i)=>paintCircle(
+context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.target;paintCircle(context3,
+x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
+let[px,py,across]=[toPx(x),toPy(y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*
+view.magnified,0,0,2*Math.PI),context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,
+palette.halo,4),stroke(context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,
+"strong");let sides=[[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(
+context3,name,sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.
+box,places=[{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.
+high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree(
+[px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.
+height+CLEAR),rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-
+INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;
+reserve(px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.
+strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-
+2*INSET.edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&
+context3.lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(
+now.scene.diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}
+var GAPS,FAN,PALE,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/pai\
+nters/overlay.js"(){init_aim();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,PALE=.35,
+CROSS2=5,AWAY=19,INSET={width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&
+Math.abs(x.at(-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function paint(fresh2){if(!now.scene||!now.state)return;fresh2&&
+follow();let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);(moved2||tissue!==drawnTissue)&&paintBackground(),
+drawnTissue=tissue,(moved2||fresh2||stale)&&(before.clearRect(0,0,...size()),paintForeground(now.state)),stale=
+!1,document.body.classList.add("begun")}function paintBackground(){behind.fillStyle=palette.gutter,behind.fillRect(
+0,0,...size()),within(behind,()=>paintTissue(behind)),paintAxes(behind)}function paintForeground(state){let band2=shown.
+band&&now.band&&isBandNear(now.band,state)?now.band:null;clearBoxes(),reserveNeedle(state),before.lineJoin="ro\
+und",within(before,()=>{shown.load&&paintLoad(before,state),band2&&paintBand(before,band2,band2.step!==state.step),
+shown.plan&&paintPlan(before),shown.pinned&&now.pinned&&paintPinned(before,now.pinned),paintNeedle(before,state),
+paintInset(before,state),paintTip(before,state),paintGoal(before),shown.load&&paintTipForce(before,state),shown.
+path&&paintPath(before,state),shown.points&&paintPoints(before,state),shown.measured&&now.scene.measured&&(paintMeasured(
+before,now.scene.measured),shown.errors&&paintGaps(before,state,now.scene.measured));for(let draw3 of further)
+draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(before,band2),now.marked!=null&&
+paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){let{left,top,
+width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),context3.clip(),
+draw3(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,picture.clientHeight];
+for(let[canvas5,context3]of[[background,behind],[foreground,before]])canvas5.width=Math.round(width*devicePixelRatio),
+canvas5.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,stale,measured,
+size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();
+init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part("background"),foreground=
+part("canvas"),behind=background.getContext("2d",{alpha:!1}),before=foreground.getContext("2d"),shown={load:!0,
+points:!0,path:!0,measured:!0,band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue="",stale=!0;
+measured=[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),touch()));
+readPalette();for(let kind of["band","forces","aimed"])listen(kind,invalidate);fitted=null;listen("state",()=>{
+fitted!==now.scene.target&&(fitted=now.scene.target,fit(view.fit??"tissue"))})}});function turn(state){let across=([x,,z])=>[x,z],roll=state.bevel.roll_deg*Math.PI/180;return{...state,y:state.
+z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(roll)<0?-1:1}}}function draw(){
+if(canvas.hidden=!now.state?.z,canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,size3=[width,
+height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&([canvas.
+width,canvas.height]=size3),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context.fillStyle=
+palette.gutter,context.fillRect(0,0,width,height);let{state,band:band2}=now,seen=[...state.z,...band2?.z?.low??
+[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y,box:box2,magnified}=view,within2={
+...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(within2.height-2*ROOM2)/(view.scale*(high-low||
+1)));Object.assign(view,{y:(low+high)/2,box:within2,magnified:times}),context.save(),context.beginPath(),context.
+rect(box2.left,EDGE2,box2.width,within2.height),context.clip(),paintTissue(context);let needle2=turn(state);shown.
+band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.z},band2.step!==state.step),context.
+lineJoin="round",paintNeedle(context,needle2),shown.path&&paintPath(context,needle2),shown.points&&paintPoints(
+context,needle2),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10),context.restore(),
+paintFrame(context,times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y,box:box2,magnified})}
+var EDGE2,ROOM2,canvas,context,init_above=__esm({"needlefit/viewer/page/above.js"(){init_dom();init_drawing();
+init_background();init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,
+ROOM2]=[8,14],canvas=part("above"),context=canvas.getContext("2d",{alpha:!1});for(let kind of["drawn","scene"])
+listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeBands(worker,kernel,current2){let ordered="";worker.postMessage({kernel});function describeNeedle(){
+let{name,steered:steered2}=current2(),{model}=steered2,steps2=steered2.path().map(one=>({depth:one.depth,inputs:toInputs(
+one,model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered2.session.
+planes}}function order(){if(!now.state)return;let about=JSON.stringify([current2().name,now.state.step]);ordered!==
+about&&(ordered=about,worker.postMessage(describeNeedle()))}function send(){ordered="",worker.postMessage({draws:now.
+scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}})=>{id.needle===current2().name&&
+(forces?take({kind:"forces",step:id.step,...forces}):take(band2?{kind:"band",step:id.step,...band2}:NONE))},listen(
+"scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){init_inputs();
+init_store();NONE={kind:"band",x:[]}}});function computeErrors(session,measured2){let{depth}=session.shape,upto=Math.min(depth,measured2.depth_mm);if(upto<
+1)return null;let beyond=depth-measured2.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
+let{s,x,y,pose}=measured2.target;other=x.map((one,i)=>[one,y[i]]),simulated=readPoints(session,s.map(one=>one+
+beyond)),pose==="free"&&(simulated=alignRigid(simulated,other))}else if(measured2.target.pose==="known"){let s=Array.
+from({length:101},(_,i)=>upto*i/100);simulated=readPoints(session,s),other=interpolate(measured2,s)}else return null;
+let distances=simulated.map(([x,y],i)=>Math.hypot(x-other[i][0],y-other[i][1])),deflection=other.at(-1)[1]-other[0][1],
+finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).map(([name,value])=>[
+name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
+floor_mm}}function readPoints(session,s){let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.
+min(Math.max(one,x[0]),depth)));return s.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1]])}function interpolate({
+s,x,y},at2){let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)i+=1;let share=Math.min(Math.max((one-
+s[i])/(s[i+1]-s[i]),0),1);return[x[i]+share*(x[i+1]-x[i]),y[i]+share*(y[i+1]-y[i])]})}function alignRigid(moving,fixed){
+let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
+along]=[0,0];moving.forEach(([x,y],i)=>{let[a,b,c2,d]=[x-m[0],y-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
+a*d-b*c2,along+=a*c2+b*d});let angle2=Math.atan2(across,along),[c,s]=[Math.cos(angle2),Math.sin(angle2)];return moving.
+map(([x,y])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1]])}var mean,METRICS,init_errors=__esm({"nee\
+dlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={
+median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:
+(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(
+one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>deflection?
+100*d.at(-1)/Math.abs(deflection):d.at(-1)?1/0:0}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
+length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray(p*x.length,(p+1)*x.length))),
+cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
+begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
+for(let i=0;i<=last;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last;i+=
+1){let step=x[i+1]-x[i];bent.forEach(([v,rotation],p)=>{let mean3=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
+1];cubics[p]=[begin2,6*mean3-4*begin2-2*end,3*(begin2+end)-6*mean3]});let[[,bend,curl]]=cubics,inside=planes>1?
+[.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at2 of inside)at2>0&&at2<1&&(steepest=Math.max(steepest,
+rotate(at2)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,
+x[i]<-1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.
+max(miss,measure2(missed))}for(let i=0;i<track.length;i+=2*planes)steepest=Math.max(steepest,measure2(bent.map(
+(_,p)=>track[i+2*p+1])));let entered=1+boundaries.filter(end=>end<x[last]).length,widths=boundaries.slice(0,entered).
+map((end,i)=>end-(i?boundaries[i-1]:0)).filter(width=>width>0),thinnest=widths.length?Math.max(Math.min(...widths),
+spacing):1/0;return{max_slope:steepest,deflection_per_length:measure2(bent.map(([v])=>Math.max(...v)-Math.min(
+...v)))/(x[last]-x[0]),shortening_per_layer:shortening/thinnest,miss_mm:miss,compression:compress(x,bent,constraints)/
+Math.min(...thickness.slice(0,entered))}}function compress(x,bent,constraints){let[greatest2,i]=[0,0];for(let k=0;k<
+constraints.length;k+=1+bent.length){let at2=constraints[k];for(;i<x.length-2&&x[i+1]<at2-1e-9;)i+=1;let span=x[i+
+1]-x[i],t=Math.min(Math.max((at2-x[i])/span,0),1),away=bent.map(([u,slope2],p)=>{let bend=3*(u[i+1]-u[i])-span*
+(2*slope2[i]+slope2[i+1]),curl=2*(u[i]-u[i+1])+span*(slope2[i]+slope2[i+1]);return u[i]+t*(span*slope2[i]+t*(bend+
+t*curl))-constraints[k+1+p]});greatest2=Math.max(greatest2,measure2(away))}return greatest2}var GAUSS,measure2,
+listFaults,init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],
+[.5,.4444444444444444],[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**
+2+parts[1]**2):Math.abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=
+limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].
+toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered2){let{scene,session,step,model,names,validity,rules}=steered2,{shape}=session,{
+controls,bevel}=step,width=1+shape.planes,[x,y,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
+shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load2=session.forces(),
+loaded=columns(load2.s.length?session.positions(load2.s):[],width),last=shape.x.length-1,roll=wrap(rollOf(bevel)),
+items=controls.guides.map(({name})=>guideNumber(name,names));return{kind:"state",step:steered2.number,depth_mm:step.
+depth,x,y,z,depths:constraints[0],constraints:mapPoints(session,constraints),tip_path:mapPoints(session,[constraints[0],
+...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:[...load2.load]},forces:{base_n:load2.base.force,base_nmm:load2.
+base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load2.guides[i].force]))},base:{x:x[0],y:y[0],
+rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.guides.map(({name,
+x:x2,y:y2,slope:slope2},i)=>({item:items[i],name,x:x2,y:y2,slope:slope2??0,turns_freely:slope2===null})),tip:{
+x:x.at(-1),y:y.at(-1),z:z&&z.at(-1),rotation:shape.slope[last],lateral_mm:y.at(-1),held:controls.tip!==null,input_y:shape.
+u[last]},bevel:{side:Math.abs(roll)>90?-1:1,roll_deg:roll,...describeStrength(bevel,model)},layers:model.mu.map(
+(mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[name,steered2.shape[row][layer]]))})),
+max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.measured&&computeErrors(session,
+scene.measured)}}function listStations({x,depth}){let end=Math.min(0,depth),before2=Array.from({length:POINTS_BEFORE_TISSUE},
+(_,i)=>x[0]+(end-x[0])*i/(POINTS_BEFORE_TISSUE-1));return before2[POINTS_BEFORE_TISSUE-1]=end,Float64Array.from(
+new Set([...before2,...x])).sort()}function mapPoints(session,[s,...beside]){let[along,...places]=columns(session.
+positions(s),1+beside.length),deflections=session.deflections(s);return[along,...places.map((one,plane)=>one.map(
+(place2,i)=>place2+(beside[plane][i]-deflections[plane*s.length+i])))]}var POINTS_BEFORE_TISSUE,columns,describeStrength,
+init_state=__esm({"needlefit/viewer/page/model/state.js"(){init_inputs();init_errors();init_validity();POINTS_BEFORE_TISSUE=
+25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from({length:points.length/width},(_2,i)=>points[width*
+i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?{cut_angle_deg:cutAngle*(180/Math.PI)}:{
+offset_mm:offset}}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
+ton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show2=()=>{
+let{left,top,bottom}=term.getBoundingClientRect();shown2.textContent=DEFINITIONS[name],shown2.style.left=`${Math.
+max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown2.style.bottom=above?`${innerHeight-top+6}px`:
+"auto",shown2.style.top=above?"auto":`${bottom+6}px`,shown2.matches(":popover-open")||shown2.showPopover()},hide=()=>shown2.
+matches(":popover-open")&&shown2.hidePopover();for(let kind of["pointerenter","focus","click"])term.addEventListener(
+kind,show2);for(let kind of["pointerleave","blur"])term.addEventListener(kind,hide);return term}var DEFINITIONS,
+ROOM3,shown2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){init_dom();init_store();DEFINITIONS=
+{depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the tip from th\
+e entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip against the e\
+ntry axis.","tip force":"Lateral force of the tissue on the shaft at the tip, as the tip stood at its last con\
+straint point; between these points it rises and falls.","base force":"Lateral force that holds the base.","ba\
+se moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx of the needle; the model takes \
+it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, \
+about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the pl\
+ane of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive\
+ to the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Gu\
+ides that hold the needle.",target:"Where the tip is to end; within the radius it counts as reached. x along t\
+he entry, y to its left.",obstacle:"What the needle must not touch: a circle in its plane. Distances are those\
+ of its axis.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angl\
+e.","noise floor":"The mean error that perfect parameters would still show if measurements err as stated."};listen(
+"scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{symbol,explanation}of shapes)
+DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=110,shown2=element("div",
+{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
+return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
+([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
+part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");title&&write(title,`${isSteered(state,
+scene)?"steered by hand: ":""}${scene.title}`),scene.measured&&(writeErrors(state.errors),write("against",`aga\
+inst ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`))}function inWords(){let{state,
+scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.
+length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[
+`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.
+abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, \
+at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
+bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
+base)}; ${held}.`,`Tip force ${signed(tipForce()??0,2)} N, base force ${signed(state.forces.base_n,2)} N.`];if(exceeded(
+state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let[mean3,tipError]=[errors.ipe_mean_mm.toFixed(
+2),errors.te_mm.toFixed(2)];sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean3}\
+ mm, TE ${tipError} mm.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,SHOWN_METRICS,writeError,writeErrors,
+comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.\
+js"(){init_definitions();init_dom();init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s=>s.depth_mm.
+toFixed(2)],["tip y","mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip s\
+lope","°",s=>signed(toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":signed(tipForce(),
+3)],["base force","N",s=>signed(s.forces.base_n,3)],["base moment","N mm",s=>signed(s.forces.base_nmm,1)],["st\
+eepest slope","",s=>s.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(
+part("readouts"),NEEDLE),SHOWN_METRICS=["ipe_mean_mm","te_mm","edp_percent"],writeError=(value,unit)=>value===
+null?"–":unit==="%"?brief(value,3):value.toFixed(3),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?
+"over the whole insertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part(
+"compared").hidden=measured2===null,!measured2)return;let metrics=measured2.metrics.filter(([name])=>SHOWN_METRICS.
+includes(name)).map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(errors[name],
+unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["noise floor","\
+mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.length?`outside the model:\
+ ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>now.state&&refresh());listen("s\
+tate",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Sha\
+pe and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.
+box.height/2),!(announced||!words)&&(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(
+toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
+back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
+LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number,slider,mark:mark3,
+back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max((to(
+value)-low)/(high-low),0),1),at:share=>from(low+share*(high-low))},{of,name,symbol,unit,limits}=about;made+=1,
+number.id=`field-${made}`;let term=define(symbol,name);symbol&&number.setAttribute("aria-description",DEFINITIONS[symbol]),
+part2.querySelector(".name").append(term),part2.querySelector(".unit").textContent=unit,number.ariaLabel=slider.
+ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STEPS,back.ariaLabel=`${number.ariaLabel}\
+: back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(field);let goHome=event=>{
+field.gesture=newGesture(),field.home!==null&&ask(field,field.home,event)};return slider.addEventListener("inp\
+ut",event=>ask(field,field.at(slider.value/STEPS),event)),slider.addEventListener("change",()=>field.gesture=newGesture()),
+press(back,goHome),setHome(field,null),into.append(part2),field}function show(field,value){if(value===field.value)
+return;field.value=field.latest=value;let text=field.text=field.write(value);!field.editing&&field.number.value!==
+text&&(field.number.value=text),field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=
+`${text} ${field.unit}`.trim(),markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=
+field.mark.hidden=home===null,home!==null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * \
+(100% - ${THUMB}px))`,field.back.title=`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({
+part:part2,back,write:write2,value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),
+part2.querySelector(".hand").hidden=back.disabled}function ask(field,value,event){field.latest=value,field.value=
+null,field.ask(value,{gesture:field.gesture,at:event.timeStamp})}function wireNumber(field){let{number}=field;
+number.addEventListener("input",()=>field.editing=!0),number.addEventListener("blur",()=>giveBack(field)),number.
+addEventListener("change",event=>{if(field.gesture=newGesture(),field.editing=!1,number.value!=="")return ask(
+field,field.read(number.value),event);publish("notice",{what:`No ${number.ariaLabel}: ${field.text} is kept.`,
+expected:"a number"}),giveBack(field)}),number.addEventListener("keydown",event=>{event.key in ARROWS&&stepBy(
+field,ARROWS[event.key],event),event.key==="Escape"&&giveBack(field)}),number.addEventListener("keyup",({key})=>{
+key==="Enter"&&(field.editing=!1)})}function giveBack(field){field.editing=!1,field.value!==null&&(field.number.
+value=field.text)}function stepBy(field,direction,event){event.preventDefault();let{number,step,logarithmic}=field,
+from=field.editing&&number.value!==""?field.read(number.value):field.latest;field.editing=!1,event.repeat||(field.
+gesture=newGesture()),ask(field,logarithmic?from*step**direction:from+step*direction,event)}var template,STEPS,
+THUMB,LINEAR,LOGARITHMIC,ARROWS,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){init_definitions();
+init_dom();init_offline();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x=>x,x=>x],LOGARITHMIC=
+[x=>Math.log(Math.max(x,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},made=0}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
+shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
+at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
+slopes[by][j]})).flat()}var SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){init_needle();
+init_inputs();init_validity();SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){let{model,steps:steps2}=scene.
+simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;constructor(scene,session){
+let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
+Object.assign(this,{number:0,saved:new Map,valid:!0}),this.step={...steps2[0],depth:0},this.#judge(),this.keep()}get model(){
+return this.session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+
+(first?.x<0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.
+shape.depth])[1]}path(){return this.session.path().map(one=>toStep(one,this.model.pathAngle))}keep(){let{step,
+shape,valid,validity}=this;this.saved.has(this.number)||this.saved.set(this.number,{step,shape,valid,validity,
+session:this.session.save()})}forget(number){number&&this.saved.delete(number)}rewind(){let[[,first]]=this.saved;
+this.#return(first),Object.assign(this,{number:0,saved:new Map([[0,first]])})}#return({session,...saved}){this.
+session.restore(session),Object.assign(this,saved)}shapeAfter(changes){let shape=this.shape.map(row=>[...row]);
+for(let[name,item,value]of changes){let row=this.scene.shape_parameters.findIndex(one=>one.name===name);row>=0&&
+(shape[row][item-1]=value)}return shape}apply(changes,{validOnly=!0}={}){for(let[i,change3]of changes.entries()){
+checkChange(change3,this.rules);let[name,item]=change3;if(changes.slice(0,i).some(([one,other])=>one===name&&other===
+item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name==="return_\
+to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}if(changes[0]?.[0]===
+"return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`nothing was kept of step ${changes[0][2]}`,
+"a step to return to");this.#return(saved)}else this.#advance(changes,validOnly);this.number+=1}#advance(changes,validOnly){
+let parameters=changes.filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.
+rules.inputs[name].parameter);if(!parameters.length)return this.#move(others,validOnly);let{step,shape,valid,validity}=this,
+before2={step,shape,valid,validity,session:this.session.save()};try{this.#simulateAgain(parameters,validOnly),
+this.#move(others,validOnly)}catch(error){throw this.#return(before2),error}}#simulateAgain(parameters,validOnly){
+let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
+throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
+1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
+(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
+ law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
+JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
+"the law has not been computed with these parameters","the program","try again");let{pathAngle}=this.model,steps2=this.
+path().map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
+if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
+one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
+toFixed(1)} mm deep`,"a load that tissue and needle can bear","change them less, or retract the needle first");
+let was=this.valid;Object.assign(this,{shape,step:steps2.at(-1)}),this.#judge(),validOnly&&was&&!this.valid&&this.#refuseInvalid(
+this.validity)}#move(changes,validOnly){let{session}=this,{x,u,planes}=session.shape,step=applyChanges(this.step,
+changes,this.names,[u[x.length-1],planes>1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;
+if(validOnly&&first?.x<0&&step.depth>this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand\
+ ${(first.x+this.model.length-step.depth).toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm}\
+ mm: the base stops at the guide`,"retract the needle, or move the guide toward the tissue");let[refused,judged]=[
+!1,{}],judge=shape2=>{let validity=computeValidity(shape2,this.model);return judged={validity,valid:listFaults(
+validity,this.rules.validity).length===0},refused=validOnly&&this.valid&&!judged.valid,!refused},shape=this.#guard(
+()=>session.go(step.depth,toInputs(step,this.model.pathAngle),judge));if(refused&&this.#refuseInvalid(judged.validity),
+session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,"a load that tissue an\
+d needle can bear","move less at a time");Object.assign(this,{step,...judged}),judged.validity||this.#judge()}#guard(work2){
+try{return work2()}catch(error){throw error instanceof RangeError?new ModelError(error.message,`a needle of ${this.
+model.length} mm, its base before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(){this.
+validity=computeValidity(this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).
+length===0}#refuseInvalid(validity){throw new ModelError(`the needle would be outside the model's validity: ${listFaults(
+validity,this.rules.validity).join("; ")}`,"a needle within the limits of small deflections","move less, or br\
+ing base, guides and tip nearer to the needle's own shape")}}}});function covary(one,other){let[middle,centre]=[mean2(one),mean2(other)];return mean2(one.map((value,i)=>(value-
+middle)*(other[i]-centre)))}function readDraws({draws,fitted:{layers},simulation:{model}}){let b=Array.from(draws.
+strength,one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer)=>b.map((_2,draw3)=>Math.log(
+draws.mu[draw3*layers.length+layer]*1e6))),related=mu.map(one=>Math.abs(correlate(b,one)));return{b,mu,layer:related.
+indexOf(Math.max(...related))}}function isDrawnPlane(scene){if(!scene.draws)return!1;let{b,mu,layer}=readDraws(
+scene);return covary(b,b)>SAME3&&covary(mu[layer],mu[layer])>SAME3}function findNext(from,along,miss){let place2=across=>from.
+map((part2,i)=>part2+LINE3.step*along[i]+across*[-along[1],along[0]][i]),[one,other]=[0,LINE3.trial];try{let[before2,
+missed]=[miss(place2(one)),miss(place2(other))];for(let n=0;n<LINE3.secants;n+=1)[one,other]=[other,other-missed*
+(other-one)/(missed-before2)],[before2,missed]=[missed,miss(place2(other))];return Math.abs(missed)<LINE3.miss_mm&&
+Math.abs(other)<LINE3.step?place2(other):null}catch(error){if(!error.expected)throw error;return null}}function makeRidge(into,steer,kernel){
+let{scene}=now,{fitted:fitted2,layer_names:names}=scene,{key,symbol,unit,digits:digits2,throughout,value}=strengthOf(
+fitted2),{b,mu,layer}=readDraws(scene),origin=[value,fitted2.layers[layer].mu_pa].map(Math.log),tied=fitted2.layers.
+map((_,i)=>i).filter(i=>correlate(mu[i],mu[layer])>TIED),modulus2=modulusLike(fitted2.layers[layer].mu_pa),called=`\
+μ ${names[layer]||`layer ${layer+1}`}`,ranges=[b,mu[layer]].map((values,i)=>{let[low,high]=[Math.min(...values,
+origin[i]),Math.max(...values,origin[i])];return[low-MARGIN*(high-low),high+MARGIN*(high-low)]}),canvas5=element(
+"canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol} and ${called}: arrow keys move the point`});canvas5.
+setAttribute("role","application");let note=element("p",{className:"quiet"});into.replaceChildren(canvas5,note);
+let context3=canvas5.getContext("2d"),current2=()=>[now.state.bevel[key],now.state.layers[layer].mu_pa].map(Math.
+log),box2=()=>[[PAD.left,canvas5.clientWidth-PAD.right],[canvas5.clientHeight-PAD.bottom,PAD.top]],toPx2=place2=>box2().
+map(([from,to],i)=>from+(place2[i]-ranges[i][0])/(ranges[i][1]-ranges[i][0])*(to-from)),line2=[],[wanted,frame2,
+held]=[null,0,!1],listChanges=place2=>{let moved2=place2[1]-origin[1];return[[throughout,null,Math.exp(place2[0])],
+...tied.map(i=>["mu_pa",i+1,fitted2.layers[i].mu_pa*Math.exp(moved2)])]};async function findLine(){let always2={
+validOnly:!1},needle2=await SteeredNeedle.begin(await kernel,scene);for(let changes of listSteps(scene))needle2.
+apply(changes,always2);let goal=needle2.tipLateral,toPlane=place2=>place2.map((part2,i)=>origin[i]+part2*(ranges[i][1]-
+ranges[i][0])),miss=place2=>(needle2.apply(listChanges(toPlane(place2)),always2),needle2.tipLateral-goal),steepest=[
+[LINE3.trial,0],[0,LINE3.trial]].map(miss);for(let way of[-1,1]){let[from,along]=[[0,0],toUnit([-way*steepest[1],
+way*steepest[0]])];for(;from&&canvas5.isConnected;){way<0?line2.unshift(toPlane(from)):line2.push(toPlane(from));
+let to=findNext(from,along,miss),within2=to&&toPlane(to).every((value2,i)=>value2>=ranges[i][0]&&value2<=ranges[i][1]);
+within2&&(along=toUnit(to.map((part2,i)=>part2-from[i]))),from=within2?to:null,draw3(),await new Promise(done2=>setTimeout(
+done2))}}}function ask2(place2){wanted=place2.map((one,i)=>Math.min(Math.max(one,ranges[i][0]),ranges[i][1])),
+frame2||=requestAnimationFrame(()=>{frame2=0,steer([listChanges(wanted)])})}function drag2({clientX,clientY}){
+let{left,top}=canvas5.getBoundingClientRect();ask2([clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];
+return ranges[i][0]+(px-from)/(to-from)*(ranges[i][1]-ranges[i][0])}))}function draw3(){if(!canvas5.isConnected)
+return;let{clientWidth:width,clientHeight:height}=canvas5;Object.assign(canvas5,{width:width*devicePixelRatio,
+height:height*devicePixelRatio}),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);let[[left,right],
+[bottom,top]]=box2();context3.strokeStyle=palette.quiet,context3.strokeRect(left+.5,top+.5,right-left-1,bottom-
+top-1),context3.fillStyle=palette.label,setFont(context3,"small","left"),context3.fillText(`${called}, ${modulus2.
+unit}`,2,9),setFont(context3,"small","right"),context3.fillText(`${symbol}, ${unit}`,right,bottom+13),paintTicks(
+0,one=>one,right-40),paintTicks(1,one=>modulus2.read(one),1/0),faintly(context3,.55,()=>b.forEach((one,i)=>{let[
+px,py]=toPx2([one,mu[layer][i]]);context3.fillStyle=palette.band,context3.fillRect(px-1.5,py-1.5,3,3)})),trace(
+context3,line2.map(toPx2)),stroke(context3,palette.accent,2),segments(context3,cross(...toPx2(origin),5),palette.
+needle,2),ring(context3,...toPx2(current2()),7,palette.tip,palette.air)}function paintTicks(axis,read,end){let last=-1/0;
+for(let one of TICKS.toSorted((a,z)=>a-z)){let at2=Math.log(read(one));if(at2<ranges[axis][0]||at2>ranges[axis][1])
+continue;let px=toPx2(axis?[ranges[0][0],at2]:[at2,ranges[1][0]]);Math.abs(px[axis]-last)<30||px[0]>end||(last=
+px[axis],setFont(context3,"small",axis?"right":"center"),context3.fillText(brief(one),px[0]-(axis?4:0),px[1]+(axis?
+0:13)))}}function refresh2(){if(!canvas5.isConnected)return;let{bevel,layers,errors,tip}=now.state,found=errors?
+`IPE ${errors.ipe_mean_mm.toFixed(3)} mm, TE ${errors.te_mm.toFixed(3)} mm`:now.pinned?`the tip is ${Math.hypot(
+tip.x-now.pinned.x.at(-1),tip.y-now.pinned.y.at(-1)).toFixed(3)} mm from the pinned one`:"";write(note,`${symbol}\
+ ${bevel[key].toFixed(digits2)} ${unit}, ${called} ${modulus2.write(layers[layer].mu_pa,3)} ${modulus2.unit}: ${found}\
+. Other parameters stay as fitted.`),draw3()}let heard={pointerdown:event=>{canvas5.setPointerCapture(event.pointerId),
+held=!0,drag2(event)},pointermove:event=>held&&drag2(event),pointerup:()=>held=!1,pointercancel:()=>held=!1,keydown:event=>{
+if(!(event.key in KEYS))return;event.preventDefault(),event.stopPropagation();let from=frame2?wanted:current2();
+ask2(from.map((one,i)=>one+KEYS[event.key][i]*PART*(ranges[i][1]-ranges[i][0])))}};for(let[kind,hear]of Object.
+entries(heard))canvas5.addEventListener(kind,hear);[refreshShown,drawShown]=[refresh2,draw3],refresh2(),findLine()}
+var PAD,MARGIN,SAME3,KEYS,PART,LINE3,TIED,TICKS,mean2,correlate,toUnit,refreshShown,drawShown,init_ridge=__esm(
+{"needlefit/viewer/page/ridge.js"(){init_dom();init_inputs();init_steered();init_strokes();init_quantities();init_store();
+PAD={left:48,right:8,top:22,bottom:22},MARGIN=.12,SAME3=1e-9,KEYS={ArrowLeft:[-1,0],ArrowRight:[1,0],ArrowDown:[
+0,-1],ArrowUp:[0,1]},PART=.02,LINE3={step:.04,trial:.02,secants:3,miss_mm:.005},TIED=.9999,TICKS=[1,2,5].flatMap(
+one=>Array.from({length:14},(_,n)=>one*10**(n-4))),mean2=values=>values.reduce((sum,one)=>sum+one,0)/values.length;
+correlate=(one,other)=>covary(one,other)/Math.sqrt(covary(one,one)*covary(other,other))||0;toUnit=vector=>vector.
+map(one=>one/Math.hypot(...vector));[refreshShown,drawShown]=[()=>{},()=>{}];listen("state",()=>refreshShown());
+onScheme(()=>requestAnimationFrame(drawShown))}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
+path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw2(){if(part("strip").hidden||!now.
+state)return;let[width,height]=size2;canvas2.width!==Math.round(width*devicePixelRatio)&&(canvas2.width=Math.round(
+width*devicePixelRatio)),canvas2.height!==Math.round(height*devicePixelRatio)&&(canvas2.height=Math.round(height*
+devicePixelRatio)),context2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context2.clearRect(0,0,width,
+height);let deep=greatest();PANELS.forEach((panel,n)=>{let[left,right]=[n*width/2+PAD2.left,(n+1)*width/2-PAD2.
+right];drawPanel(panel,deep,{left,right,top:PAD2.top,bottom:height-PAD2.bottom})}),describe(deep)}function drawPanel([
+name,unit,digits2,curveOf],deep,{left,right,top,bottom}){let curves=needles().map(([one,colour2])=>[one,curveOf(
+one),colour2]),values=curves.flatMap(([,{y}])=>y),[low,high]=[Math.min(0,...values),Math.max(0,...values)],px=depth=>left+
+depth/deep*(right-left),py=y=>bottom-(y-low)/(high-low||1)*(bottom-top);segments(context2,[[[left,py(0)],[right,
+py(0)]],[[left,top],[left,bottom]]],palette.quiet,1);for(let[,{x,y},colour2]of curves)trace(context2,x.map((one,i)=>[
+px(one),py(y[i])])),stroke(context2,colour2,2);let at2=now.marked??now.state.depth_mm;segments(context2,[[[px(
+at2),top],[px(at2),bottom]]],now.marked===null?palette.quiet:palette.accent,1),context2.fillStyle=palette.label,
+setFont(context2,"small","left");let read=`${name}, ${unit}`;for(let[one,curve,colour2]of curves.toReversed()){
+let value=valueAt([one,curve],at2);Number.isNaN(value)||(ring(context2,px(Math.min(at2,curve.x.at(-1))),py(value),
+3,colour2,palette.air),now.marked!==null&&(read+=`${one===now.pinned?", pinned":":"} ${signed(value,digits2)}`))}
+context2.fillStyle=palette.label,context2.fillText(read,left,top-10),setFont(context2,"small","right");let ends=high-
+low<10**-digits2?[[0,py(0)]]:[[low,bottom],[high,top]];for(let[value,place2]of ends)context2.fillText(String(Number(
+value.toFixed(digits2))||0).replace("-","−"),left-4,place2);context2.textBaseline="alphabetic",context2.fillText(
+`depth ${brief(now.marked??deep,3)} mm`,now.marked===null?right:Math.min(px(at2)+30,right),bottom+13),context2.
+textAlign="left",context2.fillText("0",left,bottom+13)}function describe(deep){let at2=now.marked??now.state.depth_mm,
+read=one=>PANELS.map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at2);return`${name} ${Number.
+isNaN(value)?"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words=needles().map(([one])=>`${one===now.
+pinned?"pinned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at2.toFixed(1),ariaValueMax:deep.
+toFixed(1),ariaValueText:`At ${at2.toFixed(1)} mm: ${words}`})}function mark2(depth){now.marked=depth===null?null:
+Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas2.
+getBoundingClientRect();return((clientX-left)%(width/2)-PAD2.left)/(width/2-PAD2.left-PAD2.right)*greatest()}function pin(){
+now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
+now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw2()}var PAD2,canvas2,context2,size2,PANELS,needles,
+greatest,valueAt,go,KEYS2,init_strip=__esm({"needlefit/viewer/page/strip.js"(){init_dom();init_drawing();init_strokes();
+init_quantities();init_store();PAD2={left:46,right:12,top:18,bottom:16},canvas2=element("canvas",{id:"strip-ca\
+nvas",tabIndex:0,role:"slider",ariaLabel:"Depth to read at",ariaValueMin:"0",ariaValueMax:"1",ariaValueNow:"0",
+title:"Tip against depth. Arrow keys or pointer mark a depth, Enter or a click goes there."});part("strip").append(
+canvas2);context2=canvas2.getContext("2d"),size2=[1,1],PANELS=[["tip y","mm",2,({path})=>path],["tip force","N",
+2,({forces})=>forces]];needles=()=>[[now.pinned,palette.ghost],[current(),palette.needle]].filter(([one])=>one);
+greatest=()=>Math.max(now.scene.depth_mm,...needles().map(([{depth}])=>depth),1),valueAt=([one,curve],at2)=>at2<=
+one.depth+1e-9&&curve.x.length?heightAt(curve,at2):NaN;go=()=>now.marked!==null&&publish("go to",now.marked),KEYS2=
+{ArrowRight:()=>mark2((now.marked??now.state.depth_mm)+1),ArrowLeft:()=>mark2((now.marked??now.state.depth_mm)-
+1),Home:()=>mark2(0),End:()=>mark2(greatest()),Enter:go,Escape:()=>mark2(null)};canvas2.addEventListener("keyd\
+own",event=>{!(event.key in KEYS2)||!now.state||(event.preventDefault(),event.stopPropagation(),KEYS2[event.key]())});
+canvas2.addEventListener("pointermove",event=>now.state&&mark2(under(event)));for(let kind of["pointerleave","\
+blur"])canvas2.addEventListener(kind,()=>now.state&&mark2(null));press(canvas2,event=>now.state&&(mark2(under(
+event)),go()));press("pin",()=>now.state&&pin());listen("scene",()=>[now.forces,now.marked]=[{x:[],y:[]},null]);
+listen("forces",forces=>{now.pinned?.step===forces.step&&(now.pinned.forces=forces),draw2()});new ResizeObserver(
+()=>{size2=[canvas2.clientWidth,canvas2.clientHeight],draw2()}).observe(canvas2);onScheme(()=>requestAnimationFrame(
+draw2))}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name].ariaPressed=String(on),name==="strip"&&(part(
+"strip").hidden=!on),shown[name]=on,invalidate()}var CHIPS,TALL,fits,chips,offer,init_toolbar=__esm({"needlefi\
+t/viewer/page/toolbar.js"(){init_aim();init_dom();init_drawing();init_store();init_view();CHIPS=[["load","late\
+ral load"],["points","constraint points"],["path","tip path"],["measured","measured"],["errors","errors","Gaps\
+ at the tip (TE) and along the shaft (IPE)"],["band","95 % band"],["plan","plan"],["pinned","pinned"],["strip",
+"tip against depth","Deflection of the tip and tip force, against depth",!1]],TALL=800,fits=document.querySelectorAll(
+"[data-fit]"),chips=Object.fromEntries(CHIPS.map(([name,called,title="",marked=!0])=>{let swatch=marked?[element(
+"i",{ariaHidden:"true",className:`swatch ${name}`})]:[],pressed=String(shown[name]??!1),chip=button([...swatch,
+called],()=>toggle(name),{title,ariaPressed:pressed});return chip.dataset.show=name,[name,chip]}));part("chips").
+append(...Object.values(chips));offer=there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);
+offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});innerHeight<TALL&&toggle("strip");for(let one of fits)
+press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])press(document.querySelector(
+`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured:measured2,draws})=>offer({measured:measured2,
+errors:measured2,band:draws,plan:!1}));listen("aimed",()=>offer({plan:aim.plan}));listen("pinned",()=>offer({pinned:now.
+pinned}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function listTurned(depth,{simulation:{steps:[first]},depth_mm:deepest2}){return[ANEW,[["depth_mm",null,depth]],
+[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function findSoftest({fitted:{layers},boundaries_mm:tops,
+depth_mm:deepest2}){let moduli=layers.slice(0,1+tops.filter(top=>top<deepest2).length).map(({mu_pa:mu})=>mu);return 1+
+moduli.indexOf(Math.min(...moduli))}function offerScenes(steer,kernel){let begin2=null,list=part("scene-list"),
+choose2=(scene,pressed)=>{for(let one of list.querySelectorAll("button"))one.ariaPressed=String(one===pressed);
+part("scene-control").replaceChildren(),write("see",scene.see),begin2=()=>{now.pinned&&pin(),pin(),scene.begin(
+part("scene-control"),steer,kernel)},steer([ANEW,...listSteps(now.scene)])};listen("scene",shown3=>{begin2=null,
+part("scene-control").replaceChildren(),write("see",""),list.replaceChildren(...SCENES.filter(({fits:fits2})=>!fits2||
+fits2(shown3)).map(scene=>{let pressed=button(scene.sentence,()=>now.state&&choose2(scene,pressed),{ariaPressed:"\
+false"});return element("li",{},pressed)}))}),listen("forces",({step})=>{if(step!==now.state.step||!begin2)return;
+let then=begin2;begin2=null,then()})}var ANEW,TURNS,STIFFER,SCENES,init_scenes=__esm({"needlefit/viewer/page/s\
+cenes.js"(){init_dom();init_fields();init_inputs();init_quantities();init_ridge();init_store();init_strip();init_toolbar();
+ANEW=[["return_to",null,0]],TURNS=[.2,.8],STIFFER=10;SCENES=[{sentence:"Turn the bevel half way: the needle ma\
+kes an S.",see:"Behind the turn the needle bends to the other side. Dotted: the needle of the scene. Move the \
+turn.",begin(into,steer){let{scene}=now,turn2=depth=>{steer(listTurned(depth,scene)),show(field,depth)},limits=TURNS.
+map(share=>share*scene.depth_mm),field=makeField(into,{name:"turn at depth",unit:"mm",write:value=>value.toFixed(
+1),limits,ask:turn2});turn2(scene.depth_mm/2)}},{sentence:"Stiffen one layer: where does the force go?",see:"P\
+urple areas are the load across the needle: it grows in the stiff layer and at its edges. Dotted: the needle b\
+efore.",begin(into,steer){toggle("load",!0);let{fitted:{layers},limits:{mu_pa:limits},layer_names:names}=now.scene,
+layer=findSoftest(now.scene),{mu_pa:from}=layers[layer-1],stiffen=value=>{steer([[["mu_pa",layer,value]]]),show(
+field,value)},about={...modulusLike(from*STIFFER),name:`μ ${names[layer-1]||`layer ${layer}`}`,symbol:"μ",logarithmic:!0,
+step:1.05},field=makeField(into,{...about,limits,ask:stiffen});stiffen(Math.min(from*STIFFER,limits[1]))}},{sentence:"\
+Which b and μ fit equally well? Drag along the ridge.",see:"Line: pairs with which the tip ends where that of\
+ the fit does. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other\
+ parameters differ too.",fits:isDrawnPlane,begin:makeRidge}]}});function listKeys({fitted:fitted2,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted2),layers=fitted2.
+layers.flatMap((_,i)=>[[`mu${i+1}`,"mu_pa",i+1,1e3],...shapes.map(({name})=>[`${name}${i+1}`,name,i+1,1])]);return[
+[key==="offset_mm"?"b":"theta",throughout,null,1],...layers,["base_y","base_y_mm",null,1],["base_slope","base_\
+slope",null,null]]}function writeAddress(state,scene,path,name=null){let cut=path.filter(({depth},i)=>depth>(path[i-
+1]?.depth??0)+SAME4),rolls=[...cut.map(({bevel})=>rollOf(bevel)),state.bevel.roll_deg],turns=cut.map(({depth},i)=>[
+depth,wrap(rolls[i+1]-rolls[i])]).filter(([,by])=>by!==0),values=new URLSearchParams(name===null?{}:{needle:name});
+values.set("depth",exact(state.depth_mm)),values.set("roll",exact(state.bevel.roll_deg)),turns.length&&values.
+set("turn",turns.map(([depth,by])=>`${exact(depth)}${by===180?"":`:${exact(by)}`}`).join(","));let{value,key:strength}=strengthOf(
+state.bevel);for(let[key,input,item,factor]of listKeys(scene)){let now2=item?state.layers[item-1][input]/factor:
+key==="base_y"?state.base.input_y:key==="base_slope"?degrees(state.base.input_slope):value,begun=item?scene.fitted.
+layers[item-1][input]/factor:key.startsWith("base")?0:scene.fitted[strength];(exact(now2)!==exact(begun)||key===
+"b"||key==="theta")&&values.set(key,exact(now2))}return values.toString().replaceAll("%2C",",").replaceAll("%3\
+A",":")}function readAddress(address,scene){let values=new URLSearchParams(address);if(!values.has("depth"))return null;
+let keys=listKeys(scene),number=(key,text)=>{if(text.trim()!==""&&Number.isFinite(Number(text)))return Number(
+text);throw new ModelError(`the address has ${key}=${text}`,"a number")},known=["needle","depth","roll","turn",
+...keys.map(([key])=>key)];for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the addr\
+ess has ${key}`,known.join(", "));let[first]=scene.simulation.steps,end=values.has("roll")?number("roll",values.
+get("roll")):rollOf(first.bevel),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[depth,
+by="180"]=text.split(":");return[depth,by].map(one=>number("turn",one))}),roll=wrap(end-turns.reduce((sum,[,by])=>sum+
+by,0)),inputs=keys.filter(([key])=>values.has(key)).map(([key,input,item,factor])=>{let value=number(key,values.
+get(key));return[input,item,factor===null?slope(value):value*factor]}),lists=[ANEW2,[["bevel_roll_deg",null,roll],
+...inputs]];for(let[depth,by]of turns)lists.push([["depth_mm",null,depth]],[["bevel_roll_deg",null,roll=wrap(roll+
+by)]]);return[...lists,[["depth_mm",null,number("depth",values.get("depth"))]]]}var ANEW2,SAME4,exact,nameIn,init_address=__esm(
+{"needlefit/viewer/page/share/address.js"(){init_inputs();init_quantities();ANEW2=[["return_to",null,0]],SAME4=
+1e-9,exact=value=>brief(value,8);nameIn=address=>new URLSearchParams(address).get("needle")}});var listParameters,init_parameters=__esm({"needlefit/viewer/page/parameters.js"(){init_quantities();listParameters=
+({layer_names:names,limits,fitted:fitted2,shape_parameters:shapes})=>fitted2.layers.flatMap((layer,i)=>{let called=names[i]||
+`layer ${i+1}`,modulus2={...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,
+limits:limits.mu_pa};return[{input:"mu_pa",item:i+1,into:"tissue-fields",about:modulus2},...shapes.map(({name,
+symbol,unit})=>{let step=Math.min(.1,(limits[name][1]-limits[name][0])/100),about={name:`${symbol} ${called}`,
+symbol,unit,step,write:value=>value.toFixed(2),limits:limits[name]};return{input:name,item:i+1,into:"shape-fie\
+lds",about}})]})}});function buildFields({scene,recording},steer){fields=[];for(let id of["insertion-fields","tissue-fields","shap\
+e-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current2,{shown:shown3=x=>x,meant=x=>x}={})=>{
+let field=makeField(part(into),{...about,ask:value=>steer([[input,item,meant(value)]],field.part)}),home=recording&&
+into==="insertion-fields"?void 0:current2(scene.fitted);home!==void 0&&setHome(field,shown3(home)),fields.push(
+[field,()=>shown3(current2(now.state))])},{limits,fitted:fitted2,simulation}=scene,mm={unit:"mm",step:.1};add(
+"insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),limits:[0,limits.
+depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,name:"base y",
+symbol:"base y",write:digits(2),limits:[-10,10]},of=>of.base?of.base.input_y:simulation.steps[0].controls.baseY),
+add("insertion-fields",["base_slope",null],{name:"base slope",symbol:"base slope",unit:"°",step:.1,write:digits(
+2),limits:[-5,5]},of=>of.base?of.base.input_slope:simulation.steps[0].controls.baseSlope,{shown:degrees,meant:slope}),
+add("insertion-fields",["bevel_roll_deg",null],ROLL_FIELD,of=>(of.bevel??{roll_deg:rollOf(simulation.steps[0].
+bevel)}).roll_deg);let{key,symbol,unit,digits:count,step,here,throughout}=strengthOf(fitted2);recording?.some(
+([,changes])=>changes.some(([name])=>name===here))||add("tissue-fields",[throughout,null],{name:symbol,symbol,
+unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!simulation.
+law.terms||!scene.shape_parameters.length;for(let{input,item,into,about}of listParameters(scene))(simulation.law.
+terms||input==="mu_pa")&&add(into,[input,item],about,of=>of.layers[item-1][input])}function refreshFields(){for(let[
+field,current2]of fields)show(field,current2());part("side").textContent=describeRoll(now.state.bevel)}var digits,
+fields,init_controls=__esm({"needlefit/viewer/page/share/controls.js"(){init_dom();init_fields();init_parameters();
+init_inputs();init_quantities();init_store();digits=count=>value=>value.toFixed(count),fields=[]}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at2=place(event);
+if(!put(fromPx(at2[0]),fromPy(at2[1]))){if(fingers.set(event.pointerId,at2),fingers.size>1)drag=null;else{let handle=handleAt(
+...at2,event.pointerType);handle&&(drag={handle,from:at2,last:at2,to:at2,gesture:newGesture(),pointer:event.pointerId})}
+canvas3.classList.toggle("dragging",drag!==null),hold(drag!==null)}}function follow2(event){if(drag?.pointer!==
+event.pointerId||!now.connected)return;let at2=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:
+1)*(at2[i]-drag.last[i])),drag.last=at2;let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.
+gesture,at:event.timeStamp})}function moved(event){let before2=fingers.get(event.pointerId);if(!before2)return hover(
+event);if(drag)return RAW?void 0:follow2(event);let at2=place(event);fingers.size===1?pan(at2[0]-before2[0],at2[1]-
+before2[1]):fingers.size===2&&pinch(event.pointerId,before2,at2),fingers.set(event.pointerId,at2)}function pinch(id,before2,at2){
+let other=[...fingers].find(([finger])=>finger!==id)[1],distance2=([x,y])=>Math.max(Math.hypot(x-other[0],y-other[1]),
+20);pan((at2[0]-before2[0])/2,(at2[1]-before2[1])/2),zoom(distance2(at2)/distance2(before2),(at2[0]+other[0])/
+2,(at2[1]+other[1])/2)}function up(event){drag?.pointer===event.pointerId&&(event.type==="pointerup"&&follow2(
+event),drag=null),fingers.delete(event.pointerId),canvas3.classList.remove("dragging"),hold(!1)}function hover(event){
+let cursor=handleAt(...place(event))?.cursor??"";canvas3.style.cursor!==cursor&&(canvas3.style.cursor=cursor)}
+function wheel(event){!event.ctrlKey&&!event.metaKey||(event.preventDefault(),zoom(Math.exp(-.2*notches(event)),
+...place(event)))}var NOTCH,FINE,canvas3,fingers,drag,place,notches,RAW,HEARD,init_pointers=__esm({"needlefit/\
+viewer/page/pointers.js"(){init_dom();init_aim();init_handles();init_offline();init_store();init_view();NOTCH=
+{0:100,1:3,2:1},FINE=.1,canvas3=part("canvas"),fingers=new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();
+return[event.clientX-left,event.clientY-top]};notches=event=>(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]*
+(event.shiftKey?FINE:1);RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,pointerrawupdate:follow2,
+pointerup:up,pointercancel:up};for(let[kind,hear]of Object.entries(HEARD))canvas3.addEventListener(kind,hear);
+canvas3.addEventListener("wheel",wheel,{passive:!1})}});function listenToKeys(steer){let insertBy=mm=>steer([["depth_mm",null,Math.min(Math.max(now.state.depth_mm+mm,
+0),now.scene.length_mm-.01)]]),base=mm=>steer([["base_y_mm",null,now.state.base.input_y+mm]]),turn2=by=>steer(
+[["base_slope",null,slope(degrees(now.state.base.input_slope)+by)]]),keys={ArrowRight:({shiftKey})=>insertBy(shiftKey?
+.1:1),ArrowLeft:({shiftKey})=>insertBy(shiftKey?-.1:-1),ArrowUp:({shiftKey})=>shiftKey?turn2(BASE.angle):base(
+BASE.y),ArrowDown:({shiftKey})=>shiftKey?turn2(-BASE.angle):base(-BASE.y),f:()=>steer([turnOver(now.state.bevel.
+roll_deg)]),r:()=>steer([["bevel_roll_deg",null,wrap(now.state.bevel.roll_deg+ROLL)]]),R:()=>steer([["bevel_ro\
+ll_deg",null,wrap(now.state.bevel.roll_deg-ROLL)]]),k:pin,1:()=>fit("whole"),2:()=>fit("tissue"),3:()=>fit("ti\
+p"),"+":()=>zoom(1.25),"-":()=>zoom(.8)};canvas4.addEventListener("keydown",event=>{event.ctrlKey||event.metaKey||
+event.altKey||!(event.key in keys)||(event.preventDefault(),keys[event.key](event))})}var BASE,canvas4,init_keys=__esm(
+{"needlefit/viewer/page/share/keys.js"(){init_dom();init_handles();init_inputs();init_pointers();init_quantities();
+init_store();init_strip();init_view();BASE={y:.1,angle:.1},canvas4=part("canvas");canvas4.addEventListener("to\
+uchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},{passive:!1})}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
+[bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
+async function load(){let[data2,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
+...read}=JSON.parse(new TextDecoder().decode(data2)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(
+value?.$)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","streng\
+th"])scene.draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered2){for(let changes of listSteps(
+steered2.scene))steered2.apply(changes,always)}function compareStored(steered2,[fit2],same2){let{target,stored}=steered2.
+scene.measured,points=readPoints(steered2.session,target.s);target.pose==="free"&&(points=alignRigid(points,target.
+x.map((x,i)=>[x,target.y[i]])));let found=computeErrors(steered2.session,steered2.scene.measured),errors=Object.
+keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap(([x,y],i)=>[
+Math.abs(x-stored.x[i]),Math.abs(y-stored.y[i])]),...errors.filter(one=>one>same2))}async function prove({needles:needles2,
+kernel},same2){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||
+(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle2 of needles2){let compare=distance2=>{
+count+=1,largest=Math.max(largest,distance2)};try{let steered2=await begin(kernel,needle2);if(needle2.recording){
+let replay2=new Replay(steered2,needle2.recording);for(let n=1;n<=needle2.recording.length;n+=1)replay2.to(n),
+compare(Math.abs(steered2.tipLateral-needle2.recording[n-1][2])),await rest()}else insert(steered2),compare(compareStored(
+steered2,needle2.methods,same2))}catch(error){if(!error.what)throw error;compare(NaN)}await rest()}return{count,
+largest}}var SLICE,begin,always,Replay,init_needles=__esm({"needlefit/viewer/page/share/needles.js"(){init_needle();
+init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,
+scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered2,steps2){Object.assign(
+this,{steered:steered2,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
+name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
+steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
+at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
+name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});var main_exports={};function update(){steps+=1,take({...describeState(steered),step:steps,kind:"state"}),fresh=
+!0,redraw(),refresh(),refreshFields(),refreshMethods(),draw2(),described||=setTimeout(()=>{described=0,refreshDescription()},
+steps>1?DESCRIBED_EVERY:0)}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,paint(fresh),fresh=!1,
+publish("drawn")})}function rebuild(lists,below=part("flip").parentElement){replay&&play(!1),write(refusal,"");
+let{number}=steered;try{for(let changes of lists)steered.apply(changes,{validOnly:!1})}catch(error){if(refuse(
+error,below),steered.number===number)return refreshFields()}replay&&(replay.changed=!0),part("back").disabled=
+!1,update()}function refuse(error,below){if(!error.what)throw error;below.after(refusal),write(refusal,`${error.
+what}. Expected: ${error.expected}.`)}async function followAddress(){let address=location.hash.slice(1),number=data.
+needles.findIndex(({scene})=>nameOf3(scene)===nameIn(address));number>=0&&data.needles[number]!==needle&&(part(
+"needle-choice").value=number,await choose(number));try{let lists=readAddress(address,needle.scene);return lists&&
+rebuild(lists),lists!==null}catch(error){return refuse(error,part("flip").parentElement),!0}}async function copyLink(){
+let name=data.needles.length>1?nameOf3(needle.scene):null,address=writeAddress(now.state,needle.scene,steered.
+path(),name);history.replaceState(null,"",`#${address}`),await navigator.clipboard?.writeText(location.href).then(
+()=>say("The link is copied."),()=>null)}async function choose(number){let found=await begin(data.kernel,data.
+needles[number]);if(Number(part("needle-choice").value)!==number)return;[needle,steered]=[data.needles[number],
+found];let{scene}=needle;replay=needle.recording?new Replay(steered,needle.recording):null,take({...scene,kind:"\
+scene"}),buildFields(needle,change2),listMethods();let specimen=needle.new_specimen?" of a specimen that was n\
+ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % o\
+f the needles of ${draws}${specimen}, without noise and model error.`:""),part("synthetic")?.toggleAttribute("\
+hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),replay)return showStep(replay.steps.
+length);steered.rewind(),insert(steered),part("back").disabled=!0,update()}function listMethods(){let{methods}=needle;
+if(part("methods").hidden=!methods,!methods)return;let row=(name,values)=>element("tr",{},element("th",{scope:"\
+row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.
+map(method=>{if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"s\
+watch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)}\
+)`;let toggle2=element("button",{type:"button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.
+name);return press(toggle2,()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.
+add(method.key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("me\
+thod-rows").replaceChildren(first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.
+state;[`the needle above${errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:""}`,...errorsOf(errors)].
+forEach((text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),
+part("scrub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(
+1)} s`,write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=
+!0,update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.
+at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(
+advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.
+clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.
+steps.length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),
+playing.n===replay.steps.length)return play(!1);requestAnimationFrame(advance)}function buildRecording(){let{recording}=data.
+needles[0];part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*recording.at(-1)[0])/
+10,part("scrub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(Number(target.value),recording.
+at(-1)[0]);showStep(recording.filter(([time])=>time<=clock).length,clock)}),press("play",()=>play(!playing)))}
+async function stateAgreement(){let{count,largest}=await prove(data,SAME5),[what,of]=data.needles[0].recording?
+["recorded state","recording"]:["needle","report"],[agrees,place2]=[largest<SAME5,part("proof")],found=largest===
+0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`qui\
+et ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?
+"passed":"failed"}: ${counted(count,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"\
+one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){data=await load();let script=new Blob(
+[part("program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.
+kernel,()=>({name:data.needles.indexOf(needle),steered}));let choice=part("needle-choice");choice.append(...data.
+needles.map(({scene,group},i)=>element("option",{value:String(i)},[nameOf3(scene),group].filter(Boolean).join(
+", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.
+value))),press("flip",()=>change2([turnOver(now.state.bevel.roll_deg)])),press("back",goBack),press("copy-link",
+copyLink),addEventListener("hashchange",followAddress),offerScenes(rebuild,data.kernel),listen("redraw",redraw),
+listen("go to",depth=>change2([["depth_mm",null,depth]])),listenToKeys(change2),listen("steered",set=>change2(
+set)),now.connected=!0,buildRecording(),data.needles[0].recording||["load","points","path","errors","strip"].forEach(
+name=>toggle(name,!1)),await choose(0);let led=await followAddress();fit("tissue"),await stateAgreement(),!led&&
+replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var SHORTEST2,LONGEST,DESCRIBED_EVERY,
+SAME5,data,needle,steered,replay,steps,described,frame,fresh,shownMethods,refusal,change2,nameOf3,errorsOf,present,
+lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page/share/main.js"(){init_above();init_bands();
+init_dom();init_drawing();init_inputs();init_state();init_strokes();init_quantities();init_readouts();init_scenes();
+init_store();init_strip();init_toolbar();init_view();init_address();init_controls();init_keys();init_needles();
+SHORTEST2=2,LONGEST=20,DESCRIBED_EVERY=2e3,SAME5=1e-6,data=null,needle=null,steered=null,replay=null,steps=0,described=
+0,frame=0,fresh=!1,shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);
+nameOf3=({measured:measured2,title})=>measured2?.id??title;errorsOf=values=>["ipe_mean_mm","te_mm","edp_percen\
+t"].map(name=>{let value=values?.[name];return Number.isFinite(value)?value.toFixed(name.endsWith("percent")?1:
+3):"–"}),present=[],lighten=colour2=>between(colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.
+methods??[])!x||!shownMethods.has(key)||(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(
+colour2):colour2,2))});playing=null,timeOf=n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStr\
+eam","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",
+lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not c\
+omputed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
