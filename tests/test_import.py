@@ -583,6 +583,13 @@ def test_boundaries_are_stated_as_depths(tmp_path):
     assert planned([file])[1]["boundaries"] == ("none", "assumption")
 
 
+@pytest.mark.parametrize(("stated", "doubted"), [("3", True), ("3,40", True), ("15", False), ("5,40", False)])
+def test_a_first_boundary_that_may_be_in_centimetres_is_an_assumption(tmp_path, stated, doubted):
+    _, made = planned([write_long(tmp_path, NEEDLES)], boundaries=stated)
+    assert ("boundary unit" in made) == doubted
+    assert not doubted or made["boundary unit"] == ("mm", "assumption")
+
+
 # ---- bevels
 
 

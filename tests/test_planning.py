@@ -33,6 +33,7 @@ from needlefit.planning.steering import (
     plan_steering,
 )
 from needlefit.schemas.planning import ObstacleRecord
+from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
 from needlefit.viewer.recording import read_recording, replay
@@ -222,6 +223,14 @@ def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys
     assert last.state.step.depth == found["steps"][-1]["depth_mm"]
     entry = read_recording(path).head.scene.entry
     assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
+
+
+@pytest.mark.parametrize(("fitted", "kinds"), [((70.0, 80.0), []), ((100.0, 110.0), ["extrapolation"])])
+def test_a_plan_to_a_depth_that_was_not_fitted_says_so(fitted, kinds, monkeypatch, capsys) -> None:
+    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted)
+    monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
+    assert run("plan", "phantom2", "--target", "45,2", "--turns", "0", "--json") == 0
+    assert [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]] == kinds
 
 
 @pytest.mark.sweep

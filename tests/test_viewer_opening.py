@@ -154,6 +154,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert tuple(viewed_scene.choices) == ("needle-3", "needle-4", "needle-1", "needle-2")
     assert viewed_scene.name == "small/needle-3"
     assert viewed_scene.note != open_target("reports/small", "needle-1").note  # held out, and fitted to
+    assert len(viewed_scene.fitted_depths) == len(results.run["folds"][0]["tune"])
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
     assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]

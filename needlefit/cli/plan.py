@@ -72,6 +72,7 @@ def plan(
     """
     from needlefit.planning.goals import cut_plane, make_space_goal
     from needlefit.planning.steering import PlanLimits, plan_steering
+    from needlefit.project.unit_warnings import extrapolation_warnings
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
     from needlefit.viewer.plans import begin_insertion, write_plan
@@ -90,6 +91,8 @@ def plan(
         rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
         found = rolled if rolled.hits else found
     plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
+    beyond = tuple(extrapolation_warnings(found.steps[-1].depth, shown.fitted_depths))
+    shown = replace(shown, warnings=(*shown.warnings, *beyond))
     summary = _summarize(shown, plane, found, len(insertion.samples[0]))
     if invocation.json:
         screen.show_json(summary)

@@ -54,6 +54,7 @@ GAUGES_MM = {
 }
 """Outer diameters of needles by their gauge."""
 
+FITTED_RANGE = (0.5, 1.2)  # times the least and the greatest fitted depth, within which predictions lie
 MIN_CELLS = 5  # constraint cells of an insertion: its tip's way is made of as many straight cuts
 WARNING_KIND = "units"
 
@@ -95,6 +96,14 @@ def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Resul
         what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
         fix = f"take {MIN_CELLS} or more, and the bevel offset for that spacing"
         yield from warn([(key, what, fix)], format_place(file), "coarse")
+
+
+def extrapolation_warnings(depth: float, fitted: Sequence[float]) -> Iterator[ResultWarning]:
+    """Yield a warning if a predicted depth is far from those that were fitted, all in mm."""
+    if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
+        what = f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm"
+        fix = "check its unit, mm; that the model may not hold there is not included"
+        yield ResultWarning("extrapolation", what, fix=fix)
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:

@@ -196,8 +196,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     warnings = [one for one in read_warnings(results.run) if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings
     viewed_scene = replace(
-        viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings)
-    )
+        viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings),
+        fitted_depths=tuple(one.depth for one in fitted),
+    )  # fmt: skip
     if draws.empty or not draws["certified"].all():
         return viewed_scene
     new = specimen == NEW_SPECIMEN

@@ -14,6 +14,7 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
 from needlefit.planning.goals import Goal
 from needlefit.planning.steering import StartedInsertion, SteeringPlan
+from needlefit.project.unit_warnings import extrapolation_warnings
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
@@ -70,7 +71,9 @@ def continue_insertion(steering: SteeredNeedle, spread: ParameterDraws | None) -
     return StartedInsertion(steering.scene.needle, steering.now.tissue, rules, path, spread)
 
 
-def plan_message(found: SteeringPlan, step: int, answers: int) -> dict[str, Any]:
+def plan_message(
+    found: SteeringPlan, step: int, answers: int, fitted_depths: Sequence[float]
+) -> dict[str, Any]:
     solved = found.needles[found.solved]
     drawn = solved[np.linspace(0, len(solved) - 1, min(FAN_NEEDLES, len(solved))).astype(np.intp)]
     nominal = found.nominal if np.isfinite(found.nominal[-1, 0]) else found.nominal[:0]
@@ -88,6 +91,7 @@ def plan_message(found: SteeringPlan, step: int, answers: int) -> dict[str, Any]
         "probability": found.probability,
         "low": found.low,
         "high": found.high,
+        "warnings": [one.what for one in extrapolation_warnings(found.steps[-1].depth, fitted_depths)],
         **found.describe_misses(),
     }
 

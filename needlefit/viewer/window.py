@@ -73,4 +73,4 @@ class Window:
             if not dropped():
                 yield {"kind": "plan", "answers": answers, "fault": encode_fault(error)}
             return
-        yield plan_message(plan, step, answers)
+        yield plan_message(plan, step, answers, trial.viewed_scene.fitted_depths)

@@ -84,8 +84,12 @@ class Planner:
         if depths or self.surfaces:
             boundary_sd = self.settle("boundary sd").to_number("boundary sd")
             rows = [replace(row, boundary_sd=boundary_sd) for row in rows]
+        deepest = max(row.depth for row in rows)
+        if depths and (wider := 10 * depths[0]) <= (*depths[1:], deepest)[0]:
+            reason = f"a layer of {depths[0]:g} mm before {deepest:.3g} mm: in cm it would be {wider:g}"
+            self.keep("boundary unit", "mm", reason, "assumption")
         rows = self.add_names(rows, is_track)
-        needle = self.settle_needle(max(row.depth for row in rows))
+        needle = self.settle_needle(deepest)
         self.answers.keep_unused()
         return ImportPlan(tuple(rows), pose, tuple(self.surfaces), depths, needle, sd)
 

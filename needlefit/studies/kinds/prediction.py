@@ -38,7 +38,7 @@ from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpo
 from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.unit_warnings import scene_warnings
+from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS
 from needlefit.reporting.table import Table
@@ -87,7 +87,6 @@ KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit p
 
 FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
 PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose bands are printed
-DEPTH_RANGE = (0.5, 1.2)  #: times the least and the greatest fitted depth, within which predictions lie
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -344,12 +343,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    depths = [one.depth for one in job.folds[0].tune]
-    low, high = DEPTH_RANGE[0] * min(depths), DEPTH_RANGE[1] * max(depths)
-    if not low <= scene.depth <= high:
-        what = f"{scene.depth:g} mm is no depth that was fitted, {min(depths):.3g} to {max(depths):.3g} mm"
-        fix = "check its unit, mm; the bands do not include that the model may not hold there"
-        warned.append(ResultWarning("extrapolation", what, fix=fix))
+    warned += extrapolation_warnings(scene.depth, [one.depth for one in job.folds[0].tune])
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     judged = settings.inputs.judged or sampled

@@ -73,7 +73,7 @@ function describePlan() {
   const rolled = bevel.roll ? `Bevel at ${describeRoll({ roll_deg: rollOf(bevel) })}, ` : "";
   const turns = `${rolled}${counted(plan.turns, "turn")} of the bevel, base to ${controls.baseY.toFixed(1)} mm.`;
   if (plan.left) return "The needle has left its plan. Plan again from where it stands.";
-  const bound = plan.at_limit.map((one) => ` The ${one} is at its limit.`).join("");
+  const bound = [...plan.at_limit.map((one) => `The ${one} is at its limit`), ...plan.warnings].map((one) => ` ${one}.`).join("");
   return `${describeOutcome(plan)} ${turns}${bound}${plan.draws < 2 ? " Parameters are taken as exact." : ""}`;
 }
 
