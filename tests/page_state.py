@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 
 from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
-from needlefit.inference.compared_points import SimulatedCurve, align_points
+from needlefit.inference.compared_points import SimulatedCurve, align_points, pad_planes
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.torsion import find_roll
-from needlefit.metrics import compute_metrics, list_metrics
+from needlefit.metrics import compute_metrics
 from needlefit.reporting.needle_page import encode_layers, encode_strength
 from needlefit.viewer.messages import LENGTH_DIGITS, round_lengths
 from needlefit.viewer.overlays import MeasuredOverlay
@@ -35,11 +35,12 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     elif measured.target.pose == "known":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-        errors = compare_curves(compute_positions(shape, s)[:, :2], seen)
+        z = np.interp(s, measured.s, measured.out_of_plane)
+        errors = compare_curves(pad_planes(compute_positions(shape, s), 2), np.column_stack([seen, z]))
     else:
         return None
-    found, shown = compute_metrics(errors), [one.name for one in list_metrics() if not one.in_space]
-    values = {name: found[name] if math.isfinite(found[name]) else None for name in shown}
+    found = compute_metrics(errors)
+    values = {name: one if math.isfinite(one) else None for name, one in found.items()}
     return {**values, "upto_mm": upto, "whole": whole, "floor_mm": measured.floor}
 
 
@@ -50,6 +51,7 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     before = np.linspace(float(shape.x[0]), min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
     needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 2)
     load = compute_loads(shape, now.tissue, scene.needle, controls, scene.rules)
+    measure = (lambda y, _: y) if shape.w is None else math.hypot  # in space a magnitude
     loaded = compute_positions(shape, load.s) if len(load.s) else np.empty((0, 2))
     items = [guide_number(guide, steering.names) for guide in controls.guides]
     errors = None if measured is None else compute_live_errors(measured, shape)
@@ -72,12 +74,14 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "load": {
             "x": round_lengths(loaded[:, 0]),
             "y": round_lengths(loaded[:, 1]),
-            "n_per_mm": np.round(load.load, 6).tolist(),
+            "n_per_mm": [one.tolist() for one in (load.load, load.load_z) if one is not None],
         },
         "forces": {
-            "base_n": load.base.force,
-            "base_nmm": load.base.moment,
-            "guides_n": {str(n): hold.force for n, hold in zip(items, load.guides, strict=True)},
+            "base_n": measure(load.base.force, load.base.force_z),
+            "base_nmm": measure(load.base.moment, load.base.moment_z),
+            "guides_n": {
+                str(n): measure(one.force, one.force_z) for n, one in zip(items, load.guides, strict=True)
+            },
         },
         "base": {k: base[k] for k in ("x", "y", "rotation")}
         | {"input_y": controls.base_y, "input_slope": controls.base_slope},

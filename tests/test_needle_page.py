@@ -121,15 +121,23 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
 @pytest.mark.sweep
 @NO_BROWSER
 @pytest.mark.usefixtures("few_draws")
-@pytest.mark.parametrize("pose", ["known", "free"])
-def test_a_report_of_every_pose_computes_its_needles(pose, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
+@pytest.mark.parametrize(("pose", "planes"), [("known", 1), ("free", 1), ("known", 2)])
+def test_a_report_of_every_pose_computes_its_needles(pose, planes, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "report.html"
-    path.write_bytes(compile_html(compose_run_report(fitted(tmp_path, pose), {})))
+    results = fitted(tmp_path, pose, planes)
+    path.write_bytes(compile_html(compose_run_report(results, {})))
     with open_offline(chromium, path) as window:
         count, largest = window.evaluate(ALL_STATES)
         assert count == len(read_page_data(path.read_text("utf-8"))["needles"]) > 0 and largest < 1e-12
         assert window.evaluate("needlefit.scene.measured.target.pose") == pose
+        names = window.evaluate("needlefit.scene.measured.metrics.map(([name]) => name)")
+        assert all(("3d" in name) == (planes == 2) for name in names) and len(names) == 3
+        errors = results.frames["errors"]
+        errors = errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
+        row = errors.set_index("insertion").loc[window.evaluate("needlefit.scene.measured.id")]
+        found = [window.evaluate(f"needlefit.state.errors.{name}") for name in names]
+        assert found == pytest.approx(row[names].tolist())
         assert "good" in window.get_attribute("#proof", "class")
 
 

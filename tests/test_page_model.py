@@ -1,6 +1,7 @@
 """The needle that the page simulates, run in Node.js: the same bytes as the program's after every step."""
 
 import json
+import math
 import shutil
 import subprocess
 from dataclasses import replace
@@ -214,7 +215,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
 
 
 def find_tip_force(steering: SteeredNeedle, depth: float) -> float:
-    """Return the tip force, N, as it was when the tip of a needle stood at a depth."""
+    """Return the tip force, N, in space its size, as it was when the tip of a needle stood at a depth."""
     scene, path = steering.scene, steering.input_path()
     tissue, (first, *_) = steering.now.tissue, path
     session = Session(scene.needle, tissue, first.bevel, steering.first_cell, first.controls, scene.rules)
@@ -222,7 +223,10 @@ def find_tip_force(steering: SteeredNeedle, depth: float) -> float:
         shape = session.go(replace(step, depth=min(step.depth, depth)))
         if step.depth >= depth - 1e-9:
             break
-    return compute_loads(shape, tissue, scene.needle, step.controls, scene.rules).tip_force
+    loads = compute_loads(shape, tissue, scene.needle, step.controls, scene.rules)
+    if steering.now.shape.w is None:
+        return loads.tip_force
+    return math.hypot(loads.tip_force, loads.tip_region_force_z + loads.tip.force_z)
 
 
 def assert_same(found: Any, expected: Any, atol: float) -> None:

@@ -138,16 +138,18 @@ planes,{rays:1,deepest:deepest2})),memory=heap.take(call.nf_memory(problem.at,1n
 0),room=problem.maxQuadrature,[s,weight,layer,near2]=[0,1,2,3].map(()=>heap.take(8*room)),[nodes,at2]=[shape.x.
 slice(front),depths].map(array=>heap.put(array)),count=Number(call.nf_quadrature(problem.at,BigInt(shape.x.length-
 front),nodes,BigInt(cells),at2,memory,s,weight,layer,near2));count<0&&check(7);let parts=[shape.x,shape.u,shape.
-slope,shape.constraints].map(array=>heap.put(array)),bent=heap.structure([shape.x.length,cells],[],parts),load2=heap.
+slope,shape.constraints].map(array=>heap.put(array)),bent=heap.structure([shape.x.length,cells],[],parts),load3=heap.
 take(8*planes*count),nodal=heap.take(16*planes*shape.x.length);call.nf_load(problem.at,bent,BigInt(count),s,memory,
-load2),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load2,memory,nodal));let held=heap.floats(
-nodal,2*shape.x.length).slice(),supportAt=(x,clamped)=>{let i=shape.x.indexOf(x);return{force:i<0?0:held[2*i],
-moment:i<0||!clamped?0:held[2*i+1]}},[places,weights,loads]=[s,weight,load2].map(address=>heap.floats(address,
-count).slice()),nearest=heap.integers(near2,count);return{s:places,load:loads,tipRegionForce:loads.reduce((sum,q,i)=>sum+
-(nearest[i]===BigInt(cells)?q*weights[i]:0),0),base:supportAt(shape.x[0],!0),guides:inputs.guides.map(guide=>supportAt(
-guide.x,(guide.slope??null)!==null)),tip:inputs.tip?supportAt(depth,(inputs.tip.slope??null)!==null):{force:0,
-moment:0}}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){return new _SessionBatch(
-await Heap.make(kernel),model,values,rays,planes)}heap;model;values;planes;problem;ids;spare;scratch;bevel;held;constructor(heap,model,values,rays,planes){
+load3),check(call.nf_balance(problem.at,bent,BigInt(front),BigInt(count),load3,memory,nodal));let each=Array.from(
+{length:planes},(_,plane)=>plane),held=heap.floats(nodal,2*planes*shape.x.length).slice(),size3=parts2=>planes===
+1?parts2[0]:Math.hypot(...parts2),support=(x,part2)=>{let i=shape.x.indexOf(x);return each.map(plane=>i<0?0:held[2*
+(plane*shape.x.length+i)+part2])},read=(x,clamped)=>({force:size3(support(x,0)),moment:clamped?size3(support(x,
+1)):0}),[places,weights]=[s,weight].map(address=>heap.floats(address,count).slice()),loads=each.map(plane=>heap.
+floats(load3+8*plane*count,count).slice()),nearest=heap.integers(near2,count),last=loads.map(one=>one.reduce((sum,q,i)=>sum+
+(nearest[i]===BigInt(cells)?q*weights[i]:0),0));return{s:places,loads,tipForce:size3(inputs.tip?support(depth,
+0).map((one,plane)=>last[plane]+one):last),base:read(shape.x[0],!0),guides:inputs.guides.map(guide=>read(guide.
+x,(guide.slope??null)!==null))}})}};SessionBatch=class _SessionBatch{static async begin(kernel,model,values,rays,planes){
+return new _SessionBatch(await Heap.make(kernel),model,values,rays,planes)}heap;model;values;planes;problem;ids;spare;scratch;bevel;held;constructor(heap,model,values,rays,planes){
 let more={rays,deepest:findDeepest(model)},problem=makeProblem(heap,...pack(heap,model,completeInputs({}),values,
 planes,more));Object.assign(this,{heap,model,values,planes,problem,ids:new Map});let{fields:fields2,arrays,maxPoints,
 room}=problem,{layers,numbers}=fields2,stride={rigidity:1,mu:layers,thickness:layers,friction:layers,law:layers*
@@ -204,9 +206,9 @@ return this.path=path,this.#read()}async#begin(model,inputs){this.session?this.s
 this.session=await Session.begin(this.kernel,model,inputs),[this.model,this.points]=[JSON.stringify(model),[]],
 this.#add()}#listStops(depth){let{model:{firstCell,spacing},depth:from}=this.session,first=from<firstCell-SAME2?
 0:Math.floor((from-firstCell+SAME2)/spacing)+1,count=Math.floor((depth-firstCell+SAME2)/spacing)+1-first;return Array.
-from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this,{
-tipRegionForce,tip}=session.forces();this.points.push({depth:session.depth,force:tipRegionForce+tip.force})}#read(){
-return{x:this.points.map(({depth})=>depth),y:this.points.map(({force})=>force)}}}}});var band_worker_exports={};async function work(){busy=!0;let order=null;for(;order!==newest&&newest.steps;){order=
+from({length:Math.max(count,0)},(_,n)=>Math.min(firstCell+(first+n)*spacing,depth))}#add(){let{session}=this;this.
+points.push({depth:session.depth,force:session.forces().tipForce})}#read(){return{x:this.points.map(({depth})=>depth),
+y:this.points.map(({force})=>force)}}}}});var band_worker_exports={};async function work(){busy=!0;let order=null;for(;order!==newest&&newest.steps;){order=
 newest;let{kernel,model,draws,steps:steps2,planes,id}=order,isOld=()=>newest!==order&&(newest.draws!==draws||performance.
 now()-done<STALE);tipForces??=new TipForces(kernel);let forces=await tipForces.compute(model,steps2,isOld,pause);
 if(!isOld()){if(postMessage({id,forces}),draws){band?.draws!==draws&&(band=new Band(kernel,model,draws));let found=await band.
@@ -292,17 +294,19 @@ bevel,layers},{fitted:fitted2}){let{key,value}=strengthOf(fitted2);return!near(b
 let{steps:steps2}=scene.simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.
 at(-1),{base,guides,tip}=state;return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.
 held!==!!controls.tip||base.input_y!==controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.
-guides.length||guides.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var brief,counted,toDegrees,
-degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,near,init_quantities=__esm({
-"needlefit/viewer/page/quantities.js"(){init_inputs();brief=(value,digits2=4)=>String(Number(Number(value).toPrecision(
-digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*180/Math.PI,
-degrees=slope2=>Math.atan(slope2)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),90)*Math.PI/
-180);numbered=item=>`guide ${item}`,shortName=({item,name})=>name&&name!==numbered(item)?name:String(item),OFFSET=
-{key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={key:"cut_angle_deg",symbol:"θ",unit:"°",digits:2,
-step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_angle_deg","cut_angl\
-e_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[-180,180],write:value=>brief(
-value,6)},describeRoll=({roll_deg:roll})=>roll%180?`roll ${brief(roll).replace("-","−")}°`:roll?"−y":"+y",
-near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other)}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
+guides.length||guides.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var writeError,listErrors,
+brief,counted,toDegrees,degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,near,
+init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
+null?"–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,
+unit])=>`${label2} ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).
+toPrecision(digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*
+180/Math.PI,degrees=slope2=>Math.atan(slope2)*180/Math.PI,slope=angle2=>Math.tan(Math.min(Math.max(angle2,-90),
+90)*Math.PI/180);numbered=item=>`guide ${item}`,shortName=({item,name})=>name&&name!==numbered(item)?name:String(
+item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={key:"cut_angle_deg",symbol:"θ",
+unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_a\
+ngle_deg","cut_angle_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[
+-180,180],write:value=>brief(value,6)},describeRoll=({roll_deg:roll})=>roll%180?`roll ${brief(roll).replace("-",
+"−")}°`:roll?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other)}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
 for(let hear of listeners.get(kind)??[])hear(message)}function take(message){message.kind==="scene"?(now.scene=
 message,now.band=null):message.kind==="state"?now.state=message:message.kind==="band"?now.band=message.x.length?
 message:null:message.kind==="forces"&&(now.forces=message),publish(message.kind,message)}var now,listeners,tipForce,
@@ -478,14 +482,14 @@ Math.max(greatestForce.newton,Math.abs(force)),tallest()*force/greatestForce.new
 let{tip,turn:turn2}=bevelPlace(state);segments(context3,[[tip,turn2]],palette.tip,1.5),ring(context3,...turn2,
 6,palette.air,palette.tip),setFont(context3,"small"),labelFree(context3,"bevel",[[turn2[0]+29,turn2[1]],[turn2[0],
 turn2[1]-18*state.bevel.side]],palette.tip),state.tip.held&&ring(context3,...tip,11,palette.tip,"transparent")}
-function paintTipForce(context3,state){let{tip}=state,[force,length]=[tipForce(),arrowLength()];if(Math.abs(length)<
-SHORTEST)return;let[px,py]=[toPx(tip.x),toPy(tip.y)];arrow(context3,[px,py],length,palette.load),setFont(context3,
-"small");let[end,half]=[py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,end],[px+
-30,half],[px-34,half],[px,end-14*Math.sign(length)]];labelFree(context3,`${brief(Math.abs(force),2)} N`,places,
-palette.load)}function paintMark(context3,{depth_mm:depth,depths,tip,tip_path:[x,y]},at2){if(at2>depth)return;
-let read=places=>heightAt({x:[...depths,depth],y:places},at2),[px,py]=[toPx(read([...x,tip.x])),toPy(read([...y,
-tip.y]))];ring(context3,px,py,5,palette.accent,palette.air)}function paintPoints(context3,{constraints:[x,y]}){
-let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),crosses=placesOf(
+function paintTipForce(context3,{tip,z}){if(z)return;let[force,length]=[tipForce(),arrowLength()];if(Math.abs(
+length)<SHORTEST)return;let[px,py]=[toPx(tip.x),toPy(tip.y)];arrow(context3,[px,py],length,palette.load),setFont(
+context3,"small");let[end,half]=[py-length-9*Math.sign(length),py-length/2],places=[[px,end],[px-34,end],[px+30,
+end],[px+30,half],[px-34,half],[px,end-14*Math.sign(length)]];labelFree(context3,`${brief(Math.abs(force),2)} \
+N`,places,palette.load)}function paintMark(context3,{depth_mm:depth,depths,tip,tip_path:[x,y]},at2){if(at2>depth)
+return;let read=places=>heightAt({x:[...depths,depth],y:places},at2),[px,py]=[toPx(read([...x,tip.x])),toPy(read(
+[...y,tip.y]))];ring(context3,px,py,5,palette.accent,palette.air)}function paintPoints(context3,{constraints:[
+x,y]}){let half=Math.min(Math.max(CROSS.of*now.scene.spacing_mm*view.scale,CROSS.least),CROSS.most),crosses=placesOf(
 x,y).flatMap(place2=>cross(...place2,half,!0));segments(context3,crosses,palette.points,half>2?1.4:1)}function paintBase(context3,state){
 let{place:[px,py],turn:turn2,angle:angle2}=basePlace(state);segments(context3,[[[px,py-46],[px,py+46]]],palette.
 quiet,2),segments(context3,[-46,46].map(to=>[[px-5,py+to],[px+5,py+to]]),palette.quiet,2),segments(context3,[[
@@ -499,18 +503,19 @@ clamps&&segments(context3,[[place2,turn2]],palette.guide,1.5),turned(context3,..
 palette.air)}writeNames(context3,guides)}function writeNames(context3,guides){setFont(context3,"strong");for(let guide of guides.
 toSorted((one,other)=>one.item-other.item)){let[px,py]=[toPx(guide.x),toPy(guide.y)+27];px<view.box.left||px>view.
 box.left+view.box.width||labelFree(context3,shortName(guide),[[px,py]],palette.guide)}}function paintLoad(context3,{
-load:{x,y,n_per_mm:values}}){let load2=smooth(x,values,now.scene.spacing_mm),greatest2=load2.reduce((most,one)=>Math.
-max(most,Math.abs(one)),0);if(greatest2<LEAST_LOAD||x.length<2)return;let height=greatest2*(perLoad??0);(height>
-tallest()||height<Math.min(LOWEST,tallest()/3))&&(perLoad=.75*tallest()/(2*roundStep(greatest2)));let[px,py]=[
-x.map(toPx),y.map(toPy)],[surface,ends]=[0,perLoad].map(scale=>px.map((x2,i)=>[x2,py[i]-load2[i]*scale])),starts=load2.
-map((_,i)=>i).filter(i=>i===0||load2[i]*load2[i-1]<=0),edges=starts.map((from,n)=>{let to=starts[n+1]??load2.length;
+load:{x,y,n_per_mm:values}}){let planes=values.map(one=>smooth(x,one,now.scene.spacing_mm)),load3=planes.length===
+1?planes[0]:planes[0].map((one,i)=>Math.hypot(one,planes[1][i])),greatest2=load3.reduce((most,one)=>Math.max(most,
+Math.abs(one)),0);if(greatest2<LEAST_LOAD||x.length<2)return;let height=greatest2*(perLoad??0);(height>tallest()||
+height<Math.min(LOWEST,tallest()/3))&&(perLoad=.75*tallest()/(2*roundStep(greatest2)));let[px,py]=[x.map(toPx),
+y.map(toPy)],[surface,ends]=[0,perLoad].map(scale=>px.map((x2,i)=>[x2,py[i]-load3[i]*scale])),starts=load3.map(
+(_,i)=>i).filter(i=>i===0||load3[i]*load3[i-1]<=0),edges=starts.map((from,n)=>{let to=starts[n+1]??load3.length;
 return[surface[from],...ends.slice(from,to),surface[to-1]]});trace(context3,...edges.map((edge,n)=>[...edge,...surface.
-slice(starts[n],starts[n+1]??load2.length).reverse()])),context3.fillStyle=palette.load,faintly(context3,.32,()=>context3.
-fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function smooth(x,load2,reach){let sums=[0];
-for(let i=1;i<x.length;i+=1)sums.push(sums[i-1]+(load2[i]+load2[i-1])/2*(x[i]-x[i-1]));let sumTo=(at2,i)=>{if(i===
-0)return 0;if(i===x.length)return sums.at(-1);let part2=(at2-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load2[i-
-1]+part2*(load2[i]-load2[i-1])/2)*(at2-x[i-1])},[from,to]=[0,0];return x.map(at2=>{let half=Math.min(reach,at2-
-x[0],x.at(-1)-at2);if(half<=0)return load2[at2===x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at2-half;)from+=
+slice(starts[n],starts[n+1]??load3.length).reverse()])),context3.fillStyle=palette.load,faintly(context3,.32,()=>context3.
+fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function smooth(x,load3,reach){let sums=[0];
+for(let i=1;i<x.length;i+=1)sums.push(sums[i-1]+(load3[i]+load3[i-1])/2*(x[i]-x[i-1]));let sumTo=(at2,i)=>{if(i===
+0)return 0;if(i===x.length)return sums.at(-1);let part2=(at2-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load3[i-
+1]+part2*(load3[i]-load3[i-1])/2)*(at2-x[i-1])},[from,to]=[0,0];return x.map(at2=>{let half=Math.min(reach,at2-
+x[0],x.at(-1)-at2);if(half<=0)return load3[at2===x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at2-half;)from+=
 1;for(;to<x.length&&x[to]<=at2+half;)to+=1;return(sumTo(at2+half,to)-sumTo(at2-half,from))/(2*half)})}function paintKey(context3){
 if(!perLoad)return;let size3=roundStep(30/perLoad),[px,height]=[7,size3*perLoad],py=view.box.top-6-height;segments(
 context3,[[[px,py],[px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(
@@ -531,34 +536,35 @@ if(!errors)return;let reach=Math.min(tip.x,measured2.x.at(-1)),gaps=Array.from({
 1)/GAPS).map(x2=>[state,measured2].map(curve=>[toPx(x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.
 gap,1.25);let[x,y]=errors.whole?[measured2.x.at(-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.
 whole?[tip.x,tip.y]:[reach,heightAt(state,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])
-line(context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let px=toPx(x),[top,bottom]=[toPy(
-y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&sides.
-reverse(),labelFree(context3,`tip error (TE) ${errors.te_mm.toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,
-bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){if(!aim.plan)return;
-let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(context3,x,y,palette.
-plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),line(context3,aim.plan.
-x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(([x2,y2,radius],i)=>paintCircle(
-context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.target;paintCircle(context3,
-x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
-let[px,py,across]=[toPx(x),toPy(y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*
-view.magnified,0,0,2*Math.PI),context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,
-palette.halo,4),stroke(context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,
-"strong");let sides=[[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(
-context3,name,sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.
-box,places=[{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.
-high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree(
-[px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.
-height+CLEAR),rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-
-INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;
-reserve(px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.
-strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-
-2*INSET.edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&
-context3.lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(
-now.scene.diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}
-var GAPS,FAN,PALE,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/pai\
-nters/overlay.js"(){init_aim();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,PALE=.35,
-CROSS2=5,AWAY=19,INSET={width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&
-Math.abs(x.at(-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function paint(fresh2){if(!now.scene||!now.state)return;fresh2&&
+line(context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.
+metrics],[top,bottom]=[toPy(y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];
+state.bevel.side>0&&sides.reverse(),labelFree(context3,`tip error (${named}) ${errors[key].toFixed(2)} mm`,[...sides,
+[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){
+if(!aim.plan)return;let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(
+context3,x,y,palette.plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),
+line(context3,aim.plan.x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(
+([x2,y2,radius],i)=>paintCircle(context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.
+target;paintCircle(context3,x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),
+palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){let[px,py,across]=[toPx(x),toPy(
+y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*view.magnified,0,0,2*Math.PI),
+context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,palette.halo,4),stroke(
+context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,"strong");let sides=[
+[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(context3,name,
+sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.box,places=[
+{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.high}].flatMap(
+one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,
+INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),
+rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],
+corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;reserve(
+px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.strokeStyle=
+palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-2*INSET.
+edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&context3.
+lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(now.scene.
+diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}var GAPS,FAN,
+PALE,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay\
+.js"(){init_aim();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,PALE=.35,CROSS2=5,AWAY=
+19,INSET={width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(
+-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function paint(fresh2){if(!now.scene||!now.state)return;fresh2&&
 follow();let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);(moved2||tissue!==drawnTissue)&&paintBackground(),
 drawnTissue=tissue,(moved2||fresh2||stale)&&(before.clearRect(0,0,...size()),paintForeground(now.state)),stale=
 !1,document.body.classList.add("begun")}function paintBackground(){behind.fillStyle=palette.gutter,behind.fillRect(
@@ -573,8 +579,8 @@ draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(
 paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){let{left,top,
 width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),context3.clip(),
 draw3(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,picture.clientHeight];
-for(let[canvas5,context3]of[[background,behind],[foreground,before]])canvas5.width=Math.round(width*devicePixelRatio),
-canvas5.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
+for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),
+canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
 0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,stale,measured,
 size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();
 init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part("background"),foreground=
@@ -587,14 +593,15 @@ z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{s
 if(canvas.hidden=!now.state?.z,canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,size3=[width,
 height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&([canvas.
 width,canvas.height]=size3),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context.fillStyle=
-palette.gutter,context.fillRect(0,0,width,height);let{state,band:band2}=now,seen=[...state.z,...band2?.z?.low??
-[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y,box:box2,magnified}=view,within2={
-...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(within2.height-2*ROOM2)/(view.scale*(high-low||
-1)));Object.assign(view,{y:(low+high)/2,box:within2,magnified:times}),context.save(),context.beginPath(),context.
-rect(box2.left,EDGE2,box2.width,within2.height),context.clip(),paintTissue(context);let needle2=turn(state);shown.
-band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.z},band2.step!==state.step),context.
-lineJoin="round",paintNeedle(context,needle2),shown.path&&paintPath(context,needle2),shown.points&&paintPoints(
-context,needle2),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10),context.restore(),
+palette.gutter,context.fillRect(0,0,width,height);let{state,band:band2,scene:{measured:measured2}}=now,seen=[...state.
+z,...measured2?.z??[],...band2?.z?.low??[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],
+{y,box:box2,magnified}=view,within2={...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(within2.
+height-2*ROOM2)/(view.scale*(high-low||1)));Object.assign(view,{y:(low+high)/2,box:within2,magnified:times}),context.
+save(),context.beginPath(),context.rect(box2.left,EDGE2,box2.width,within2.height),context.clip(),paintTissue(
+context);let needle2=turn(state);shown.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
+z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle2),shown.path&&paintPath(context,
+needle2),shown.points&&paintPoints(context,needle2),measured2&&shown.measured&&paintMeasured(context,{...measured2,
+y:measured2.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10),context.restore(),
 paintFrame(context,times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y,box:box2,magnified})}
 var EDGE2,ROOM2,canvas,context,init_above=__esm({"needlefit/viewer/page/above.js"(){init_dom();init_drawing();
 init_background();init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,
@@ -609,25 +616,26 @@ scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}}
 "scene",send),listen("drawn",order)}var NONE,init_bands=__esm({"needlefit/viewer/page/bands.js"(){init_inputs();
 init_store();NONE={kind:"band",x:[]}}});function computeErrors(session,measured2){let{depth}=session.shape,upto=Math.min(depth,measured2.depth_mm);if(upto<
 1)return null;let beyond=depth-measured2.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
-let{s,x,y,pose}=measured2.target;other=x.map((one,i)=>[one,y[i]]),simulated=readPoints(session,s.map(one=>one+
+let{s,x,y,z,pose}=measured2.target;other=x.map((one,i)=>[one,y[i],z[i]]),simulated=readPoints(session,s.map(one=>one+
 beyond)),pose==="free"&&(simulated=alignRigid(simulated,other))}else if(measured2.target.pose==="known"){let s=Array.
 from({length:101},(_,i)=>upto*i/100);simulated=readPoints(session,s),other=interpolate(measured2,s)}else return null;
-let distances=simulated.map(([x,y],i)=>Math.hypot(x-other[i][0],y-other[i][1])),deflection=other.at(-1)[1]-other[0][1],
-finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).map(([name,value])=>[
-name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
-floor_mm}}function readPoints(session,s){let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.
-min(Math.max(one,x[0]),depth)));return s.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1]])}function interpolate({
-s,x,y},at2){let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)i+=1;let share=Math.min(Math.max((one-
-s[i])/(s[i+1]-s[i]),0),1);return[x[i]+share*(x[i+1]-x[i]),y[i]+share*(y[i+1]-y[i])]})}function alignRigid(moving,fixed){
+let finite=Object.entries(METRICS).map(([name,compute])=>{let axes=name.includes("3d")?[0,1,2]:[0,1],distances=simulated.
+map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-other[i][axis])));return[name,compute(distances,Math.hypot(
+...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])))]}).map(([name,value])=>[name,Number.isFinite(value)?
+value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.floor_mm}}function readPoints(session,s){
+let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.min(Math.max(one,x[0]),depth)));return s.
+map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s,...axes},at2){
+let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s[i])/(s[i+1]-
+s[i]),0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function alignRigid(moving,fixed){
 let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
 along]=[0,0];moving.forEach(([x,y],i)=>{let[a,b,c2,d]=[x-m[0],y-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
 a*d-b*c2,along+=a*c2+b*d});let angle2=Math.atan2(across,along),[c,s]=[Math.cos(angle2),Math.sin(angle2)];return moving.
-map(([x,y])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1]])}var mean,METRICS,init_errors=__esm({"nee\
-dlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,METRICS={
-median_err_mm:d=>{let sorted=d.toSorted((one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:
-(sorted[half-1]+sorted[half])/2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(
-one=>(one-middle)**2)))},ipe_max_mm:d=>Math.max(...d),te_mm:d=>d.at(-1),edp_percent:(d,deflection)=>deflection?
-100*d.at(-1)/Math.abs(deflection):d.at(-1)?1/0:0}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
+map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,init_errors=__esm(
+{"needlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=
+(d,deflection)=>deflection?100*d.at(-1)/Math.abs(deflection):d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.
+toSorted((one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/
+2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.
+max(...d),te_mm:d=>d.at(-1),edp_percent:relate,ipe_3d_mm:mean,te_3d_mm:d=>d.at(-1),edp_3d_percent:relate}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray(p*x.length,(p+1)*x.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
 begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
@@ -653,27 +661,48 @@ listFaults,init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){GAUS
 limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].
 toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered2){let{scene,session,step,model,names,validity,rules}=steered2,{shape}=session,{
 controls,bevel}=step,width=1+shape.planes,[x,y,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
-shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load2=session.forces(),
-loaded=columns(load2.s.length?session.positions(load2.s):[],width),last=shape.x.length-1,roll=wrap(rollOf(bevel)),
+shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load3=session.forces(),
+loaded=columns(load3.s.length?session.positions(load3.s):[],width),last=shape.x.length-1,roll=wrap(rollOf(bevel)),
 items=controls.guides.map(({name})=>guideNumber(name,names));return{kind:"state",step:steered2.number,depth_mm:step.
 depth,x,y,z,depths:constraints[0],constraints:mapPoints(session,constraints),tip_path:mapPoints(session,[constraints[0],
-...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:[...load2.load]},forces:{base_n:load2.base.force,base_nmm:load2.
-base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load2.guides[i].force]))},base:{x:x[0],y:y[0],
-rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.guides.map(({name,
-x:x2,y:y2,slope:slope2},i)=>({item:items[i],name,x:x2,y:y2,slope:slope2??0,turns_freely:slope2===null})),tip:{
-x:x.at(-1),y:y.at(-1),z:z&&z.at(-1),rotation:shape.slope[last],lateral_mm:y.at(-1),held:controls.tip!==null,input_y:shape.
-u[last]},bevel:{side:Math.abs(roll)>90?-1:1,roll_deg:roll,...describeStrength(bevel,model)},layers:model.mu.map(
-(mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[name,steered2.shape[row][layer]]))})),
-max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.measured&&computeErrors(session,
-scene.measured)}}function listStations({x,depth}){let end=Math.min(0,depth),before2=Array.from({length:POINTS_BEFORE_TISSUE},
-(_,i)=>x[0]+(end-x[0])*i/(POINTS_BEFORE_TISSUE-1));return before2[POINTS_BEFORE_TISSUE-1]=end,Float64Array.from(
-new Set([...before2,...x])).sort()}function mapPoints(session,[s,...beside]){let[along,...places]=columns(session.
-positions(s),1+beside.length),deflections=session.deflections(s);return[along,...places.map((one,plane)=>one.map(
-(place2,i)=>place2+(beside[plane][i]-deflections[plane*s.length+i])))]}var POINTS_BEFORE_TISSUE,columns,describeStrength,
-init_state=__esm({"needlefit/viewer/page/model/state.js"(){init_inputs();init_errors();init_validity();POINTS_BEFORE_TISSUE=
-25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from({length:points.length/width},(_2,i)=>points[width*
-i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?{cut_angle_deg:cutAngle*(180/Math.PI)}:{
-offset_mm:offset}}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
+...track]),load:{x:loaded[0],y:loaded[1],n_per_mm:load3.loads.map(one=>[...one])},forces:{base_n:load3.base.force,
+base_nmm:load3.base.moment,guides_n:Object.fromEntries(items.map((item,i)=>[item,load3.guides[i].force]))},base:{
+x:x[0],y:y[0],rotation:shape.slope[0],input_y:controls.baseY,input_slope:controls.baseSlope},guides:controls.guides.
+map(({name,x:x2,y:y2,slope:slope2},i)=>({item:items[i],name,x:x2,y:y2,slope:slope2??0,turns_freely:slope2===null})),
+tip:{x:x.at(-1),y:y.at(-1),z:z&&z.at(-1),rotation:shape.slope[last],lateral_mm:y.at(-1),held:controls.tip!==null,
+input_y:shape.u[last]},bevel:{side:Math.abs(roll)>90?-1:1,roll_deg:roll,...describeStrength(bevel,model)},layers:model.
+mu.map((mu,layer)=>({mu_pa:mu*1e6,...Object.fromEntries(scene.shape_parameters.map(({name},row)=>[name,steered2.
+shape[row][layer]]))})),max_slope:validity.max_slope,faults:listFaults(validity,rules.validity),errors:scene.measured&&
+computeErrors(session,scene.measured)}}function listStations({x,depth}){let end=Math.min(0,depth),before2=Array.
+from({length:POINTS_BEFORE_TISSUE},(_,i)=>x[0]+(end-x[0])*i/(POINTS_BEFORE_TISSUE-1));return before2[POINTS_BEFORE_TISSUE-
+1]=end,Float64Array.from(new Set([...before2,...x])).sort()}function mapPoints(session,[s,...beside]){let[along,
+...places]=columns(session.positions(s),1+beside.length),deflections=session.deflections(s);return[along,...places.
+map((one,plane)=>one.map((place2,i)=>place2+(beside[plane][i]-deflections[plane*s.length+i])))]}var POINTS_BEFORE_TISSUE,
+columns,describeStrength,init_state=__esm({"needlefit/viewer/page/model/state.js"(){init_inputs();init_errors();
+init_validity();POINTS_BEFORE_TISSUE=25,columns=(points,width)=>Array.from({length:width},(_,axis)=>Array.from(
+{length:points.length/width},(_2,i)=>points[width*i+axis])),describeStrength=({offset,cutAngle},{pathAngle})=>pathAngle?
+{cut_angle_deg:cutAngle*(180/Math.PI)}:{offset_mm:offset}}});function down(event){if(event.button>0)return;canvas2.setPointerCapture(event.pointerId);let at2=place(event);
+if(!put(fromPx(at2[0]),fromPy(at2[1]))){if(fingers.set(event.pointerId,at2),fingers.size>1)drag=null;else{let handle=handleAt(
+...at2,event.pointerType);handle&&(drag={handle,from:at2,last:at2,to:at2,gesture:newGesture(),pointer:event.pointerId})}
+canvas2.classList.toggle("dragging",drag!==null),hold(drag!==null)}}function follow2(event){if(drag?.pointer!==
+event.pointerId||!now.connected)return;let at2=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:
+1)*(at2[i]-drag.last[i])),drag.last=at2;let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.
+gesture,at:event.timeStamp})}function moved(event){let before2=fingers.get(event.pointerId);if(!before2)return hover(
+event);if(drag)return RAW?void 0:follow2(event);let at2=place(event);fingers.size===1?pan(at2[0]-before2[0],at2[1]-
+before2[1]):fingers.size===2&&pinch(event.pointerId,before2,at2),fingers.set(event.pointerId,at2)}function pinch(id,before2,at2){
+let other=[...fingers].find(([finger])=>finger!==id)[1],distance2=([x,y])=>Math.max(Math.hypot(x-other[0],y-other[1]),
+20);pan((at2[0]-before2[0])/2,(at2[1]-before2[1])/2),zoom(distance2(at2)/distance2(before2),(at2[0]+other[0])/
+2,(at2[1]+other[1])/2)}function up(event){drag?.pointer===event.pointerId&&(event.type==="pointerup"&&follow2(
+event),drag=null),fingers.delete(event.pointerId),canvas2.classList.remove("dragging"),hold(!1)}function hover(event){
+let cursor=handleAt(...place(event))?.cursor??"";canvas2.style.cursor!==cursor&&(canvas2.style.cursor=cursor)}
+function wheel(event){!event.ctrlKey&&!event.metaKey||(event.preventDefault(),zoom(Math.exp(-.2*notches(event)),
+...place(event)))}var NOTCH,FINE,canvas2,fingers,drag,place,notches,RAW,HEARD,init_pointers=__esm({"needlefit/\
+viewer/page/pointers.js"(){init_dom();init_aim();init_handles();init_offline();init_store();init_view();NOTCH=
+{0:100,1:3,2:1},FINE=.1,canvas2=part("canvas"),fingers=new Map,drag=null,place=event=>{let{left,top}=canvas2.getBoundingClientRect();
+return[event.clientX-left,event.clientY-top]};notches=event=>(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]*
+(event.shiftKey?FINE:1);RAW="onpointerrawupdate"in canvas2,HEARD={pointerdown:down,pointermove:moved,pointerrawupdate:follow2,
+pointerup:up,pointercancel:up};for(let[kind,hear]of Object.entries(HEARD))canvas2.addEventListener(kind,hear);
+canvas2.addEventListener("wheel",wheel,{passive:!1})}});function define(name,called=name){if(!(name in DEFINITIONS))return called;let term=element("button",{type:"but\
 ton",className:"term"},called);term.setAttribute("aria-description",DEFINITIONS[name]),term.tabIndex=-1;let show2=()=>{
 let{left,top,bottom}=term.getBoundingClientRect();shown2.textContent=DEFINITIONS[name],shown2.style.left=`${Math.
 max(8,Math.min(left,innerWidth-296))}px`;let above=top>ROOM3;shown2.style.bottom=above?`${innerHeight-top+6}px`:
@@ -684,19 +713,20 @@ ROOM3,shown2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){in
 {depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the tip from th\
 e entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip against the e\
 ntry axis.","tip force":"Lateral force of the tissue on the shaft at the tip, as the tip stood at its last con\
-straint point; between these points it rises and falls.","base force":"Lateral force that holds the base.","ba\
-se moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx of the needle; the model takes \
-it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, \
-about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the pl\
-ane of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive\
- to the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Gu\
-ides that hold the needle.",target:"Where the tip is to end; within the radius it counts as reached. x along t\
-he entry, y to its left.",obstacle:"What the needle must not touch: a circle in its plane. Distances are those\
- of its axis.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angl\
-e.","noise floor":"The mean error that perfect parameters would still show if measurements err as stated."};listen(
-"scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{symbol,explanation}of shapes)
-DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=110,shown2=element("div",
-{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
+straint point; between these points it rises and falls. In space forces are magnitudes.","base force":"Lateral\
+ force that holds the base.","base moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx\
+ of the needle; the model takes it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"\
+Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"\
+Distance of the tip from the plane of the entry axis and y.","base y":"Lateral displacement of the base of the\
+ needle, as it is set; positive to the left.","base slope":"Angle of the base of the needle against the entry \
+axis, as it is set.",guides:"Guides that hold the needle.",target:"Where the tip is to end; within the radius \
+it counts as reached. x along the entry, y to its left.",obstacle:"What the needle must not touch: a circle in\
+ its plane. Distances are those of its axis.",guide:"Where a guide holds the needle: x along the entry, y to i\
+ts left, slope dy/dx as an angle.","noise floor":"The mean error that perfect parameters would still show if m\
+easurements err as stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,
+definitions);for(let{symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.
+slice(1)}.`});ROOM3=110,shown2=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??
+document.body).append(shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
 return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
 ([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
 part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");title&&write(title,`${isSteered(state,
@@ -708,27 +738,25 @@ length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit
 abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, \
 at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
 bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
-base)}; ${held}.`,`Tip force ${signed(tipForce()??0,2)} N, base force ${signed(state.forces.base_n,2)} N.`];if(exceeded(
-state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let[mean3,tipError]=[errors.ipe_mean_mm.toFixed(
-2),errors.te_mm.toFixed(2)];sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean3}\
- mm, TE ${tipError} mm.`)}return sentences.join(" ")}var NEEDLE,TIP_Z,writeNeedle,SHOWN_METRICS,writeError,writeErrors,
-comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.\
-js"(){init_definitions();init_dom();init_quantities();init_store();init_view();NEEDLE=[["depth","mm",s=>s.depth_mm.
+base)}; ${held}.`,`Tip force ${load(tipForce()??0,2)} N, base force ${load(state.forces.base_n,2)} N.`];return exceeded(
+state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors&&sentences.push(`Against the measured needl\
+e ${comparedUpTo(errors)}: ${listErrors(errors,scene.measured).join(", ")}.`),sentences.join(" ")}var load,NEEDLE,
+TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"n\
+eedlefit/viewer/page/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load=
+(value,digits2)=>now.state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.
 toFixed(2)],["tip y","mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip s\
-lope","°",s=>signed(toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":signed(tipForce(),
-3)],["base force","N",s=>signed(s.forces.base_n,3)],["base moment","N mm",s=>signed(s.forces.base_nmm,1)],["st\
-eepest slope","",s=>s.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(
-part("readouts"),NEEDLE),SHOWN_METRICS=["ipe_mean_mm","te_mm","edp_percent"],writeError=(value,unit)=>value===
-null?"–":unit==="%"?brief(value,3):value.toFixed(3),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?
-"over the whole insertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part(
-"compared").hidden=measured2===null,!measured2)return;let metrics=measured2.metrics.filter(([name])=>SHOWN_METRICS.
-includes(name)).map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(errors[name],
-unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["noise floor","\
-mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.length?`outside the model:\
- ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>now.state&&refresh());listen("s\
-tate",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.slice(1)}. Sha\
-pe and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.box.top+view.
-box.height/2),!(announced||!words)&&(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(
+lope","°",s=>signed(toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load(tipForce(),
+3)],["base force","N",s=>load(s.forces.base_n,3)],["base moment","N mm",s=>load(s.forces.base_nmm,1)],["steepe\
+st slope","",s=>s.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(
+part("readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole in\
+sertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=
+measured2===null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=
+text,[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
+part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
+length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>now.state&&
+refresh());listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.
+slice(1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.
+box.top+view.box.height/2),!(announced||!words)&&(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(
 toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number,slider,mark:mark3,
@@ -827,11 +855,11 @@ let{scene}=now,{fitted:fitted2,layer_names:names}=scene,{key,symbol,unit,digits:
 fitted2),{b,mu,layer}=readDraws(scene),origin=[value,fitted2.layers[layer].mu_pa].map(Math.log),tied=fitted2.layers.
 map((_,i)=>i).filter(i=>correlate(mu[i],mu[layer])>TIED),modulus2=modulusLike(fitted2.layers[layer].mu_pa),called=`\
 μ ${names[layer]||`layer ${layer+1}`}`,ranges=[b,mu[layer]].map((values,i)=>{let[low,high]=[Math.min(...values,
-origin[i]),Math.max(...values,origin[i])];return[low-MARGIN*(high-low),high+MARGIN*(high-low)]}),canvas5=element(
-"canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol} and ${called}: arrow keys move the point`});canvas5.
-setAttribute("role","application");let note=element("p",{className:"quiet"});into.replaceChildren(canvas5,note);
-let context3=canvas5.getContext("2d"),current2=()=>[now.state.bevel[key],now.state.layers[layer].mu_pa].map(Math.
-log),box2=()=>[[PAD.left,canvas5.clientWidth-PAD.right],[canvas5.clientHeight-PAD.bottom,PAD.top]],toPx2=place2=>box2().
+origin[i]),Math.max(...values,origin[i])];return[low-MARGIN*(high-low),high+MARGIN*(high-low)]}),canvas4=element(
+"canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol} and ${called}: arrow keys move the point`});canvas4.
+setAttribute("role","application");let note=element("p",{className:"quiet"});into.replaceChildren(canvas4,note);
+let context3=canvas4.getContext("2d"),current2=()=>[now.state.bevel[key],now.state.layers[layer].mu_pa].map(Math.
+log),box2=()=>[[PAD.left,canvas4.clientWidth-PAD.right],[canvas4.clientHeight-PAD.bottom,PAD.top]],toPx2=place2=>box2().
 map(([from,to],i)=>from+(place2[i]-ranges[i][0])/(ranges[i][1]-ranges[i][0])*(to-from)),line2=[],[wanted,frame2,
 held]=[null,0,!1],listChanges=place2=>{let moved2=place2[1]-origin[1];return[[throughout,null,Math.exp(place2[0])],
 ...tied.map(i=>["mu_pa",i+1,fitted2.layers[i].mu_pa*Math.exp(moved2)])]};async function findLine(){let always2={
@@ -839,14 +867,14 @@ validOnly:!1},needle2=await SteeredNeedle.begin(await kernel,scene);for(let chan
 apply(changes,always2);let goal=needle2.tipLateral,toPlane=place2=>place2.map((part2,i)=>origin[i]+part2*(ranges[i][1]-
 ranges[i][0])),miss=place2=>(needle2.apply(listChanges(toPlane(place2)),always2),needle2.tipLateral-goal),steepest=[
 [LINE3.trial,0],[0,LINE3.trial]].map(miss);for(let way of[-1,1]){let[from,along]=[[0,0],toUnit([-way*steepest[1],
-way*steepest[0]])];for(;from&&canvas5.isConnected;){way<0?line2.unshift(toPlane(from)):line2.push(toPlane(from));
+way*steepest[0]])];for(;from&&canvas4.isConnected;){way<0?line2.unshift(toPlane(from)):line2.push(toPlane(from));
 let to=findNext(from,along,miss),within2=to&&toPlane(to).every((value2,i)=>value2>=ranges[i][0]&&value2<=ranges[i][1]);
 within2&&(along=toUnit(to.map((part2,i)=>part2-from[i]))),from=within2?to:null,draw3(),await new Promise(done2=>setTimeout(
 done2))}}}function ask2(place2){wanted=place2.map((one,i)=>Math.min(Math.max(one,ranges[i][0]),ranges[i][1])),
 frame2||=requestAnimationFrame(()=>{frame2=0,steer([listChanges(wanted)])})}function drag2({clientX,clientY}){
-let{left,top}=canvas5.getBoundingClientRect();ask2([clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];
-return ranges[i][0]+(px-from)/(to-from)*(ranges[i][1]-ranges[i][0])}))}function draw3(){if(!canvas5.isConnected)
-return;let{clientWidth:width,clientHeight:height}=canvas5;Object.assign(canvas5,{width:width*devicePixelRatio,
+let{left,top}=canvas4.getBoundingClientRect();ask2([clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];
+return ranges[i][0]+(px-from)/(to-from)*(ranges[i][1]-ranges[i][0])}))}function draw3(){if(!canvas4.isConnected)
+return;let{clientWidth:width,clientHeight:height}=canvas4;Object.assign(canvas4,{width:width*devicePixelRatio,
 height:height*devicePixelRatio}),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);let[[left,right],
 [bottom,top]]=box2();context3.strokeStyle=palette.quiet,context3.strokeRect(left+.5,top+.5,right-left-1,bottom-
 top-1),context3.fillStyle=palette.label,setFont(context3,"small","left"),context3.fillText(`${called}, ${modulus2.
@@ -858,15 +886,15 @@ needle,2),ring(context3,...toPx2(current2()),7,palette.tip,palette.air)}function
 for(let one of TICKS.toSorted((a,z)=>a-z)){let at2=Math.log(read(one));if(at2<ranges[axis][0]||at2>ranges[axis][1])
 continue;let px=toPx2(axis?[ranges[0][0],at2]:[at2,ranges[1][0]]);Math.abs(px[axis]-last)<30||px[0]>end||(last=
 px[axis],setFont(context3,"small",axis?"right":"center"),context3.fillText(brief(one),px[0]-(axis?4:0),px[1]+(axis?
-0:13)))}}function refresh2(){if(!canvas5.isConnected)return;let{bevel,layers,errors,tip}=now.state,found=errors?
-`IPE ${errors.ipe_mean_mm.toFixed(3)} mm, TE ${errors.te_mm.toFixed(3)} mm`:now.pinned?`the tip is ${Math.hypot(
-tip.x-now.pinned.x.at(-1),tip.y-now.pinned.y.at(-1)).toFixed(3)} mm from the pinned one`:"";write(note,`${symbol}\
- ${bevel[key].toFixed(digits2)} ${unit}, ${called} ${modulus2.write(layers[layer].mu_pa,3)} ${modulus2.unit}: ${found}\
-. Other parameters stay as fitted.`),draw3()}let heard={pointerdown:event=>{canvas5.setPointerCapture(event.pointerId),
+0:13)))}}function refresh2(){if(!canvas4.isConnected)return;let{bevel,layers,errors,tip}=now.state,found=errors?
+listErrors(errors,now.scene.measured).slice(0,2).join(", "):now.pinned?`the tip is ${Math.hypot(tip.x-now.pinned.
+x.at(-1),tip.y-now.pinned.y.at(-1)).toFixed(3)} mm from the pinned one`:"";write(note,`${symbol} ${bevel[key].
+toFixed(digits2)} ${unit}, ${called} ${modulus2.write(layers[layer].mu_pa,3)} ${modulus2.unit}: ${found}. Othe\
+r parameters stay as fitted.`),draw3()}let heard={pointerdown:event=>{canvas4.setPointerCapture(event.pointerId),
 held=!0,drag2(event)},pointermove:event=>held&&drag2(event),pointerup:()=>held=!1,pointercancel:()=>held=!1,keydown:event=>{
 if(!(event.key in KEYS))return;event.preventDefault(),event.stopPropagation();let from=frame2?wanted:current2();
 ask2(from.map((one,i)=>one+KEYS[event.key][i]*PART*(ranges[i][1]-ranges[i][0])))}};for(let[kind,hear]of Object.
-entries(heard))canvas5.addEventListener(kind,hear);[refreshShown,drawShown]=[refresh2,draw3],refresh2(),findLine()}
+entries(heard))canvas4.addEventListener(kind,hear);[refreshShown,drawShown]=[refresh2,draw3],refresh2(),findLine()}
 var PAD,MARGIN,SAME3,KEYS,PART,LINE3,TIED,TICKS,mean2,correlate,toUnit,refreshShown,drawShown,init_ridge=__esm(
 {"needlefit/viewer/page/ridge.js"(){init_dom();init_inputs();init_steered();init_strokes();init_quantities();init_store();
 PAD={left:48,right:8,top:22,bottom:22},MARGIN=.12,SAME3=1e-9,KEYS={ArrowLeft:[-1,0],ArrowRight:[1,0],ArrowDown:[
@@ -876,8 +904,8 @@ correlate=(one,other)=>covary(one,other)/Math.sqrt(covary(one,one)*covary(other,
 map(one=>one/Math.hypot(...vector));[refreshShown,drawShown]=[()=>{},()=>{}];listen("state",()=>refreshShown());
 onScheme(()=>requestAnimationFrame(drawShown))}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
 path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw2(){if(part("strip").hidden||!now.
-state)return;let[width,height]=size2;canvas2.width!==Math.round(width*devicePixelRatio)&&(canvas2.width=Math.round(
-width*devicePixelRatio)),canvas2.height!==Math.round(height*devicePixelRatio)&&(canvas2.height=Math.round(height*
+state)return;let[width,height]=size2;canvas3.width!==Math.round(width*devicePixelRatio)&&(canvas3.width=Math.round(
+width*devicePixelRatio)),canvas3.height!==Math.round(height*devicePixelRatio)&&(canvas3.height=Math.round(height*
 devicePixelRatio)),context2.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context2.clearRect(0,0,width,
 height);let deep=greatest();PANELS.forEach((panel,n)=>{let[left,right]=[n*width/2+PAD2.left,(n+1)*width/2-PAD2.
 right];drawPanel(panel,deep,{left,right,top:PAD2.top,bottom:height-PAD2.bottom})}),describe(deep)}function drawPanel([
@@ -897,28 +925,28 @@ value.toFixed(digits2))||0).replace("-","−"),left-4,place2);context2.textBasel
 textAlign="left",context2.fillText("0",left,bottom+13)}function describe(deep){let at2=now.marked??now.state.depth_mm,
 read=one=>PANELS.map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at2);return`${name} ${Number.
 isNaN(value)?"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words=needles().map(([one])=>`${one===now.
-pinned?"pinned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas2,{ariaValueNow:at2.toFixed(1),ariaValueMax:deep.
+pinned?"pinned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas3,{ariaValueNow:at2.toFixed(1),ariaValueMax:deep.
 toFixed(1),ariaValueText:`At ${at2.toFixed(1)} mm: ${words}`})}function mark2(depth){now.marked=depth===null?null:
-Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas2.
+Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas3.
 getBoundingClientRect();return((clientX-left)%(width/2)-PAD2.left)/(width/2-PAD2.left-PAD2.right)*greatest()}function pin(){
 now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
-now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw2()}var PAD2,canvas2,context2,size2,PANELS,needles,
+now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw2()}var PAD2,canvas3,context2,size2,PANELS,needles,
 greatest,valueAt,go,KEYS2,init_strip=__esm({"needlefit/viewer/page/strip.js"(){init_dom();init_drawing();init_strokes();
-init_quantities();init_store();PAD2={left:46,right:12,top:18,bottom:16},canvas2=element("canvas",{id:"strip-ca\
+init_quantities();init_store();PAD2={left:46,right:12,top:18,bottom:16},canvas3=element("canvas",{id:"strip-ca\
 nvas",tabIndex:0,role:"slider",ariaLabel:"Depth to read at",ariaValueMin:"0",ariaValueMax:"1",ariaValueNow:"0",
 title:"Tip against depth. Arrow keys or pointer mark a depth, Enter or a click goes there."});part("strip").append(
-canvas2);context2=canvas2.getContext("2d"),size2=[1,1],PANELS=[["tip y","mm",2,({path})=>path],["tip force","N",
+canvas3);context2=canvas3.getContext("2d"),size2=[1,1],PANELS=[["tip y","mm",2,({path})=>path],["tip force","N",
 2,({forces})=>forces]];needles=()=>[[now.pinned,palette.ghost],[current(),palette.needle]].filter(([one])=>one);
 greatest=()=>Math.max(now.scene.depth_mm,...needles().map(([{depth}])=>depth),1),valueAt=([one,curve],at2)=>at2<=
 one.depth+1e-9&&curve.x.length?heightAt(curve,at2):NaN;go=()=>now.marked!==null&&publish("go to",now.marked),KEYS2=
 {ArrowRight:()=>mark2((now.marked??now.state.depth_mm)+1),ArrowLeft:()=>mark2((now.marked??now.state.depth_mm)-
-1),Home:()=>mark2(0),End:()=>mark2(greatest()),Enter:go,Escape:()=>mark2(null)};canvas2.addEventListener("keyd\
+1),Home:()=>mark2(0),End:()=>mark2(greatest()),Enter:go,Escape:()=>mark2(null)};canvas3.addEventListener("keyd\
 own",event=>{!(event.key in KEYS2)||!now.state||(event.preventDefault(),event.stopPropagation(),KEYS2[event.key]())});
-canvas2.addEventListener("pointermove",event=>now.state&&mark2(under(event)));for(let kind of["pointerleave","\
-blur"])canvas2.addEventListener(kind,()=>now.state&&mark2(null));press(canvas2,event=>now.state&&(mark2(under(
+canvas3.addEventListener("pointermove",event=>now.state&&mark2(under(event)));for(let kind of["pointerleave","\
+blur"])canvas3.addEventListener(kind,()=>now.state&&mark2(null));press(canvas3,event=>now.state&&(mark2(under(
 event)),go()));press("pin",()=>now.state&&pin());listen("scene",()=>[now.forces,now.marked]=[{x:[],y:[]},null]);
 listen("forces",forces=>{now.pinned?.step===forces.step&&(now.pinned.forces=forces),draw2()});new ResizeObserver(
-()=>{size2=[canvas2.clientWidth,canvas2.clientHeight],draw2()}).observe(canvas2);onScheme(()=>requestAnimationFrame(
+()=>{size2=[canvas3.clientWidth,canvas3.clientHeight],draw2()}).observe(canvas3);onScheme(()=>requestAnimationFrame(
 draw2))}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name].ariaPressed=String(on),name==="strip"&&(part(
 "strip").hidden=!on),shown[name]=on,invalidate()}var CHIPS,TALL,fits,chips,offer,init_toolbar=__esm({"needlefi\
 t/viewer/page/toolbar.js"(){init_aim();init_dom();init_drawing();init_store();init_view();CHIPS=[["load","late\
@@ -1005,63 +1033,31 @@ law.terms||!scene.shape_parameters.length;for(let{input,item,into,about}of listP
 terms||input==="mu_pa")&&add(into,[input,item],about,of=>of.layers[item-1][input])}function refreshFields(){for(let[
 field,current2]of fields)show(field,current2());part("side").textContent=describeRoll(now.state.bevel)}var digits,
 fields,init_controls=__esm({"needlefit/viewer/page/share/controls.js"(){init_dom();init_fields();init_parameters();
-init_inputs();init_quantities();init_store();digits=count=>value=>value.toFixed(count),fields=[]}});function down(event){if(event.button>0)return;canvas3.setPointerCapture(event.pointerId);let at2=place(event);
-if(!put(fromPx(at2[0]),fromPy(at2[1]))){if(fingers.set(event.pointerId,at2),fingers.size>1)drag=null;else{let handle=handleAt(
-...at2,event.pointerType);handle&&(drag={handle,from:at2,last:at2,to:at2,gesture:newGesture(),pointer:event.pointerId})}
-canvas3.classList.toggle("dragging",drag!==null),hold(drag!==null)}}function follow2(event){if(drag?.pointer!==
-event.pointerId||!now.connected)return;let at2=place(event);drag.to=drag.to.map((to,i)=>to+(event.shiftKey?FINE:
-1)*(at2[i]-drag.last[i])),drag.last=at2;let set=drag.handle.drag(drag.from,drag.to);set.length&&change(set,{gesture:drag.
-gesture,at:event.timeStamp})}function moved(event){let before2=fingers.get(event.pointerId);if(!before2)return hover(
-event);if(drag)return RAW?void 0:follow2(event);let at2=place(event);fingers.size===1?pan(at2[0]-before2[0],at2[1]-
-before2[1]):fingers.size===2&&pinch(event.pointerId,before2,at2),fingers.set(event.pointerId,at2)}function pinch(id,before2,at2){
-let other=[...fingers].find(([finger])=>finger!==id)[1],distance2=([x,y])=>Math.max(Math.hypot(x-other[0],y-other[1]),
-20);pan((at2[0]-before2[0])/2,(at2[1]-before2[1])/2),zoom(distance2(at2)/distance2(before2),(at2[0]+other[0])/
-2,(at2[1]+other[1])/2)}function up(event){drag?.pointer===event.pointerId&&(event.type==="pointerup"&&follow2(
-event),drag=null),fingers.delete(event.pointerId),canvas3.classList.remove("dragging"),hold(!1)}function hover(event){
-let cursor=handleAt(...place(event))?.cursor??"";canvas3.style.cursor!==cursor&&(canvas3.style.cursor=cursor)}
-function wheel(event){!event.ctrlKey&&!event.metaKey||(event.preventDefault(),zoom(Math.exp(-.2*notches(event)),
-...place(event)))}var NOTCH,FINE,canvas3,fingers,drag,place,notches,RAW,HEARD,init_pointers=__esm({"needlefit/\
-viewer/page/pointers.js"(){init_dom();init_aim();init_handles();init_offline();init_store();init_view();NOTCH=
-{0:100,1:3,2:1},FINE=.1,canvas3=part("canvas"),fingers=new Map,drag=null,place=event=>{let{left,top}=canvas3.getBoundingClientRect();
-return[event.clientX-left,event.clientY-top]};notches=event=>(event.deltaY||event.deltaX)/NOTCH[event.deltaMode]*
-(event.shiftKey?FINE:1);RAW="onpointerrawupdate"in canvas3,HEARD={pointerdown:down,pointermove:moved,pointerrawupdate:follow2,
-pointerup:up,pointercancel:up};for(let[kind,hear]of Object.entries(HEARD))canvas3.addEventListener(kind,hear);
-canvas3.addEventListener("wheel",wheel,{passive:!1})}});function listenToKeys(steer){let insertBy=mm=>steer([["depth_mm",null,Math.min(Math.max(now.state.depth_mm+mm,
-0),now.scene.length_mm-.01)]]),base=mm=>steer([["base_y_mm",null,now.state.base.input_y+mm]]),turn2=by=>steer(
-[["base_slope",null,slope(degrees(now.state.base.input_slope)+by)]]),keys={ArrowRight:({shiftKey})=>insertBy(shiftKey?
-.1:1),ArrowLeft:({shiftKey})=>insertBy(shiftKey?-.1:-1),ArrowUp:({shiftKey})=>shiftKey?turn2(BASE.angle):base(
-BASE.y),ArrowDown:({shiftKey})=>shiftKey?turn2(-BASE.angle):base(-BASE.y),f:()=>steer([turnOver(now.state.bevel.
-roll_deg)]),r:()=>steer([["bevel_roll_deg",null,wrap(now.state.bevel.roll_deg+ROLL)]]),R:()=>steer([["bevel_ro\
-ll_deg",null,wrap(now.state.bevel.roll_deg-ROLL)]]),k:pin,1:()=>fit("whole"),2:()=>fit("tissue"),3:()=>fit("ti\
-p"),"+":()=>zoom(1.25),"-":()=>zoom(.8)};canvas4.addEventListener("keydown",event=>{event.ctrlKey||event.metaKey||
-event.altKey||!(event.key in keys)||(event.preventDefault(),keys[event.key](event))})}var BASE,canvas4,init_keys=__esm(
-{"needlefit/viewer/page/share/keys.js"(){init_dom();init_handles();init_inputs();init_pointers();init_quantities();
-init_store();init_strip();init_view();BASE={y:.1,angle:.1},canvas4=part("canvas");canvas4.addEventListener("to\
-uchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},{passive:!1})}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
+init_inputs();init_quantities();init_store();digits=count=>value=>value.toFixed(count),fields=[]}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
 [bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));return new Response(stream).arrayBuffer()}
-async function load(){let[data2,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
+async function load2(){let[data2,kernel]=await Promise.all([unpack("data"),unpack("kernel").then(compile)]),{lists,
 ...read}=JSON.parse(new TextDecoder().decode(data2)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(
 value?.$)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","streng\
 th"])scene.draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered2){for(let changes of listSteps(
 steered2.scene))steered2.apply(changes,always)}function compareStored(steered2,[fit2],same2){let{target,stored}=steered2.
 scene.measured,points=readPoints(steered2.session,target.s);target.pose==="free"&&(points=alignRigid(points,target.
 x.map((x,i)=>[x,target.y[i]])));let found=computeErrors(steered2.session,steered2.scene.measured),errors=Object.
-keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap(([x,y],i)=>[
-Math.abs(x-stored.x[i]),Math.abs(y-stored.y[i])]),...errors.filter(one=>one>same2))}async function prove({needles:needles2,
-kernel},same2){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||
-(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle2 of needles2){let compare=distance2=>{
-count+=1,largest=Math.max(largest,distance2)};try{let steered2=await begin(kernel,needle2);if(needle2.recording){
-let replay2=new Replay(steered2,needle2.recording);for(let n=1;n<=needle2.recording.length;n+=1)replay2.to(n),
-compare(Math.abs(steered2.tipLateral-needle2.recording[n-1][2])),await rest()}else insert(steered2),compare(compareStored(
-steered2,needle2.methods,same2))}catch(error){if(!error.what)throw error;compare(NaN)}await rest()}return{count,
-largest}}var SLICE,begin,always,Replay,init_needles=__esm({"needlefit/viewer/page/share/needles.js"(){init_needle();
-init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,
-scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered2,steps2){Object.assign(
-this,{steered:steered2,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{for(let[
-name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.at)&&(this.
-steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.steps[this.
-at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[name,,value]of changes)
-name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});var main_exports={};function update(){steps+=1,take({...describeState(steered),step:steps,kind:"state"}),fresh=
+keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point,i)=>[
+"x","y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({
+needles:needles2,kernel},same2){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-
+since<SLICE||(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle2 of needles2){
+let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered2=await begin(kernel,needle2);
+if(needle2.recording){let replay2=new Replay(steered2,needle2.recording);for(let n=1;n<=needle2.recording.length;n+=
+1)replay2.to(n),compare(Math.abs(steered2.tipLateral-needle2.recording[n-1][2])),await rest()}else insert(steered2),
+compare(compareStored(steered2,needle2.methods,same2))}catch(error){if(!error.what)throw error;compare(NaN)}await rest()}
+return{count,largest}}var SLICE,begin,always,Replay,init_needles=__esm({"needlefit/viewer/page/share/needles.j\
+s"(){init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.
+begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered2,steps2){
+Object.assign(this,{steered:steered2,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{
+for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.
+at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.
+steps[this.at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[
+name,,value]of changes)name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});var main_exports={};function update(){steps+=1,take({...describeState(steered),step:steps,kind:"state"}),fresh=
 !0,redraw(),refresh(),refreshFields(),refreshMethods(),draw2(),described||=setTimeout(()=>{described=0,refreshDescription()},
 steps>1?DESCRIBED_EVERY:0)}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,paint(fresh),fresh=!1,
 publish("drawn")})}function rebuild(lists,below=part("flip").parentElement){replay&&play(!1),write(refusal,"");
@@ -1082,52 +1078,54 @@ ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-n
 f the needles of ${draws}${specimen}, without noise and model error.`:""),part("synthetic")?.toggleAttribute("\
 hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),replay)return showStep(replay.steps.
 length);steered.rewind(),insert(steered),part("back").disabled=!0,update()}function listMethods(){let{methods}=needle;
-if(part("methods").hidden=!methods,!methods)return;let row=(name,values)=>element("tr",{},element("th",{scope:"\
-row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.
-map(method=>{if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"s\
-watch line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)}\
-)`;let toggle2=element("button",{type:"button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.
-name);return press(toggle2,()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.
-add(method.key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("me\
-thod-rows").replaceChildren(first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.
-state;[`the needle above${errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:""}`,...errorsOf(errors)].
-forEach((text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),
-part("scrub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(
-1)} s`,write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=
-!0,update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.
-at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(
-advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.
-clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.
-steps.length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),
-playing.n===replay.steps.length)return play(!1);requestAnimationFrame(advance)}function buildRecording(){let{recording}=data.
-needles[0];part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*recording.at(-1)[0])/
-10,part("scrub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(Number(target.value),recording.
-at(-1)[0]);showStep(recording.filter(([time])=>time<=clock).length,clock)}),press("play",()=>play(!playing)))}
-async function stateAgreement(){let{count,largest}=await prove(data,SAME5),[what,of]=data.needles[0].recording?
-["recorded state","recording"]:["needle","report"],[agrees,place2]=[largest<SAME5,part("proof")],found=largest===
-0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`qui\
-et ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?
-"passed":"failed"}: ${counted(count,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"\
-one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){data=await load();let script=new Blob(
-[part("program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.
-kernel,()=>({name:data.needles.indexOf(needle),steered}));let choice=part("needle-choice");choice.append(...data.
-needles.map(({scene,group},i)=>element("option",{value:String(i)},[nameOf3(scene),group].filter(Boolean).join(
-", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.
-value))),press("flip",()=>change2([turnOver(now.state.bevel.roll_deg)])),press("back",goBack),press("copy-link",
-copyLink),addEventListener("hashchange",followAddress),offerScenes(rebuild,data.kernel),listen("redraw",redraw),
-listen("go to",depth=>change2([["depth_mm",null,depth]])),listenToKeys(change2),listen("steered",set=>change2(
-set)),now.connected=!0,buildRecording(),data.needles[0].recording||["load","points","path","errors","strip"].forEach(
-name=>toggle(name,!1)),await choose(0);let led=await followAddress();fit("tissue"),await stateAgreement(),!led&&
-replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var SHORTEST2,LONGEST,DESCRIBED_EVERY,
-SAME5,data,needle,steered,replay,steps,described,frame,fresh,shownMethods,refusal,change2,nameOf3,errorsOf,present,
-lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page/share/main.js"(){init_above();init_bands();
-init_dom();init_drawing();init_inputs();init_state();init_strokes();init_quantities();init_readouts();init_scenes();
-init_store();init_strip();init_toolbar();init_view();init_address();init_controls();init_keys();init_needles();
-SHORTEST2=2,LONGEST=20,DESCRIBED_EVERY=2e3,SAME5=1e-6,data=null,needle=null,steered=null,replay=null,steps=0,described=
-0,frame=0,fresh=!1,shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);
-nameOf3=({measured:measured2,title})=>measured2?.id??title;errorsOf=values=>["ipe_mean_mm","te_mm","edp_percen\
-t"].map(name=>{let value=values?.[name];return Number.isFinite(value)?value.toFixed(name.endsWith("percent")?1:
-3):"–"}),present=[],lighten=colour2=>between(colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.
+if(part("methods").hidden=!methods,!methods)return;let heads=["method",...needle.scene.measured.metrics.map(([
+,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"\
+col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"row"},name),values.map(one=>element("\
+td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.map(method=>{if(!method.x)
+return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatch line",ariaHidden:"tr\
+ue"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;let toggle2=element("b\
+utton",{type:"button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.name);return press(toggle2,
+()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.add(method.key),toggle2.
+ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("method-rows").replaceChildren(
+first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.state;[`the needle above${errors&&
+!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:""}`,...errorsOf(errors)].forEach((text,i)=>write(present[i],
+text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),part("scrub").value=n===replay.steps.
+length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,write("time",`${clock.toFixed(
+1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=!0,update()}function play(on){if(part(
+"play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.at===replay.steps.length||replay.
+changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(advance)}function advance(t){
+if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*
+(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.steps.length&&timeOf(playing.
+n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),playing.n===replay.steps.
+length)return play(!1);requestAnimationFrame(advance)}function buildRecording(){let{recording}=data.needles[0];
+part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*recording.at(-1)[0])/10,part("s\
+crub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(Number(target.value),recording.at(-1)[0]);
+showStep(recording.filter(([time])=>time<=clock).length,clock)}),press("play",()=>play(!playing)))}async function stateAgreement(){
+let{count,largest}=await prove(data,SAME5),[what,of]=data.needles[0].recording?["recorded state","recording"]:
+["needle","report"],[agrees,place2]=[largest<SAME5,part("proof")],found=largest===0?`the same bytes as in the ${of}`:
+`up to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.
+count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,
+what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needle\
+fit ${data.needlefit}).`)}async function start(){data=await load2();let script=new Blob([part("program").textContent],
+{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.
+indexOf(needle),steered}));let choice=part("needle-choice");choice.append(...data.needles.map(({scene,group},i)=>element(
+"option",{value:String(i)},[nameOf3(scene),group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.
+length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),press("flip",()=>change2([turnOver(
+now.state.bevel.roll_deg)])),press("back",goBack),press("copy-link",copyLink),part("canvas").addEventListener(
+"touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener(
+"hashchange",followAddress),offerScenes(rebuild,data.kernel),listen("redraw",redraw),listen("go to",depth=>change2(
+[["depth_mm",null,depth]])),listen("steered",set=>change2(set)),now.connected=!0,buildRecording(),data.needles[0].
+recording||["load","points","path","errors","strip"].forEach(name=>toggle(name,!1)),await choose(0);let led=await followAddress();
+fit("tissue"),await stateAgreement(),!led&&replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(
+!0)}var SHORTEST2,LONGEST,DESCRIBED_EVERY,SAME5,data,needle,steered,replay,steps,described,frame,fresh,shownMethods,
+refusal,change2,nameOf3,errorsOf,present,lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page\
+/share/main.js"(){init_above();init_bands();init_dom();init_drawing();init_handles();init_inputs();init_state();
+init_strokes();init_pointers();init_quantities();init_readouts();init_scenes();init_store();init_strip();init_toolbar();
+init_view();init_address();init_controls();init_needles();SHORTEST2=2,LONGEST=20,DESCRIBED_EVERY=2e3,SAME5=1e-6,
+data=null,needle=null,steered=null,replay=null,steps=0,described=0,frame=0,fresh=!1,shownMethods=new Set,refusal=
+part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=({measured:measured2,title})=>measured2?.
+id??title;errorsOf=values=>needle.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),
+present=[],lighten=colour2=>between(colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.
 methods??[])!x||!shownMethods.has(key)||(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(
 colour2):colour2,2))});playing=null,timeOf=n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStr\
 eam","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",

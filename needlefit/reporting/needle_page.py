@@ -28,6 +28,7 @@ from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import pack_layers
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
+from needlefit.metrics import list_metrics
 from needlefit.project.help_pages import read_terms
 from needlefit.project.json_values import to_json_values
 
@@ -115,6 +116,16 @@ class PageData:
         lists = [json.loads(text) for text in self._lists]
         content = to_json_values({"lists": lists, **self.values, "needles": self.needles})
         return compress(json.dumps(content, separators=(",", ":"), allow_nan=False).encode())
+
+
+#: errors that the page shows and computes itself: of needles in their planes, and in space
+SHOWN_METRICS = ("ipe_mean_mm", "te_mm", "edp_percent", "ipe_3d_mm", "te_3d_mm", "edp_3d_percent")
+
+
+def encode_metrics(in_space: bool) -> list[list[str]]:
+    """Return name, label, unit and explanation of the errors that the page shows: IPE, TE, EDP."""
+    shown = [one for one in list_metrics() if one.name in SHOWN_METRICS and one.in_space == in_space]
+    return [[one.name, one.label, one.unit, one.explanation] for one in shown]
 
 
 def encode_layers(tissue: Tissue) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from needlefit.metrics import list_metrics
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
-from needlefit.reporting.needle_page import PageData, encode_scene, kernel_exists
+from needlefit.reporting.needle_page import PageData, encode_metrics, encode_scene, kernel_exists
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.fit_frames import (
@@ -143,9 +143,9 @@ def collect_explorer(results: Run) -> PageData | None:
         return None
     data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
     shapes = results.frames["shapes"].query("boundaries == 'measured'")
-    points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xy"]
+    points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
-        key: some[points].to_numpy().reshape(-1, 2, 2)
+        key: some[points].to_numpy().reshape(-1, 2, 3)
         for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)
     }
     errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
@@ -184,7 +184,7 @@ def _encode_needle(
     names = tuple(f"layer {layer}" for layer in stored.sequence)
     scene = Scene(needle, tissue, steps, rules, layer_names=names)
     lattice = make_lattice(steps, rules)
-    measured = _encode_measured(scene, lattice, stored, row, curve)
+    measured = _encode_measured(scene, lattice, stored, row, curve, run.get("planes") == 2)
     encoded = encode_scene(scene, lattice.first_cell) | {
         "title": f"{name} · {results.dataset_title}",
         "target": name,
@@ -204,33 +204,34 @@ def _encode_needle(
 
 
 def _encode_measured(
-    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats
+    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats, in_space: bool
 ) -> dict[str, Any]:
     """Return the measured needle as the page draws and compares it, and the needle that the run stored.
 
-    `curve` (K, 2, 2) are its points and the simulated ones.
+    `curve` (K, 2, 3) are its points and the simulated ones.
     """
     from needlefit.mechanics.simulate import simulate_steps
 
     measured, simulated = curve[:, 0], curve[:, 1]
     if stored.compared is None:
-        s, shown = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS), measured
+        s, shown = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS), measured[:, :2]
     else:  # laid on the needle of the fit
         s = stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
         shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
-        shown = align_rigid(measured, compute_positions(shape, s))
-    (x, y), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
+        shown = align_rigid(measured[:, :2], compute_positions(shape, s))
+    (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
     pose = "known" if stored.compared is None else "free"
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,
-        "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
+        "metrics": encode_metrics(in_space),
         "x": drawn_x,
         "y": drawn_y,
+        "z": z,
         "s": s.tolist(),
-        "floor_mm": row["floor_te_mm"],
-        "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y},
-        "stored": dict(zip("xy", simulated.T.tolist(), strict=True)),
+        "floor_mm": row["floor_te_3d_mm" if in_space else "floor_te_mm"],
+        "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y, "z": z},
+        "stored": dict(zip("xyz", simulated.T.tolist(), strict=True)),
     }
 
 
@@ -268,5 +269,5 @@ def _encode_method(row: Row, curve: Floats | None, origin: str) -> dict[str, Any
     }
     if curve is None or name == "fitted":
         return found
-    points = np.round(curve[::2, 1], CURVE_DECIMALS)
+    points = np.round(curve[::2, 1, :2], CURVE_DECIMALS)
     return found | dict(zip("xy", points.T.tolist(), strict=True))

@@ -8,6 +8,7 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import estimate_noise_floor
+from needlefit.datasets.planes import set_planes
 from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
@@ -52,6 +53,7 @@ class ShownInsertion:
 def open_dataset(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion of a dataset, by default the first; errors as of `opening.open_target`."""
     dataset = read_shapes(view_target.path)
+    dataset = set_planes(dataset, dataset.insertions, None)
     one = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
     begun = choose_start_parameters(one)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
@@ -114,6 +116,7 @@ def _show_insertion(
     scene = make_scene(record, f"{name}/{insertion.id}")
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
+    error = "te_3d_mm" if dataset.planes == 2 else "te_mm"
     # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid
     # on the measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
@@ -131,7 +134,7 @@ def _show_insertion(
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         synthetic=dataset.origin == "synthetic",
-        measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
+        measured=make_measured_overlay(dataset, insertion, floor[error], shape),
         choices=choices,
         warnings=dataset.warnings,
     )
@@ -163,6 +166,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             expected=f"{dataset.path} as it was then",
             fix=f"run {results.name} again, or restore the data",
         )
+    dataset = set_planes(dataset, (), results.run["planes"])
     folds: list[Mapping[str, Any]] = results.run["folds"]  # held-out insertions come first
     held = {id_: (fold["name"], "without this insertion") for fold in folds for id_ in fold["validate"]}
     tuned = {id_: (fold["name"], "with this insertion") for fold in folds for id_ in fold["tune"]}

@@ -12,7 +12,6 @@ from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.tissue import Tissue
-from needlefit.metrics import list_metrics
 from needlefit.project.json_values import parse_json
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
@@ -41,7 +40,6 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "measured": measured and {
             "id": measured.id,
             "depth_mm": measured.depth,
-            "metrics": [[one.name, one.label, one.unit, one.explanation] for one in list_metrics()],
             **encode_measured(measured),
         },
         "draws": None if viewed_scene.spread is None else encode_draws(viewed_scene.spread, scene.tissue.law),
@@ -51,12 +49,15 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
 
 def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
-    x, y = measured.points.T.tolist()
     target = measured.target
-    compared = {"pose": target.pose, "s": target.s.tolist()} | dict(
-        zip("xy", target.measured.T.tolist(), strict=True)
-    )
-    return {"x": x, "y": y, "s": measured.s.tolist(), "floor_mm": measured.floor, "target": compared}
+    x, y = measured.points.T.tolist()
+    compared = dict(zip("xyz", target.in_space.T.tolist(), strict=True))
+    return {
+        "metrics": needle_page.encode_metrics(measured.in_space),
+        **{"x": x, "y": y, "z": measured.out_of_plane.tolist(), "s": measured.s.tolist()},
+        "floor_mm": measured.floor,
+        "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
+    }
 
 
 def encode_recorded(step: RecordedStep) -> list[Any]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
@@ -77,6 +76,8 @@ class MeasuredOverlay:
     depth: float  #: inserted arc length, mm
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
+    out_of_plane: Floats  #: (N,) z of the points, mm
+    in_space: bool  #: whether errors are those in space
 
 
 def make_measured_overlay(
@@ -84,17 +85,18 @@ def make_measured_overlay(
 ) -> MeasuredOverlay:
     """Return the overlay of a measured insertion.
 
-    `floor` is the TE of its noise floor, mm; NaN where there is none. A shape of unknown pose is laid on
-    `shape`.
+    `floor` is the TE of its noise floor, mm, in space where the dataset's needles are compared there; NaN
+    where there is none. A shape of unknown pose is laid on `shape`.
     """
     from needlefit.inference.compared_points import select_points
 
-    aim = select_points(dataset.pose, dataset.drop_proximal, insertion)
-    points, s = insertion.planar, arc_length(insertion.planar)
+    aim = select_points(dataset.pose, dataset.drop_proximal, insertion, planes=dataset.planes)
+    points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.planes)
     s = s * (insertion.depth / s[-1])
     if dataset.pose == "free":
-        points, s = aim.measured, aim.s
+        points, z, s = aim.measured, aim.out_of_plane, aim.s
         if shape.converged:
             points = align_rigid(points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
-    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
+    spatial = dataset.planes == 2
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated, z, spatial)

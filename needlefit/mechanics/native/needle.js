@@ -382,7 +382,7 @@ export class Session {
     );
   }
 
-  /** All loads across the needle along y as in `mechanics.simulate.compute_loads`: N, N mm, N/mm. */
+  /** Loads as in `mechanics.simulate.compute_loads`, N, N mm, N/mm: along y, of a needle in space their magnitudes; `loads` by plane. */
   forces() {
     const { heap, shape, inputs, model, planes } = this,
       { call } = heap;
@@ -410,20 +410,24 @@ export class Session {
         nodal = heap.take(16 * planes * shape.x.length);
       call.nf_load(problem.at, bent, BigInt(count), s, memory, load);
       check(call.nf_balance(problem.at, bent, BigInt(front), BigInt(count), load, memory, nodal));
-      const held = heap.floats(nodal, 2 * shape.x.length).slice();
-      const supportAt = (x, clamped) => {
+      const each = Array.from({ length: planes }, (_, plane) => plane),
+        held = heap.floats(nodal, 2 * planes * shape.x.length).slice(),
+        size = (parts) => (planes === 1 ? parts[0] : Math.hypot(...parts));
+      const support = (x, part) => {
         const i = shape.x.indexOf(x);
-        return { force: i < 0 ? 0 : held[2 * i], moment: i < 0 || !clamped ? 0 : held[2 * i + 1] };
+        return each.map((plane) => (i < 0 ? 0 : held[2 * (plane * shape.x.length + i) + part]));
       };
-      const [places, weights, loads] = [s, weight, load].map((address) => heap.floats(address, count).slice()),
-        nearest = heap.integers(near, count);
+      const read = (x, clamped) => ({ force: size(support(x, 0)), moment: clamped ? size(support(x, 1)) : 0 });
+      const [places, weights] = [s, weight].map((address) => heap.floats(address, count).slice()),
+        loads = each.map((plane) => heap.floats(load + 8 * plane * count, count).slice()),
+        nearest = heap.integers(near, count),
+        last = loads.map((one) => one.reduce((sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * weights[i] : 0), 0));
       return {
         s: places,
-        load: loads,
-        tipRegionForce: loads.reduce((sum, q, i) => sum + (nearest[i] === BigInt(cells) ? q * weights[i] : 0), 0),
-        base: supportAt(shape.x[0], true),
-        guides: inputs.guides.map((guide) => supportAt(guide.x, (guide.slope ?? null) !== null)),
-        tip: inputs.tip ? supportAt(depth, (inputs.tip.slope ?? null) !== null) : { force: 0, moment: 0 },
+        loads,
+        tipForce: size(inputs.tip ? support(depth, 0).map((one, plane) => last[plane] + one) : last),
+        base: read(shape.x[0], true),
+        guides: inputs.guides.map((guide) => read(guide.x, (guide.slope ?? null) !== null)),
       };
     });
   }

@@ -4,7 +4,7 @@ import { onScheme, part } from "./dom.js";
 import { shown } from "./drawing.js";
 import { paintFrame, paintTissue } from "./painters/background.js";
 import { paintNeedle, paintPath, paintPoints } from "./painters/needle.js";
-import { isBandNear, paintBand } from "./painters/overlay.js";
+import { isBandNear, paintBand, paintMeasured } from "./painters/overlay.js";
 import { label, palette, setFont } from "./painters/strokes.js";
 import { brief } from "./quantities.js";
 import { listen, now } from "./store.js";
@@ -30,8 +30,8 @@ function draw() {
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.fillStyle = palette.gutter;
   context.fillRect(0, 0, width, height);
-  const { state, band } = now;
-  const seen = [...state.z, ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
+  const { state, band, scene: { measured } } = now;
+  const seen = [...state.z, ...(measured?.z ?? []), ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
   const [low, high] = [Math.min(...seen), Math.max(...seen)];
   const { y, box, magnified } = view;
   const within = { ...box, top: EDGE, height: height - 2 * EDGE };
@@ -48,6 +48,7 @@ function draw() {
   paintNeedle(context, needle);
   if (shown.path) paintPath(context, needle);
   if (shown.points) paintPoints(context, needle);
+  if (measured && shown.measured) paintMeasured(context, { ...measured, y: measured.z });
   setFont(context, "small", "left");
   label(context, "from above", box.left + 6, EDGE + 10);
   context.restore();

@@ -2,9 +2,12 @@
 
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
-import { brief, describeRoll, isSteered, signed, strengthOf, toDegrees } from "./quantities.js";
+import { describeRoll, isSteered, listErrors, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
 import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
+
+/** A force or moment: with its sign along y, or in space a magnitude. */
+const load = (value, digits) => (now.state.z ? value.toFixed(digits) : signed(value, digits));
 
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
@@ -12,9 +15,9 @@ const NEEDLE = [
   ["tip y", "mm", (s) => signed(s.tip.lateral_mm, 2)],
   ["tip z", "mm", (s) => (s.z ? signed(s.tip.z, 2) : "–")],
   ["tip slope", "°", (s) => signed(toDegrees(s.tip.rotation), 2)],
-  ["tip force", "N", () => tipForce() === null ? "–" : signed(tipForce(), 3)],
-  ["base force", "N", (s) => signed(s.forces.base_n, 3)],
-  ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
+  ["tip force", "N", () => tipForce() === null ? "–" : load(tipForce(), 3)],
+  ["base force", "N", (s) => load(s.forces.base_n, 3)],
+  ["base moment", "N mm", (s) => load(s.forces.base_nmm, 1)],
   ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
 ];
 
@@ -31,8 +34,6 @@ export function fillReadouts(list, readouts) {
 }
 
 const writeNeedle = fillReadouts(part("readouts"), NEEDLE);
-const SHOWN_METRICS = ["ipe_mean_mm", "te_mm", "edp_percent"];
-const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
 let writeErrors = (_errors) => {}; // of the comparison with a measured needle: each that is shown
 
 export function refresh() {
@@ -53,7 +54,7 @@ const comparedUpTo = ({ whole, upto_mm: upto }) =>
 listen("scene", ({ measured }) => {
   part("compared").hidden = measured === null;
   if (!measured) return;
-  const metrics = measured.metrics.filter(([name]) => SHOWN_METRICS.includes(name)).map(([name, label, unit, text]) => {
+  const metrics = measured.metrics.map(([name, label, unit, text]) => {
     DEFINITIONS[label] = text;
     return [label, unit, (errors) => writeError(errors[name], unit)];
   });
@@ -91,12 +92,11 @@ function inWords() {
     `Its tip is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm < 0 ? "right" : "left"}${tip.held ? " and held there" : ""}, at ${angle(tip)}${tip.z === null ? "" : `; z ${signed(tip.z, 2)} mm`}.`,
     `The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol} is ${value.toFixed(digits)} ${unit}.`,
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
-    `Tip force ${signed(tipForce() ?? 0, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
+    `Tip force ${load(tipForce() ?? 0, 2)} N, base force ${load(state.forces.base_n, 2)} N.`,
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
-    const [mean, tipError] = [errors.ipe_mean_mm.toFixed(2), errors.te_mm.toFixed(2)];
-    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean} mm, TE ${tipError} mm.`);
+    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: ${listErrors(errors, scene.measured).join(", ")}.`);
   }
   return sentences.join(" ");
 }

@@ -4,7 +4,7 @@ import { element, onScheme, write } from "./dom.js";
 import { listSteps } from "./model/inputs.js";
 import { SteeredNeedle } from "./model/steered.js";
 import { cross, faintly, palette, ring, segments, setFont, stroke, trace } from "./painters/strokes.js";
-import { brief, modulusLike, strengthOf, toDegrees } from "./quantities.js";
+import { brief, listErrors, modulusLike, strengthOf, toDegrees } from "./quantities.js";
 import { listen, now } from "./store.js";
 
 const PAD = { left: 48, right: 8, top: 22, bottom: 22 }; // px
@@ -175,7 +175,7 @@ export function makeRidge(into, steer, kernel) {
   function refresh() {
     if (!canvas.isConnected) return;
     const { bevel, layers, errors, tip } = now.state;
-    const found = errors ? `IPE ${errors.ipe_mean_mm.toFixed(3)} mm, TE ${errors.te_mm.toFixed(3)} mm`
+    const found = errors ? listErrors(errors, now.scene.measured).slice(0, 2).join(", ")
       : now.pinned ? `the tip is ${Math.hypot(tip.x - now.pinned.x.at(-1), tip.y - now.pinned.y.at(-1)).toFixed(3)} mm from the pinned one` : "";
     write(note, `${symbol} ${bevel[key].toFixed(digits)} ${unit}, ${called} ${modulus.write(layers[layer].mu_pa, 3)} ${modulus.unit}: ${found}. Other parameters stay as fitted.`);
     draw();

@@ -6,7 +6,9 @@ const POINTS = 101;
 
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
-/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. */
+const relate = (d, deflection) => (deflection ? (100 * d.at(-1)) / Math.abs(deflection) : d.at(-1) ? Infinity : 0);
+
+/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm; those with 3d in space. */
 const METRICS = {
   median_err_mm: (d) => {
     const sorted = d.toSorted((one, other) => one - other);
@@ -20,7 +22,10 @@ const METRICS = {
   },
   ipe_max_mm: (d) => Math.max(...d),
   te_mm: (d) => d.at(-1),
-  edp_percent: (d, deflection) => (deflection ? (100 * d.at(-1)) / Math.abs(deflection) : d.at(-1) ? Infinity : 0),
+  edp_percent: relate,
+  ipe_3d_mm: mean,
+  te_3d_mm: (d) => d.at(-1),
+  edp_3d_percent: relate,
 };
 
 /**
@@ -36,8 +41,8 @@ export function computeErrors(session, measured) {
   const whole = Math.abs(beyond) <= DEPTH_TOLERANCE;
   let [simulated, other] = [null, null];
   if (whole) {
-    const { s, x, y, pose } = measured.target;
-    other = x.map((one, i) => [one, y[i]]);
+    const { s, x, y, z, pose } = measured.target;
+    other = x.map((one, i) => [one, y[i], z[i]]);
     simulated = readPoints(session, s.map((one) => one + beyond));
     if (pose === "free") simulated = alignRigid(simulated, other);
   } else if (measured.target.pose === "known") {
@@ -45,31 +50,33 @@ export function computeErrors(session, measured) {
     simulated = readPoints(session, s);
     other = interpolate(measured, s);
   } else return null;
-  const distances = simulated.map(([x, y], i) => Math.hypot(x - other[i][0], y - other[i][1]));
-  const deflection = other.at(-1)[1] - other[0][1];
-  const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
+  const values = Object.entries(METRICS).map(([name, compute]) => {
+    const axes = name.includes("3d") ? [0, 1, 2] : [0, 1];
+    const distances = simulated.map((point, i) => Math.hypot(...axes.map((axis) => point[axis] - other[i][axis])));
+    return [name, compute(distances, Math.hypot(...axes.slice(1).map((axis) => other.at(-1)[axis] - other[0][axis])))];
+  });
   const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
 }
 
-/** Points [x, y], in the plane of comparison, at beam coordinates; the last may lie beyond the tip by rounding. */
+/** Points [x, y, z], z 0 of a needle in its plane, at beam coordinates; the last may lie beyond the tip by rounding. */
 export function readPoints(session, s) {
   const { x, depth, planes } = session.shape;
   const points = session.positions(s.map((one) => Math.min(Math.max(one, x[0]), depth)));
-  return s.map((_, i) => [points[(1 + planes) * i], points[(1 + planes) * i + 1]]);
+  return s.map((_, i) => [points[(1 + planes) * i], points[(1 + planes) * i + 1], planes === 1 ? 0 : points[3 * i + 2]]);
 }
 
 /** The measured points at beam coordinates, between those that are known. */
-function interpolate({ s, x, y }, at) {
+function interpolate({ s, ...axes }, at) {
   let i = 0;
   return at.map((one) => {
     while (i < s.length - 2 && s[i + 1] < one) i += 1;
     const share = Math.min(Math.max((one - s[i]) / (s[i + 1] - s[i]), 0), 1);
-    return [x[i] + share * (x[i + 1] - x[i]), y[i] + share * (y[i + 1] - y[i])];
+    return ["x", "y", "z"].map((axis) => axes[axis][i] + share * (axes[axis][i + 1] - axes[axis][i]));
   });
 }
 
-/** Points after the rotation and shift that bring them closest to others, as `align_rigid` in Python. */
+/** Points after the rotation and shift in the plane that bring them closest to others, as `align_rigid` in Python. */
 export function alignRigid(moving, fixed) {
   const centre = (points) => [0, 1].map((axis) => mean(points.map((one) => one[axis])));
   const [m, f] = [centre(moving), centre(fixed)];
@@ -81,8 +88,9 @@ export function alignRigid(moving, fixed) {
   });
   const angle = Math.atan2(across, along);
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
-  return moving.map(([x, y]) => [
+  return moving.map(([x, y, z]) => [
     c * (x - m[0]) - s * (y - m[1]) + f[0],
     s * (x - m[0]) + c * (y - m[1]) + f[1],
+    z,
   ]);
 }

@@ -35,7 +35,7 @@ export function describeState(steered) {
     depths: constraints[0],
     constraints: mapPoints(session, constraints),
     tip_path: mapPoints(session, [constraints[0], ...track]),
-    load: { x: loaded[0], y: loaded[1], n_per_mm: [...load.load] },
+    load: { x: loaded[0], y: loaded[1], n_per_mm: load.loads.map((one) => [...one]) },
     forces: {
       base_n: load.base.force,
       base_nmm: load.base.moment,

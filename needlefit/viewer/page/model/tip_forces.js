@@ -57,8 +57,7 @@ export class TipForces {
 
   #add() {
     const { session } = this;
-    const { tipRegionForce, tip } = session.forces();
-    this.points.push({ depth: session.depth, force: tipRegionForce + tip.force });
+    this.points.push({ depth: session.depth, force: session.forces().tipForce });
   }
 
   #read() {

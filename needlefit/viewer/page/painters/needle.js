@@ -78,9 +78,9 @@ export function paintTip(context, state) {
   if (state.tip.held) ring(context, ...tip, 11, palette.tip, "transparent");
 }
 
-/** Draw the tip force as an arrow along y. */
-export function paintTipForce(context, state) {
-  const { tip } = state;
+/** Draw the tip force as an arrow along y; of a needle in space it does not lie in the picture. */
+export function paintTipForce(context, { tip, z }) {
+  if (z) return;
   const [force, length] = [tipForce(), arrowLength()];
   if (Math.abs(length) < SHORTEST) return;
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
@@ -155,12 +155,14 @@ function writeNames(context, guides) {
 
 /**
  * Draw the lateral load, N/mm, along y, on the side to which it pushes: a filled curve with a scale of its own.
+ * Of a needle in space it is its magnitude, above the needle.
  *
  * Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
  * tissue means to the shaft.
  */
 export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
-  const load = smooth(x, values, now.scene.spacing_mm);
+  const planes = values.map((one) => smooth(x, one, now.scene.spacing_mm));
+  const load = planes.length === 1 ? planes[0] : planes[0].map((one, i) => Math.hypot(one, planes[1][i]));
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST_LOAD || x.length < 2) return;
   // The scale stays while the curve is neither too tall nor too low: a load that grows shall look so.

@@ -60,11 +60,11 @@ export function paintGaps(context, state, measured) {
   const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(state, reach)];
   for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
   setFont(context, "strong");
-  const px = toPx(x);
+  const [px, [, [key, named]]] = [toPx(x), measured.metrics];
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
   const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `tip error (TE) ${errors.te_mm.toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
+  labelFree(context, `tip error (${named}) ${errors[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
 /** Draw the needles of the draws, and over them the one of the parameters shown. */

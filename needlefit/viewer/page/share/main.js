@@ -4,10 +4,12 @@ import "../above.js";
 import { computeBands } from "../bands.js";
 import { element, isDark, part, press, say, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
+import { handleAt } from "../handles.js";
 import { turnOver } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
-import { counted } from "../quantities.js";
+import { place } from "../pointers.js";
+import { counted, writeError } from "../quantities.js";
 import { refresh, refreshDescription } from "../readouts.js";
 import { offerScenes } from "../scenes.js";
 import { listen, now, publish, take } from "../store.js";
@@ -16,7 +18,6 @@ import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
 import { nameIn, readAddress, writeAddress } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
-import { listenToKeys } from "./keys.js";
 import { begin, insert, load, prove, Replay } from "./needles.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
@@ -139,10 +140,7 @@ function goBack() {
 
 // ---- methods: the fit beside the baselines
 
-const errorsOf = (values) => ["ipe_mean_mm", "te_mm", "edp_percent"].map((name) => {
-  const value = values?.[name];
-  return Number.isFinite(value) ? value.toFixed(name.endsWith("percent") ? 1 : 3) : "–";
-});
+const errorsOf = (values) => needle.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
 let present = []; // the cells of the needle's own errors
 
 /** A colour of a line on paper, as it is on a dark page. */
@@ -152,6 +150,8 @@ function listMethods() {
   const { methods } = needle;
   part("methods").hidden = !methods;
   if (!methods) return;
+  const heads = ["method", ...needle.scene.measured.metrics.map(([, label, unit]) => `${label} (${unit})`)];
+  part("method-heads").replaceChildren(...heads.map((one) => element("th", { scope: "col" }, one)));
   const row = (name, values) => element("tr", {}, element("th", { scope: "row" }, name), values.map((one) => element("td", {}, one)));
   const first = row("", errorsOf(null));
   present = [...first.cells];
@@ -260,11 +260,13 @@ async function start() {
   press("flip", () => change([turnOver(now.state.bevel.roll_deg)]));
   press("back", goBack);
   press("copy-link", copyLink);
+  part("canvas").addEventListener("touchstart", (event) => { // a finger on a handle drags it, beside handles it scrolls the page
+    if (handleAt(...place(event.touches[0]), "touch")) event.preventDefault();
+  }, { passive: false });
   addEventListener("hashchange", followAddress);
   offerScenes(rebuild, data.kernel);
   listen("redraw", redraw);
   listen("go to", (depth) => change([["depth_mm", null, depth]]));
-  listenToKeys(change);
   listen("steered", (set) => change(set));
   now.connected = true;
   buildRecording();

@@ -75,7 +75,7 @@ function compareStored(steered, [fit], same) {
   const found = computeErrors(steered.session, steered.scene.measured);
   const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));
   return Math.max(
-    ...points.flatMap(([x, y], i) => [Math.abs(x - stored.x[i]), Math.abs(y - stored.y[i])]),
+    ...points.flatMap((point, i) => ["x", "y", "z"].map((axis, n) => Math.abs(point[n] - stored[axis][i]))),
     ...errors.filter((one) => one > same),
   );
 }
