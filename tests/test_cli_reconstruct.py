@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from dicom_series import save_volume
 from pydicom import dcmread
 from pydicom.encaps import encapsulate
 from pydicom.uid import UID
@@ -130,7 +131,7 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
 @pytest.mark.usefixtures("searched_once")
 def test_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
-    write_volume(read_volume(VOLUME), series)
+    save_volume(series, read_volume(VOLUME))
     out = tmp_path / "out"
     layers = [word for file in LAYERS for word in ("--layers", file)]
     words = ("reconstruct", series, "--markers", MARKERS, *layers, "--out", out, "-q", "--json")
@@ -264,7 +265,7 @@ def truncated(folder):
 
 
 def no_decoder(folder):
-    write_volume(read_volume(VOLUME), folder / "series")
+    save_volume(folder / "series", read_volume(VOLUME))
     for path in sorted((folder / "series").iterdir()):
         data = dcmread(path)
         data.file_meta.TransferSyntaxUID = UID("1.2.840.10008.1.2.4.103")  # MPEG-4: video

@@ -22,12 +22,12 @@ SCENE = ("--slicer-scene", "-q")
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory) -> Path:
-    """A scan in DICOM, reconstructed with its scene: the folder of scans and dataset.
+    """A scan, reconstructed with its scene: the folder of scans and dataset.
 
     The closed layer is a box beside the needle, within the scan.
     """
     folder = tmp_path_factory.mktemp("exports")
-    assert run("twin", "ct", "sample", "--format", "dicom", "--out", str(folder / "scans"), "-q") == 0
+    assert run("twin", "ct", "sample", "--out", str(folder / "scans"), "-q") == 0
     box = trimesh.creation.box(BOX_MM, trimesh.transformations.translation_matrix([10, -8, 5]))
     box.export(folder / "scans/layers/phantom2_cylinder.stl")
     assert run("reconstruct", str(folder / "scans/scans.csv"), "--out", str(folder / "one"), *SCENE) == 0
@@ -56,7 +56,7 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     bundle = exported / "one/slicer/sample.mrb"
     with zipfile.ZipFile(bundle) as archive:
         archive.extractall(tmp_path)
-    scan = read_volume(exported / "scans/volumes/sample")
+    scan = read_volume(exported / "scans/volumes/sample.nrrd")
     again = read_volume(tmp_path / "sample/Data/scan.nrrd")
     np.testing.assert_array_equal(again.values, scan.values)
     np.testing.assert_allclose(again.origin, scan.origin, atol=1e-9)

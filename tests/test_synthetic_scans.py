@@ -31,7 +31,7 @@ def files(folder):
 
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
-    scans.write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", THIS_PROCESS, quiet)
+    scans.write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, THIS_PROCESS, quiet)
     ours = [path.relative_to(SHIPPED) for path in files(SHIPPED) if path.name != "needlefit.json"]
     assert ours == [path.relative_to(tmp_path) for path in files(tmp_path)]
     assert sum((SHIPPED / name).stat().st_size for name in ours) < 2_000_000

@@ -222,11 +222,10 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     """Write a volume, whole or not at all; the same volume gives the same bytes.
 
-    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
+    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    NRRD, NIfTI and MetaImage keep values to the bit, DICOM whole HU in 16 bits. NIfTI stores its geometry in
-    single precision (1e-5 mm), the others in double.
+    Values are kept to the bit. NIfTI stores its geometry in single precision (1e-5 mm), the others in double.
 
     DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
     or the packages that write scans are not installed.
@@ -235,19 +234,14 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     if not np.isfinite(volume.values.min() + volume.values.max()):
         raise refusal("""the volume holds values that are not finite
             expected: numbers everywhere""")
+    if not path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
+        raise refusal(f"""{path.suffix} is no kind of volume that is written
+            expected: .nrrd, .nii, .nii.gz or .mha
+            where: {path}""")
     with explain_missing_packages():
-        if path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
-            from needlefit.imaging.image_files import write_image
+        from needlefit.imaging.image_files import write_image
 
-            write_image(volume, path, description)
-        elif path.suffix:
-            raise refusal(f"""{path.suffix} is no kind of volume that is written
-                expected: .nrrd, .nii, .nii.gz, .mha, or a folder for a DICOM series
-                where: {path}""")
-        else:
-            from needlefit.imaging.dicom.series import write_series
-
-            write_series(volume, path, description)
+        write_image(volume, path, description)
 
 
 @contextmanager

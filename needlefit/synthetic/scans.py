@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -206,9 +205,6 @@ def _format_scan(scan: Scan, folder: Path) -> list[str]:
     return [cells[name] for name in STATED_COLUMNS]
 
 
-VolumeFormat = Literal["nrrd", "dicom"]
-
-
 @dataclass(frozen=True)
 class RenderedInsertion:
     """One insertion, its exposure, and the scan as a user gets it."""
@@ -223,7 +219,6 @@ def write_scans(
     folder: Path,
     plan: Sequence[PlannedInsertion],
     seed: int,
-    form: VolumeFormat,
     pool: TaskPool,
     progress: Progress,
 ) -> Path:
@@ -235,7 +230,7 @@ def write_scans(
     write_layers(folder, plan)
     scans = []
     progress("rendering", 0, len(plan))
-    for done in run_in_order(partial(_render_scan, folder, seed, form), plan, pool):
+    for done in run_in_order(partial(_render_scan, folder, seed), plan, pool):
         scans.append(done)
         progress(f"rendered {done.id}", len(scans), len(plan))
     recipe = make_recipe([choose_setup(planned) for planned in plan])
@@ -255,9 +250,7 @@ def write_layers(folder: Path, plan: Sequence[PlannedInsertion]) -> None:
             write_surface(surface, folder / surface_file_name(medium, surface))
 
 
-def render_insertion(
-    folder: Path, planned: PlannedInsertion, seed: int, form: VolumeFormat = "nrrd"
-) -> RenderedInsertion:
+def render_insertion(folder: Path, planned: PlannedInsertion, seed: int) -> RenderedInsertion:
     """Simulate an insertion and write its volume and its markers into `folder`."""
     name, setup = planned.id, choose_setup(planned)
     insertion = simulate_insertion(planned, seed)
@@ -266,7 +259,7 @@ def render_insertion(
     markers.parent.mkdir(parents=True, exist_ok=True)
     rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(exposure.stated, start=1)]
     markers.write_bytes(("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n").encode("utf-8"))
-    volume = folder / "volumes" / (name if form == "dicom" else f"{name}.nrrd")
+    volume = folder / "volumes" / f"{name}.nrrd"
     write_volume(acquire(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
     return RenderedInsertion(insertion, exposure, make_stated_scan(folder, planned, volume, markers))
 
@@ -285,8 +278,8 @@ def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
     )
 
 
-def _render_scan(folder: Path, seed: int, form: VolumeFormat, planned: PlannedInsertion) -> Scan:
-    return render_insertion(folder, planned, seed, form).scan
+def _render_scan(folder: Path, seed: int, planned: PlannedInsertion) -> Scan:
+    return render_insertion(folder, planned, seed).scan
 
 
 def make_stated_scan(folder: Path, planned: PlannedInsertion, volume: Path, markers: Path) -> Scan:

@@ -1,10 +1,9 @@
-"""Find, read and write DICOM series."""
+"""Find and read DICOM series."""
 
 import hashlib
 import math
 import re
 import sys
-import uuid
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -14,10 +13,7 @@ import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 from pydicom import dcmread
-from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.pixels.utils import iter_pixels
-from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
-from pydicom.valuerep import DSfloat
 
 from needlefit.errors import DataError
 from needlefit.imaging.dicom.stack import (
@@ -32,15 +28,12 @@ from needlefit.imaging.dicom.stack import (
 )
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
-    Volume,
     VoxelGrid,
     begins_as_dicom,
     grid_to_json,
     is_dicomdir,
     list_series_files,
-    to_patient,
 )
-from needlefit.project.folders import create_folder, require_new
 from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
@@ -298,78 +291,3 @@ def _unreadable_voxels_error(item: DicomSlice) -> DataError:
         fix: it is cut short or damaged: copy it again, or export the series
             again{", uncompressed" if packed else ""}
         where: {item.file}""")
-
-
-_UID_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "needlefit")
-
-
-def write_series(volume: Volume, folder: Path, description: str) -> None:
-    """Write `volume` as a series into the new `folder`, one file per slice.
-
-    Its UIDs are made of its content, and it bears no date, so that the same volume gives the same bytes.
-
-    ConfigError if the folder is there and not empty: a second series in it would make both unreadable.
-    """
-    require_new(folder)
-    numbers = np.clip(np.rint(volume.values), -(2**15), 2**15 - 1).astype(np.int16)
-    series = _common_dataset(volume, description)
-    content = hashlib.sha256(series.to_json().encode())
-    content.update(np.ascontiguousarray(numbers, dtype="<i2").data)
-    for array in (volume.origin, volume.spacing, volume.direction):
-        content.update(np.asarray(array, dtype="<f8").tobytes())
-    digest = content.hexdigest()
-    with create_folder(folder) as fresh:
-        for k, plane in enumerate(numbers):
-            file = fresh / f"{k + 1:05d}.dcm"
-            corner = to_patient(volume, [[0.0, 0.0, k]])[0]
-            meta = FileMetaDataset()
-            meta.MediaStorageSOPClassUID = CTImageStorage
-            meta.MediaStorageSOPInstanceUID = make_uid(digest, f"slice {k}")
-            meta.TransferSyntaxUID = ExplicitVRLittleEndian
-            meta.ImplementationClassUID = make_uid("", "implementation")
-            meta.ImplementationVersionName = "NEEDLEFIT"
-            data = FileDataset(str(file), series, file_meta=meta, preamble=b"\0" * 128)
-            data.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
-            data.StudyInstanceUID, data.SeriesInstanceUID = (
-                make_uid(digest, "study"),
-                make_uid(digest, "series"),
-            )
-            data.FrameOfReferenceUID = make_uid(digest, "frame of reference")
-            data.InstanceNumber = k + 1
-            data.ImagePositionPatient = [_decimal(x) for x in corner]
-            data.PixelData = plane.astype("<i2").tobytes()
-            data["PixelData"].VR = "OW"
-            data.save_as(file, enforce_file_format=True)
-
-
-def _common_dataset(volume: Volume, description: str) -> Dataset:
-    """Return what all slices have in common."""
-    data = Dataset()
-    data.SpecificCharacterSet = "ISO_IR 192"
-    data.ImageType = ["DERIVED", "SECONDARY", "AXIAL"]
-    data.SOPClassUID = CTImageStorage
-    data.StudyDate = data.StudyTime = data.AccessionNumber = data.ReferringPhysicianName = ""
-    data.Modality, data.Manufacturer, data.SeriesDescription = "CT", "needlefit", description[:64]
-    data.PatientName = data.PatientID = data.StudyID = "needlefit"
-    data.PatientBirthDate = data.PatientSex = data.KVP = data.AcquisitionNumber = ""
-    data.SeriesNumber, data.PatientPosition, data.PositionReferenceIndicator = 1, "HFS", ""
-    data.SliceThickness = _decimal(volume.spacing[2])
-    data.ImageOrientationPatient = [_decimal(x) for x in volume.direction[:, :2].T.ravel()]
-    # DICOM states the spacing of rows first: that is y
-    data.PixelSpacing = [_decimal(volume.spacing[1]), _decimal(volume.spacing[0])]
-    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
-    data.Rows, data.Columns = volume.values.shape[1:]
-    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
-    data.RescaleSlope, data.RescaleIntercept, data.RescaleType = 1, 0, "HU"
-    return data
-
-
-def _decimal(value: float) -> DSfloat:
-    """Return `value` in the 16 characters that DICOM has for a number."""
-    # adding 0.0 turns -0.0 into 0.0
-    return DSfloat(float(value) + 0.0, auto_format=True)
-
-
-def make_uid(digest: str, part: str) -> UID:
-    """Return the UID of a part of what has this content."""
-    return UID(f"2.25.{uuid.uuid5(_UID_NAMESPACE, f'{digest} {part}').int}")
