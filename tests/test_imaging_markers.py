@@ -13,7 +13,6 @@ from needlefit.geometry.frames import Frame
 from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     find_markers,
-    make_fiducials,
     refine_fiducials,
 )
 from needlefit.imaging.needle.segmentation import select_needle
@@ -122,9 +121,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     clicked = PLACES + np.array([[0.5, 0.2, -0.3], [-1.2, 0, 0.9], [0, 0, 0], [0.3, 0.3, 0.3]])
     landmark = np.array([[10.0, 20.0, 45.0]])  # no ball there
     balls = find_markers(plain, RECIPE)
-    given = make_fiducials(np.vstack([clicked, landmark]), RECIPE)
-    assert given.source == "fiducials"
-    np.testing.assert_array_equal(given.sd, 0.3)
+    given = np.vstack([clicked, landmark])
     moved = refine_fiducials(given, plain, RECIPE, balls)
     assert moved.source == "fiducials"
     assert np.linalg.norm(moved.centers[:4] - PLACES, axis=1).max() < 0.03
@@ -132,8 +129,8 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     np.testing.assert_allclose(moved.centers[4:], landmark)
     assert moved.sd[4] == 0.3
     pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
-    moved = refine_fiducials(make_fiducials(np.array(pair), RECIPE), plain, RECIPE, balls)
+    moved = refine_fiducials(pair, plain, RECIPE, balls)
     assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
     np.testing.assert_allclose(moved.centers[1], pair[1])
-    given = make_fiducials(np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
+    given = np.array([[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]])
     refusal(DataError, "1 of 2 fiducials", refine_fiducials, given, plain, RECIPE, balls)

@@ -73,9 +73,8 @@ def test_missing_spurious_and_moved_markers_are_left_out_and_named():
 
 
 def root_mean_square(alignment, point):
-    return np.sqrt(
-        np.trace(pairing.propagate_to_targets([point - alignment.centre], alignment.covariance)[0])
-    )
+    (moved,) = pairing.motion_jacobian([point - alignment.centre])
+    return np.sqrt(np.trace(moved @ alignment.covariance @ moved.T))
 
 
 def test_the_error_of_a_square_is_the_closed_form():

@@ -92,6 +92,8 @@ def _dataset_record(
     needle = recipe.needle
     synthetic = any(one.scan.origin == "synthetic" for one in reconstructions)
     drawn = all(one.sections is not None for one in reconstructions)
+    sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
+    registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
     return DatasetRecord(
         schema_=1,
         name=description.name,
@@ -110,32 +112,23 @@ def _dataset_record(
             youngs_modulus_gpa=needle.youngs_modulus_gpa,
             note=needle.note,
         ),
-        noise=_noise_record(reconstructions, recipe),
+        # An axis drawn as a spline errs alike over half a knot's distance; what remains from point to point
+        # is the rounding of the files, and a tenth of the former stands for it. What the spline rounds is
+        # no noise: it is in the stored cross-sections.
+        noise=NoiseRecord(
+            registration_mean_mm=round(registered, 4),
+            point_sd_mm=round(0.1 * sd, 4),
+            correlated_sd_mm=round(sd, 4),
+            correlation_length_mm=recipe.centerline.knot_spacing_mm / 2,
+            note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
+            "entry and tip; the centreline's is that of a smoothing spline at its points, from the scatter "
+            "of its cross-sections, without what the spline rounds.",
+        ),
         insertions=InsertionsRecord(file="insertions.csv"),
         centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
         # centrelines are splines through stored cross-sections, if all of them are
         measurement=MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN) if drawn else None,
         media=media,
-    )
-
-
-def _noise_record(reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord) -> NoiseRecord:
-    """Return what the reconstructions say of the errors of the points of their centrelines.
-
-    An axis drawn as a spline errs alike over half a knot's distance; what remains from point to point is the
-    rounding of the files, and a tenth of the former stands for it. What the spline rounds is no noise: it is
-    in the stored cross-sections.
-    """
-    sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
-    registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
-    return NoiseRecord(
-        registration_mean_mm=round(registered, 4),
-        point_sd_mm=round(0.1 * sd, 4),
-        correlated_sd_mm=round(sd, 4),
-        correlation_length_mm=recipe.centerline.knot_spacing_mm / 2,
-        note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
-        "entry and tip; the centreline's is that of a smoothing spline at its points, from the scatter of "
-        "its cross-sections, without what the spline rounds.",
     )
 
 

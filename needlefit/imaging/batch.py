@@ -6,8 +6,8 @@ A scan that is refused does not stop the others; an error of the program does, a
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -57,14 +57,12 @@ class PackedScan:
     root: Path
     files: tuple[tuple[str, bytes], ...]
 
-    def original(self, error: NeedlefitError, unpacked: Path) -> NeedlefitError:
-        """Return an error about unpacked files as one about those that were packed."""
-        texts = {name: text.replace(str(unpacked), str(self.root)) for name, text in vars(error).items()}
-        return type(error)(**texts)
-
 
 class PackedScans(Sequence[PackedScan]):
-    """Scans that are packed one by one, when they are asked for: their volumes are large."""
+    """Scans that are packed one by one, when they are asked for: their volumes are large.
+
+    Files that are missing are left out.
+    """
 
     def __init__(self, scans: Sequence[Scan]) -> None:
         self._scans = scans
@@ -73,26 +71,11 @@ class PackedScans(Sequence[PackedScan]):
         return len(self._scans)
 
     def __getitem__(self, index: int) -> PackedScan:  # type: ignore[override]  # no slices
-        return pack_scan(self._scans[index])
-
-
-def pack_scan(scan: Scan) -> PackedScan:
-    """Return a scan with the bytes of its files; those that are missing are left out."""
-    scan = _move(scan, Path.absolute)
-    files = sorted({path for path in list_scan_files(scan) if path.is_file()})
-    root = Path(os.path.commonpath([path.parent for path in (*scan.files, *files)]))
-    return PackedScan(scan, root, tuple((str(path.relative_to(root)), path.read_bytes()) for path in files))
-
-
-@contextmanager
-def unpack_scan(packed: PackedScan) -> Iterator[tuple[Scan, Path]]:
-    """Write the files of a packed scan into a folder of this machine; that scan and the folder."""
-    with TemporaryDirectory(prefix="needlefit-") as name:
-        folder = Path(name)
-        for path, data in packed.files:
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_bytes(data)
-        yield _move(packed.scan, lambda path: folder / path.relative_to(packed.root)), folder
+        scan = _move(self._scans[index], Path.absolute)
+        files = sorted({path for path in list_scan_files(scan) if path.is_file()})
+        root = Path(os.path.commonpath([path.parent for path in (*scan.files, *files)]))
+        packed = tuple((str(path.relative_to(root)), path.read_bytes()) for path in files)
+        return PackedScan(scan, root, packed)
 
 
 def list_scan_files(scan: Scan) -> Iterator[Path]:
@@ -186,7 +169,7 @@ def reconstruct_all(
             arrays: Arrays = {}
             plain = [encode(one, _HOOKS, arrays) for one in ones]
             kept = {"inputs": _digest_inputs(scan, recipe, batch.every), "reconstructions": plain}
-            batch.checkpoint.keep_row(_work_of(scan), kept, arrays)
+            batch.checkpoint.keep_row(f"scan {scan.id}", kept, arrays)
         batch.progress(scan.id, len(found), len(scans))
     return tuple(found[n] for n in sorted(found))
 
@@ -197,30 +180,32 @@ def _move_to(one: Result, scan: Scan) -> Result:
     return replace(one, scan=replace(scan, **own))
 
 
+@one_thread
 def reconstruct_needles(
     scan: Scan | PackedScan, recipe: ReconstructionRecord, every: bool = False
 ) -> tuple[Result, ...]:
     """Return the reconstruction or failure of the needle of a scan, or of `every` one that it holds."""
     if isinstance(scan, Scan):
-        return _reconstruct_needles(scan, recipe, every)
-    with unpack_scan(scan) as (unpacked, folder):
-        found = _reconstruct_needles(unpacked, recipe, every)
-    return tuple(
-        replace(one, error=scan.original(one.error, folder))
-        if isinstance(one, ReconstructionFailure)
-        else one
-        for one in found
-    )
-
-
-@one_thread
-def _reconstruct_needles(scan: Scan, recipe: ReconstructionRecord, every: bool) -> tuple[Result, ...]:
-    read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
-    search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
-    if isinstance(search, ReconstructionFailure):
-        return (search,)
-    needles = divide_scan(search, scan) if every else (scan,)
-    return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
+        read = partial(read_volume, scan.volume, scan.series, scan.acquisition)
+        search = _try_step(scan, lambda: VolumeSearch(read(), recipe))
+        if isinstance(search, ReconstructionFailure):
+            return (search,)
+        needles = divide_scan(search, scan) if every else (scan,)
+        return tuple(_try_step(one, partial(_reconstruct_needle, search, one)) for one in needles)
+    with TemporaryDirectory(prefix="needlefit-") as name:
+        folder = Path(name)
+        for path, data in scan.files:
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        unpacked = _move(scan.scan, lambda path: folder / path.relative_to(scan.root))
+        found = reconstruct_needles(unpacked, recipe, every)
+    ones: list[Result] = []
+    for one in found:
+        if isinstance(one, ReconstructionFailure):  # it names the files that were packed
+            texts = {key: text.replace(name, str(scan.root)) for key, text in vars(one.error).items()}
+            one = replace(one, error=type(one.error)(**texts))
+        ones.append(one)
+    return tuple(ones)
 
 
 def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
@@ -255,26 +240,15 @@ def _read_checkpoint(
     scan: Scan, recipe: ReconstructionRecord, batch: ReconstructionBatch
 ) -> tuple[Result, ...] | None:
     """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
-    for row in batch.checkpoint.rows(_work_of(scan), ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
+    for row in batch.checkpoint.rows(f"scan {scan.id}", ("inputs", "reconstructions", ARRAYS_KEY))[::-1]:
         if row["inputs"] == _digest_inputs(scan, recipe, batch.every):
-            with suppress(DataError):
-                return tuple(_move_to(one, scan) for one in _decode_checkpoint(row))
+            with suppress(DataError, ValueError, TypeError, IndexError, OverflowError):
+                ones = [
+                    decode(Reconstruction, one, _HOOKS, row[ARRAYS_KEY]) for one in row["reconstructions"]
+                ]
+                if all(isinstance(one, Reconstruction) for one in ones):
+                    return tuple(_move_to(one, scan) for one in ones)
     return None
-
-
-def _decode_checkpoint(row: Mapping[str, Any]) -> list[Reconstruction]:
-    """Return the reconstructions that a row keeps; DataError if it keeps none."""
-    try:
-        ones = [decode(Reconstruction, one, _HOOKS, row[ARRAYS_KEY]) for one in row["reconstructions"]]
-    except (ValueError, TypeError, IndexError, OverflowError) as error:
-        raise DataError(f"holds no reconstruction: {error}") from None
-    if not all(isinstance(one, Reconstruction) for one in ones):
-        raise DataError("holds no reconstruction")
-    return ones
-
-
-def _work_of(scan: Scan) -> str:
-    return f"scan {scan.id}"
 
 
 def _digest_inputs(scan: Scan, recipe: ReconstructionRecord, every: bool) -> str:

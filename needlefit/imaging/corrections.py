@@ -136,33 +136,32 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
     for path in files:
         for id_, found in read_corrections(path).items():
             with located(path):
-                corrected[id_] = replace(_require_correctable(corrected, id_, found), corrections=found)
+                if id_ not in corrected:
+                    raise refusal(f"""it corrects the scan `{id_}`, which is not among those to be
+                            reconstructed
+                        expected: one of {", ".join(corrected)}
+                        fix: name that scan, too; of one needle of several (--all), the scans.csv of their
+                            dataset""")
+                scan = corrected[id_]
+                if scan.corrections is not None:
+                    raise refusal(f"""it corrects the scan `{id_}` a second time
+                        expected: one list for each scan
+                        fix: move all points in one list""")
+                if found.balls is not None and scan.markers is None:
+                    raise refusal("""balls were moved, but the scan has no known places to lay them on
+                        expected: the markers' known places in the world
+                        fix: name them with --markers, or in a table of scans""")
+                if found.balls is not None and len(found.balls) < MIN_MARKERS:
+                    raise refusal(f"""{len(found.balls)} of at least {MIN_MARKERS} balls are left
+                        expected: {MIN_MARKERS} or more that are not on a line: they register the scan to the
+                            world
+                        fix: leave the others in the list""")
+                if found.entry is not None and scan.stage is not None:
+                    raise refusal("""the entry is stated by the stage (entry_x_mm ...) and was moved by hand
+                        expected: one of both
+                        fix: move the entry back, or empty entry_x_mm ... pose_angle_sd_deg""")
+                corrected[id_] = replace(scan, corrections=found)
     return tuple(corrected.values())
-
-
-def _require_correctable(scans: dict[str, Scan], id_: str, found: Corrections) -> Scan:
-    if id_ not in scans:
-        raise refusal(f"""it corrects the scan `{id_}`, which is not among those to be reconstructed
-            expected: one of {", ".join(scans)}
-            fix: name that scan, too; of one needle of several (--all), the scans.csv of their dataset""")
-    scan = scans[id_]
-    if scan.corrections is not None:
-        raise refusal(f"""it corrects the scan `{id_}` a second time
-            expected: one list for each scan
-            fix: move all points in one list""")
-    if found.balls is not None and scan.markers is None:
-        raise refusal("""balls were moved, but the scan has no known places to lay them on
-            expected: the markers' known places in the world
-            fix: name them with --markers, or in a table of scans""")
-    if found.balls is not None and len(found.balls) < MIN_MARKERS:
-        raise refusal(f"""{len(found.balls)} of at least {MIN_MARKERS} balls are left
-            expected: {MIN_MARKERS} or more that are not on a line: they register the scan to the world
-            fix: leave the others in the list""")
-    if found.entry is not None and scan.stage is not None:
-        raise refusal("""the entry is stated by the stage (entry_x_mm ...) and was moved by hand
-            expected: one of both
-            fix: move the entry back, or empty entry_x_mm ... pose_angle_sd_deg""")
-    return scan
 
 
 def describe_changes(before: Reconstruction | None, after: Reconstruction) -> str:

@@ -19,7 +19,6 @@ A guide plate, a template or the wall of a box is soft material, too. In this or
 2. the only candidate. Of several, one may be a guide: its thickness is asked for.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -67,21 +66,19 @@ def pose_from_stage(stage: StagePose, registration: Registration | None, patient
     The scan brings the registration's error with it: its shift at the entry (`patient_entry` (3,), LPS) and
     its turn, in any one direction across.
     """
-    shift, turn, along = 0.0, 0.0, 0.0
+    way = stage.direction
+    shift, turn = np.zeros((2, 3, 3))
     if registration is not None:
-        error = target_covariance(registration, patient_entry[None])[0]
-        shift, along = (
-            _variance_across(error, stage.direction),
-            float(stage.direction @ error @ stage.direction),
-        )
-        turn = _variance_across(registration.covariance[:3, :3], stage.direction)
+        shift = target_covariance(registration, patient_entry[None])[0]
+        turn = registration.covariance[:3, :3]
+    along, along_turn = (float(way @ one @ way) for one in (shift, turn))
     return EntryPose(
         origin=stage.entry,
-        direction=stage.direction,
+        direction=way,
         source="stage",
-        shift_sd=float(np.hypot(stage.shift_sd, np.sqrt(shift))),
-        angle_sd=float(np.hypot(stage.angle_sd, np.sqrt(turn))),
-        along_sd=float(np.hypot(stage.shift_sd, np.sqrt(along))),
+        shift_sd=float(np.sqrt(stage.shift_sd**2 + (np.trace(shift) - along) / 2)),
+        angle_sd=float(np.sqrt(stage.angle_sd**2 + (np.trace(turn) - along_turn) / 2)),
+        along_sd=float(np.sqrt(stage.shift_sd**2 + along)),
     )
 
 
@@ -191,11 +188,6 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     return at
 
 
-def _variance_across(covariance: Floats, direction: Floats) -> float:
-    """Return the variance in any one direction across `direction` (3,)."""
-    return float((np.trace(covariance) - direction @ covariance @ direction) / 2)
-
-
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
 MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
 
@@ -229,46 +221,30 @@ def choose_entry(
     candidates = list_candidates(profile, tip)
     if not candidates:
         return None
-    if guide_thickness:
-        return _find_behind_guide(profile, candidates, guide_thickness, guide_distance)
+    listed = " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
     if guide_thickness is None and len(candidates) > 1:
         raise refusal(f"""the needle meets soft material {len(candidates)} times, of which one may be a guide:
-                the tissue may begin {_list_in_words(candidates)}
+                the tissue may begin {listed}
             expected: the thickness of the guide along the needle
             fix: state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the
                 tissue), or place the entry by hand (--corrections)
             where: guide.thickness_mm""")
-    return candidates[0]
-
-
-def _list_in_words(candidates: Sequence[EntryCandidate]) -> str:
-    return " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
-
-
-def _find_behind_guide(
-    profile: IntensityProfile,
-    candidates: tuple[EntryCandidate, ...],
-    thickness: float,
-    distance: float | None,
-) -> EntryCandidate:
-    """Return the face behind a guide of stated thickness, mm, with or without air between.
-
-    DataError if no soft run can be the guide.
-    """
+    if not guide_thickness:
+        return candidates[0]
     soft, first = [run for run in find_runs(profile) if run.kind == "soft"], candidates[0]
     for run, behind in pairwise(soft):
         # the first one may go on beyond what is scanned
-        cut = run is soft[0] and run != first.run and run.length <= thickness + MATCH_MM
+        cut = run is soft[0] and run != first.run and run.length <= guide_thickness + MATCH_MM
         entry = next((one for one in candidates if one.run == behind), None)
-        if entry is not None and (cut or abs(run.length - thickness) <= MATCH_MM):
+        if entry is not None and (cut or abs(run.length - guide_thickness) <= MATCH_MM):
             return entry
-    if soft[0] != first.run or first.run.length <= thickness:
-        raise refusal(f"""no guide of {thickness:g} mm shows along the needle: the tissue may begin
-                {_list_in_words(candidates)}
+    if soft[0] != first.run or first.run.length <= guide_thickness:
+        raise refusal(f"""no guide of {guide_thickness:g} mm shows along the needle: the tissue may begin
+                {listed}
             expected: soft material of that length before the tissue
             fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
                 (--corrections)
             where: guide.thickness_mm""")
-    behind_face = thickness + (distance or 0.0)
+    behind_face = guide_thickness + (guide_distance or 0.0)
     sd = float(np.hypot(first.sd, GUIDE_SD_MM))
     return EntryCandidate(first.at + behind_face, sd, first.depth - behind_face, first.run)

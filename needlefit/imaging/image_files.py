@@ -73,8 +73,13 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
         content, memory = (math.prod(grid.size) * size for size in (int(bits[1]) // 8, 4))
         check_expansion(content, memory, stored)
         texts = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-        if reader.GetImageIO() == "NrrdImageIO":  # MetaImage is LPS by its definition
-            _check_nrrd_space(texts.get("NRRD_space", ""))
+        space = texts.get("NRRD_space", "")  # where there is none SimpleITK makes up the patient's left
+        # MetaImage is LPS by its definition
+        if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
+            stated = f"its space is {space}, which does not describe the patient"
+            raise refusal(f"""{stated if space else "does not say its space"}
+                expected: `space: left-posterior-superior` or another anatomical one in the header
+                fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
         allow_memory(2 * (content + memory) + stored)  # a buffer, one to convert into
         try:
             image = reader.Execute()
@@ -106,15 +111,6 @@ def write_image(volume: Volume, path: Path, description: str) -> None:
         image.SetMetaData(key, description)
     with replace_file(path) as fresh:
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
-
-
-def _check_nrrd_space(space: str) -> None:
-    """See that the file says where the patient's left is: SimpleITK makes it up."""
-    if space != "left-posterior-superior":
-        stated = f"its space is {space}, which does not describe the patient"
-        raise refusal(f"""{stated if space else "does not say its space"}
-            expected: `space: left-posterior-superior` or another anatomical one in the header
-            fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
 
 
 def _last_line(error: Exception) -> str:

@@ -26,7 +26,7 @@ from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import Crossings, find_crossings
+from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, Frame
 from needlefit.geometry.meshes import extract_solid
@@ -166,11 +166,30 @@ def read_layers(
 
     DataError: listing every fault of every file.
     """
-    found: list[Fault] = []
-    if any(source.is_segmentation for source in scan.surfaces):
-        surfaces = _read_segmentation(scan, frame_of_reference, found)
+    found, surfaces, numbers, place = list[Fault](), list[Surface](), list[int](), 2
+    segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
+    if segmented is not None and len(scan.surfaces) > 1:
+        names = ", ".join(source.path.name for source in scan.surfaces)
+        what = f"lists a segmentation beside other surfaces: {names}"
+        found.append(Fault(str(segmented.path), what, "meshes, or one segmentation", "list it alone"))
+    elif segmented is not None:
+        try:
+            with explain_missing_packages():
+                surfaces += extract_label_surfaces(segmented.path, segmented.segments, frame_of_reference)
+        except DataError as error:
+            found.append(from_error(error))
     else:
-        surfaces = _read_meshes(scan, found)
+        for source in scan.surfaces:
+            numbers.append(place if source.into is None else source.into)
+            place += source.into != 1  # the tissue's own takes no place
+            if (mesh := read_mesh(source, numbers[-1], found)) is not None:
+                surfaces.append(mesh)
+    for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
+        led = ", ".join(map(str, sorted(numbers)))
+        what = f"no surface leads into layer {missing}; they lead into {led}"
+        expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
+        fix = "correct the number, e.g. file=sheet:2, or add the surface that is missing"
+        found.append(Fault(str(scan.volume), what, expected, fix))
     within = layers_in_scan(scan)
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned
@@ -191,39 +210,6 @@ def read_layers(
 def layers_in_scan(scan: Scan) -> bool:
     """Return whether the layers are given in the frame of the scan, and so move with its needle."""
     return scan.surfaces_in == "scan" or any(source.is_segmentation for source in scan.surfaces)
-
-
-def _read_segmentation(scan: Scan, frame_of_reference: str, found: list[Fault]) -> list[Surface]:
-    one = next(source for source in scan.surfaces if source.is_segmentation)
-    if len(scan.surfaces) > 1:
-        names = ", ".join(source.path.name for source in scan.surfaces)
-        what = f"lists a segmentation beside other surfaces: {names}"
-        expected = "meshes, or one segmentation of all layers"
-        found.append(Fault(str(one.path), what, expected, "list it alone"))
-        return []
-    try:
-        with explain_missing_packages():
-            return list(extract_label_surfaces(one.path, one.segments, frame_of_reference))
-    except DataError as error:
-        found.append(from_error(error))
-        return []
-
-
-def _read_meshes(scan: Scan, found: list[Fault]) -> list[Surface]:
-    """Return the meshes: each leads into a layer by its place; the tissue's own (into = 1) takes none."""
-    surfaces, numbers, place = list[Surface](), list[int](), 2
-    for source in scan.surfaces:
-        numbers.append(place if source.into is None else source.into)
-        place += source.into != 1
-        if (surface := read_mesh(source, numbers[-1], found)) is not None:
-            surfaces.append(surface)
-    for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
-        led = ", ".join(map(str, sorted(numbers)))
-        what = f"no surface leads into layer {missing}; they lead into {led}"
-        expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
-        fix = "correct the number, e.g. file=sheet:2, or add the surface that is missing"
-        found.append(Fault(str(scan.volume), what, expected, fix))
-    return surfaces
 
 
 @dataclass(frozen=True)
@@ -258,33 +244,6 @@ def estimate_layer_errors(
     return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
 
 
-def _compute_crossing_sd(
-    crossed: Crossings, points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
-) -> Floats:
-    """Return the standard deviations (m,) of the depths at which a needle (N, 3) crosses surfaces, mm."""
-    places = interpolate_at_arc(points, crossed.arc)
-    tangents = interpolate_at_arc(points, crossed.arc + TANGENT_STEP_MM) - interpolate_at_arc(
-        points, crossed.arc - TANGENT_STEP_MM
-    )
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normals = find_nearest(places, surfaces).normals
-    cosines = np.abs(np.sum(normals * tangents, axis=1))
-    across = np.interp(crossed.arc, arc_length(points), errors.centerline)
-    # only the part of the needle's error along the normal counts: sin^2 of the angle between needle and
-    # normal
-    variances = errors.surface**2 + across**2 * (1 - cosines**2)
-    if errors.registration is not None:
-        in_patient = scan_frame(errors.registration).to_local(places)
-        covariances = target_covariance(errors.registration, in_patient)
-        sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
-        variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
-    along = np.abs(tangents @ frame.rotation[:, 0])
-    deviations: Floats = np.hypot(
-        along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along
-    )
-    return deviations
-
-
 def find_crossed_layers(
     points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
 ) -> Layers:
@@ -301,5 +260,21 @@ def find_crossed_layers(
     if not surfaces:
         return Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
     crossed = find_crossings(points, surfaces)
-    sd = _compute_crossing_sd(crossed, points, frame, surfaces, errors) if len(crossed.arc) else np.empty(0)
+    if not len(crossed.arc):
+        return Layers(surfaces, np.empty(0), np.empty(0), np.empty((0, 3)), crossed.sequence)
+    places = interpolate_at_arc(points, crossed.arc)
+    before, after = (interpolate_at_arc(points, crossed.arc + s * TANGENT_STEP_MM) for s in (-1, 1))
+    tangents = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
+    normals = find_nearest(places, surfaces).normals
+    cosines = np.sum(normals * tangents, axis=1)
+    across = np.interp(crossed.arc, arc_length(points), errors.centerline)
+    # sin^2 of the angle between needle and normal
+    variances = errors.surface**2 + across**2 * (1 - cosines**2)
+    if errors.registration is not None:
+        in_patient = scan_frame(errors.registration).to_local(places)
+        covariances = target_covariance(errors.registration, in_patient)
+        sideways = normals - cosines[:, None] * tangents
+        variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
+    along = np.abs(tangents @ frame.rotation[:, 0]) / np.maximum(np.abs(cosines), MIN_CROSSING_COSINE)
+    sd: Floats = np.hypot(along * np.sqrt(variances), errors.along)
     return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)

@@ -7,7 +7,6 @@ shows at a low one.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from needlefit.datasets.formats import find_format, list_suffixes
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
-from needlefit.imaging.reconstruction import MarkerResult, RejectedMarker
+from needlefit.imaging.reconstruction import MarkerResult
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
@@ -104,7 +103,6 @@ DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
 FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
-Candidate = tuple[Blob, SphereFit | RejectedMarker]  # what may be a ball, and what its fit gave
 
 
 def _measure_diameter(
@@ -163,12 +161,32 @@ def find_markers(
                 or place the fiducials by hand
             where: markers in the volume""")
 
-    blobs = find_blobs(volume, listed, levels, diameter, exclude)
-    found = list(_fit_balls(volume, blobs, diameter, rules.max_misfit, fit))
-    shown = [(blob, one) for blob, one in found if isinstance(one, SphereFit)]
+    tried: list[Floats] = []
+    shown: list[tuple[Blob, SphereFit]] = []
+    rejected: list[tuple[float, Floats, str]] = []  # misfit over the one allowed, place, and in words
+    for blob in find_blobs(volume, listed, levels, diameter, exclude):
+        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
+        # the same ball appears at several levels: it is fitted once
+        if _is_near(middle, tried, diameter / 2):
+            continue
+        tried.append(middle)
+        ball = fit(volume, blob, diameter / 2)
+        # what the recipe allows, and what the noise around the ball leaves
+        limit = float(np.hypot(rules.max_misfit, MAX_MISFIT_NOISE * ball.noise))
+        if fault := _find_fault(volume, ball, middle, limit):
+            place = ", ".join(f"{x:.0f}" for x in middle)
+            words = f"{blob.diameter:.1f} mm wide with its blur at L, P, S = {place}: {fault}"
+            rejected.append((ball.misfit / limit, middle, words))
+        else:
+            tried.append(ball.center)
+            shown.append((blob, ball))
     balls = [ball for _, ball in shown]
-    rejected = [one for _, one in found if isinstance(one, RejectedMarker)]
     centers = [ball.center for ball in balls]
+    others = [one for one in rejected if not _is_near(one[1], centers, diameter / 2)]
+    seen = f"{len(balls)} balls of {diameter:g} mm were found"
+    if others:
+        likest = min(others, key=lambda one: one[0])[2]
+        seen += f"; {len(others)} other candidates, the most similar {likest}"
     warnings: list[str] = []
     measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
     if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
@@ -180,58 +198,13 @@ def find_markers(
         centers=np.array(centers).reshape(-1, 3),
         sd=np.array([ball.sd for ball in balls]),
         source="volume",
-        misfits=np.array([ball.misfit for ball in balls]),
-        rejected=tuple(one for one in rejected if not _is_near(one.center, centers, diameter / 2)),
+        candidates=seen,
         # with a wrong diameter the blur is wrong
         spread=None if warnings else average_spreads([ball.spread for ball in balls]),
         warnings=tuple(warnings),
     )
 
 
-def _fit_balls(
-    volume: Volume, blobs: Sequence[Blob], diameter: float, max_misfit: float, fit: FitSphere
-) -> Iterator[Candidate]:
-    """Yield the balls of a diameter, mm, and the candidates that are none."""
-    radius = diameter / 2
-    tried: list[Floats] = []
-    for blob in blobs:
-        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        # the same ball appears at several levels: it is fitted once
-        if _is_near(middle, tried, radius):
-            continue
-        tried.append(middle)
-        ball = fit(volume, blob, radius)
-        limit = _limit_misfit(ball, max_misfit)
-        reason = _find_fault(volume, ball, middle, limit)
-        if reason is None:
-            tried.append(ball.center)
-            yield blob, ball
-        else:
-            yield blob, RejectedMarker(middle, blob.diameter, ball.misfit, limit, reason)
-
-
-def describe_candidates(found: MarkerResult, recipe: ReconstructionRecord) -> str:
-    """Return a sentence about what was seen where balls were looked for."""
-    if found.source == "fiducials":
-        return f"{len(found.centers)} fiducials were placed by hand"
-    what = f"{len(found.centers)} balls of {recipe.markers.diameter_mm:g} mm were found"
-    if not found.rejected:
-        return f"{what}, nothing else of about that size"
-    one = min(found.rejected, key=lambda one: one.misfit / one.max_misfit)
-    place = ", ".join(f"{x:.0f}" for x in one.center)
-    reason = REASONS[one.reason].format(misfit=one.misfit, limit=one.max_misfit)
-    return (
-        f"{what}; {len(found.rejected)} other candidates, the most similar {one.diameter:.1f} mm wide with "
-        f"its blur at L, P, S = {place}: {reason}"
-    )
-
-
-REASONS = {
-    "misfit": "misfit {misfit:.2f}, at most {limit:.2f} allowed",
-    "blur": "no ball of this size explains it",
-    "moved": "no ball of this size explains it",
-    "edge": "cut by the volume's face",
-}
 CANDIDATE_FIX = (
     "correct markers.diameter_mm, raise markers.max_misfit if the balls named are the markers, or place "
     "fiducials by hand"
@@ -258,15 +231,10 @@ def read_markers(path: Path) -> Floats:
     return format_.read_markers(path).values
 
 
-def make_fiducials(points: Floats, recipe: ReconstructionRecord) -> MarkerResult:
-    """Return markers (M, 3) that were placed by hand in the scan, LPS, mm."""
-    return MarkerResult(points, np.full(len(points), recipe.markers.fiducial_sd_mm), "fiducials")
-
-
 def refine_fiducials(
-    given: MarkerResult, volume: Volume, recipe: ReconstructionRecord, balls: MarkerResult
+    given: Floats, volume: Volume, recipe: ReconstructionRecord, balls: MarkerResult
 ) -> MarkerResult:
-    """Move fiducials to the `balls` that they mark; a moved one gets the ball's deviation.
+    """Move fiducials (M, 3; LPS, mm) to the `balls` that they mark; a moved one gets the ball's deviation.
 
     A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
     the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
@@ -275,44 +243,37 @@ def refine_fiducials(
     """
     rules = recipe.markers
     if len(balls.centers):
-        check_axis_signs(given.centers, balls.centers, rules.fiducial_sd_mm)
-    outside = find_outside(volume, given.centers)
+        check_axis_signs(given, balls.centers, rules.fiducial_sd_mm)
+    outside = find_outside(volume, given)
     if len(outside):
-        at = ", ".join(f"{x:.1f}" for x in given.centers[outside[0]])
-        raise refusal(f"""{len(outside)} of {len(given.centers)} fiducials lie outside the volume, one at
+        at = ", ".join(f"{x:.1f}" for x in given[outside[0]])
+        raise refusal(f"""{len(outside)} of {len(given)} fiducials lie outside the volume, one at
                 L, P, S = {at} mm
             expected: places in the scan, LPS, mm
             fix: take the fiducials of this scan; check that the file states its coordinate system (RAS or
                 LPS)
             where: fiducials""")
-    centers, sd = given.centers.copy(), given.sd.copy()
+    centers, sd = given.copy(), np.full(len(given), rules.fiducial_sd_mm)
     reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
-    apart = cdist(given.centers, balls.centers)
+    apart = cdist(given, balls.centers)
     while apart.size and apart.min() <= reach:  # the nearest pair first
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return replace(balls, centers=centers, sd=sd, source=given.source, misfits=np.empty(0))
+    seen = f"{len(given)} fiducials were placed by hand"
+    return replace(balls, centers=centers, sd=sd, source="fiducials", candidates=seen)
 
 
-def _limit_misfit(ball: SphereFit, allowed: float) -> float:
-    """Return the greatest misfit of a ball: what the recipe allows, and what the noise around it leaves."""
-    return float(np.hypot(allowed, MAX_MISFIT_NOISE * ball.noise))
-
-
-def _find_fault(
-    volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float
-) -> Literal["misfit", "blur", "moved", "edge"] | None:
-    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; None if it does."""
+def _find_fault(volume: Volume, ball: SphereFit, middle: Floats, max_misfit: float) -> str:
+    """Return why a fit, begun at `middle`, shows no ball, or not the whole of it; empty if it does."""
     index, last = to_index(volume, ball.center[None])[0], np.array(volume.values.shape[::-1]) - 1
     if float((np.minimum(index, last - index) * volume.spacing).min()) < ball.diameter / 2:
-        return "edge"
-    if np.linalg.norm(ball.center - middle) >= ball.diameter / 2:
-        return "moved"
+        return "cut by the volume's face"
     # a blur at its upper bound means that the fit did not find a ball
-    if ball.spread.blur >= 0.99 * MAX_BLUR_MM:
-        return "blur"
-    return "misfit" if ball.misfit > max_misfit else None
+    moved = np.linalg.norm(ball.center - middle) >= ball.diameter / 2
+    if moved or ball.spread.blur >= 0.99 * MAX_BLUR_MM:
+        return "no ball of this size explains it"
+    return f"misfit {ball.misfit:.2f}, at most {max_misfit:.2f} allowed" * (ball.misfit > max_misfit)
 
 
 def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:

@@ -148,17 +148,13 @@ def _locate_bounds(
 
 def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
     """Return the stations (n,) before the tip whose surroundings are known, and these (n,), HU."""
-    known = np.isfinite(profile.around) & (profile.s <= _find_needle_end(profile) + 1e-6)
+    known, shown = np.isfinite(profile.around), np.isfinite(profile.core)
+    if shown.any():  # beyond the needle's end nothing is entered by it
+        bright = shown & (profile.core > np.nanmedian(profile.core) / 2)
+        known &= (
+            profile.s <= np.max(profile.s[bright], initial=np.inf if not bright.any() else -np.inf) + 1e-6
+        )
     return profile.s[known], profile.around[known]
-
-
-def _find_needle_end(profile: IntensityProfile) -> float:
-    """Return where the needle itself ends, mm: beyond it nothing is entered by it."""
-    shown = np.isfinite(profile.core)
-    if not shown.any():
-        return np.inf
-    bright = shown & (profile.core > np.nanmedian(profile.core) / 2)
-    return float(profile.s[bright][-1]) if bright.any() else np.inf
 
 
 def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]:

@@ -40,10 +40,8 @@ from needlefit.imaging.entry import (
 from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.markers import (
     CANDIDATE_FIX,
-    describe_candidates,
     find_markers,
     is_list_of_points,
-    make_fiducials,
     read_markers,
     refine_fiducials,
 )
@@ -114,10 +112,8 @@ def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[
         *earlier,
         *(() if one.markers is None else one.markers.warnings),
         *(() if one.registration is None else one.registration.warnings),
-        *_input_warnings(one),
         *_entry_warnings(one),
         *_plane_warnings(one),
-        *_doubt_warnings(one),
     )
 
 
@@ -137,50 +133,26 @@ def list_tip_warnings(one: Reconstruction) -> list[str]:
             "the slices do not show well where along their normal the needle lies: tip "
             f"+- {needle.normal_sd:.2f} mm; scan it across the slices, or with thinner ones"
         )
-    if (further := _find_metal_beyond(one)) is not None:
-        notes.append(
-            f"{further:.1f} mm beyond the tip found, on the needle's axis, something is as bright as the "
-            "needle: rays may hide a part of it, and the tip lie further on; look at it"
-        )
+    excess = one.profile.core - one.profile.around
+    from_tip = one.profile.s - one.depth
+    shaft = excess[(from_tip > -END_LENGTH_MM) & (from_tip < -TIP_CLEARANCE_MM)]
+    if np.isfinite(shaft).any():
+        bright = (from_tip > TIP_CLEARANCE_MM) & (excess > np.nanmedian(shaft) / 2)
+        if bright.any():
+            notes.append(
+                f"{from_tip[bright][0]:.1f} mm beyond the tip found, on the needle's axis, something is as "
+                "bright as the needle: rays may hide a part of it, and the tip lie further on; look at it"
+            )
     return notes
 
 
-def _find_metal_beyond(one: Reconstruction) -> float | None:
-    """Return how far beyond the tip the axis meets metal again, mm; None if it does not."""
-    profile = one.profile
-    excess = profile.core - profile.around
-    shaft = excess[(profile.s > one.depth - END_LENGTH_MM) & (profile.s < one.depth - TIP_CLEARANCE_MM)]
-    beyond = profile.s > one.depth + TIP_CLEARANCE_MM
-    if not np.isfinite(shaft).any():
-        return None
-    bright = np.flatnonzero(beyond & (excess > np.nanmedian(shaft) / 2))
-    return float(profile.s[bright[0]] - one.depth) if len(bright) else None
-
-
-def _input_warnings(one: Reconstruction) -> Iterator[str]:
-    """Yield what there is to say of the markers' deviations, and of what a person placed."""
-    known, scan = one.registration, one.scan
+def _entry_warnings(one: Reconstruction) -> Iterator[str]:
+    known, at_tip = one.registration, float(np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth))
     if known is not None and known.p_value <= MIN_P_VALUE:
         yield (
             f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
             f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
         )
-    moved = scan.corrections or Corrections()
-    listed = scan.mask if scan.mask and is_list_of_points(scan.mask) else None
-    placed = {
-        "the needle": None if scan.divided else scan.needle_at,
-        "points on the needle": listed if moved.axis is None else moved.axis,
-        "the markers": scan.fiducials if moved.balls is None else moved.balls,
-        "the first contact": moved.entry,
-        "the tip": moved.tip,
-    }
-    by_hand = [name for name, given in placed.items() if given is not None]
-    if by_hand:
-        yield f"placed by hand in the scan: {', '.join(by_hand)}"
-
-
-def _entry_warnings(one: Reconstruction) -> Iterator[str]:
-    at_tip = float(np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth))
     if one.pose.source == "shaft":
         yield (
             f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
@@ -224,10 +196,6 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
         angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
         if angle > MAX_BEVEL_ANGLE_DEG:
             yield f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated"
-
-
-def _doubt_warnings(one: Reconstruction) -> Iterator[str]:
-    """Yield which layers are poorly known, and that the bevel's side is."""
     depths = zip(one.layers.boundaries, one.layers.sd, strict=True)
     steep = [f"{depth:.2f} +- {sd:.2f} mm" for depth, sd in depths if sd > MAX_LAYER_SD_MM]
     if steep:
@@ -339,7 +307,7 @@ def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionReco
     except DataError as error:
         if error.where == FOUND_SET:
             what, fix = (
-                f"{error.what}: {describe_candidates(markers, recipe)}",
+                f"{error.what}: {markers.candidates}",
                 f"{error.fix}; {CANDIDATE_FIX}",
             )
             raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
@@ -440,13 +408,12 @@ def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> 
         if scan.fiducials is None:
             return None if scan.markers is None else search.find_markers(needle)
         places, where = read_markers(scan.fiducials), str(scan.fiducials)
-    given = make_fiducials(places, search.recipe)
     try:
         balls = search.find_markers(needle)
     except DataError:  # landmarks, not metal
         balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
     try:
-        return refine_fiducials(given, search.volume, search.recipe, balls)
+        return refine_fiducials(places, search.volume, search.recipe, balls)
     except DataError as error:
         raise error.at(where) from None
 
@@ -515,8 +482,15 @@ def _locate_tissue(
     hits = [find_surface_hits(found.world, surface) for surface in surfaces if surface.into == 1]
     own = np.concatenate([np.empty(0), *hits])
     if len(own):
-        at = float(own.min())
-        _refuse_distant_surface(at, found)
+        at, rises = float(own.min()), find_rises(found.brightness)
+        edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda e: abs(e[0] - at), default=(at, 0.0))
+        if abs(at - edge) > MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
+            raise refusal(f"""the needle crosses the tissue's own surface {abs(at - edge):.1f} mm
+                    {"behind" if at > edge else "before"} the place where the scan shows tissue to begin
+                expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
+                fix: see both in 3D Slicer: label the needle's voxels as the tissue around them, check the
+                    frame of the surfaces; if they are right, state the stage (entry_x_mm ...
+                    pose_angle_sd_deg)""")
         return at, recipe.layers.surface_sd_mm
     length = float(arc_length(found.world)[-1])
     entry = choose_entry(found.brightness, length, recipe.guide.thickness_mm, scan.guide_distance)
@@ -526,22 +500,6 @@ def _locate_tissue(
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
     return entry.at, entry.sd
-
-
-def _refuse_distant_surface(at: float, found: Examination) -> None:
-    """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
-    rises = find_rises(found.brightness)
-    if not rises:
-        return
-    edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda one: abs(one[0] - at))
-    if abs(at - edge) <= MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
-        return
-    side = "behind" if at > edge else "before"
-    raise refusal(f"""the needle crosses the tissue's own surface {abs(at - edge):.1f} mm {side} the place
-            where the scan shows tissue to begin
-        expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
-        fix: see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of
-            the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)""")
 
 
 PlaneSource = Literal["stated", "bevel", "shape"]
@@ -561,7 +519,14 @@ def derive_reconstruction(
     refuse_tunnels(surfaces, found.world)
     pose, shaft = estimate_first_contact(found, scan, surfaces, recipe)
     begin = find_entry_arc_length(found.world, pose)
-    points, sd = _sample_inserted(found, begin, recipe.centerline.station_spacing_mm)
+    along = arc_length(found.world)
+    if along[-1] - begin < MIN_DEPTH_MM:
+        raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
+            expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
+            fix: look at entry and tip in 3D Slicer, and place the one that is wrong""")
+    count = int(np.ceil((along[-1] - begin) / recipe.centerline.station_spacing_mm)) + 1
+    stations = np.linspace(begin, along[-1], count)
+    points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
     frame, plane = _find_bending_frame(found, scan, pose, points, recipe)
     errors = estimate_layer_errors(scan, recipe, sd, pose, found.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
@@ -595,18 +560,6 @@ def derive_reconstruction(
     )
     doubts = () if found.selection is None or found.scan.divided else found.selection.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
-
-
-def _sample_inserted(found: Examination, begin: float, station: float) -> tuple[Floats, Floats]:
-    """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
-    along = arc_length(found.world)
-    if along[-1] - begin < MIN_DEPTH_MM:
-        raise refusal(f"""the needle enters the tissue {along[-1] - begin:.2f} mm before its tip
-            expected: at least {MIN_DEPTH_MM:g} mm of it in the tissue
-            fix: look at entry and tip in 3D Slicer, and place the one that is wrong""")
-    count = int(np.ceil((along[-1] - begin) / station)) + 1
-    s = np.linspace(begin, along[-1], count)
-    return interpolate_at_arc(found.world, s), np.interp(s, along, found.axis.sd)
 
 
 def _find_bending_frame(
@@ -655,25 +608,6 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
-def require_within(volume: Volume, moved: Corrections) -> None:
-    """Refuse control points that were moved out of the volume."""
-    for name, places in vars(moved).items():
-        if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
-            at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
-            raise refusal(f"""a control point was moved out of the volume, to L, P, S = {at} mm
-                expected: places in the scan
-                fix: take the list of this scan, and move the point back in 3D Slicer
-                where: corrections, {name}""")
-
-
-def _note_resampling(volume: Volume) -> Iterator[str]:
-    if (top := volume.resampled_top) is not None:
-        yield (
-            f"the scan was resampled after its values were cut at about {top:.0f} HU: tip and bevel are less "
-            "certain than in the scanner's own slices; export these"
-        )
-
-
 @one_thread
 def examine(
     volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
@@ -684,8 +618,14 @@ def examine(
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
     found = Examination(scan)
-    with found.step():
-        require_within(volume, moved)
+    for name, places in vars(moved).items():
+        with found.step():
+            if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):
+                at = ", ".join(f"{x:.1f}" for x in np.atleast_2d(places)[outside[0]])
+                raise refusal(f"""a control point was moved out of the volume, to L, P, S = {at} mm
+                    expected: places in the scan
+                    fix: take the list of this scan, and move the point back in 3D Slicer
+                    where: corrections, {name}""")
     with found.step():
         require_hounsfield(volume, str(scan.volume))
     with found.step():
@@ -711,7 +651,11 @@ def examine(
         return found
     with found.step(), located(scan.volume):
         one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
-        found.reconstruction = replace(
-            one, warnings=(*volume.warnings, *_note_resampling(volume), *one.warnings)
-        )
+        doubts = list(volume.warnings)
+        if (top := volume.resampled_top) is not None:
+            doubts.append(
+                f"the scan was resampled after its values were cut at about {top:.0f} HU: tip and bevel are "
+                "less certain than in the scanner's own slices; export these"
+            )
+        found.reconstruction = replace(one, warnings=(*doubts, *one.warnings))
     return found

@@ -1,6 +1,6 @@
 """The result of reconstructing one scan."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -19,28 +19,13 @@ from needlefit.imaging.volume import Volume, to_index
 
 
 @dataclass(frozen=True)
-class RejectedMarker:
-    """What has about a marker's size and is none."""
-
-    center: Floats  # (3,); LPS, mm
-    diameter: float  # of a ball of as many voxels, mm
-    # Of a ball's model to it, and the largest allowed, in parts of its brightness.
-    misfit: float
-    max_misfit: float
-    # "misfit", "blur", "moved" (the fit ran away), or "edge" (the volume's face is too near).
-    reason: Literal["misfit", "blur", "moved", "edge"]
-
-
-@dataclass(frozen=True)
 class MarkerResult:
     """The markers found in the scan."""
 
     centers: Floats  # (M, 3); LPS, mm
     sd: Floats  # (M,); deviation in any one direction, mm
     source: Literal["volume", "fiducials"]  # "volume", or "fiducials": placed by hand
-    # (M,); of the balls' model, in parts of their brightness; empty for fiducials.
-    misfits: Floats = field(default_factory=lambda: np.empty(0))
-    rejected: tuple[RejectedMarker, ...] = ()  # other candidates in the volume
+    candidates: str = ""  # what was seen where balls were looked for
     spread: PointSpread | None = None  # the scanner's, as the balls show it
     warnings: tuple[str, ...] = ()  # what a person should know of the balls
 
@@ -150,63 +135,30 @@ def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike
     `frame`: C in the world.
     `needle`: (N, 3); the whole needle from base to tip, LPS, mm.
     """
-    local, turned = _to_constraint_frame(patient, frame, needle)
-    x, z = _pixels_along(local), _pixels_across(local, 2, SIDE_MARGIN_MM)
-    return (
-        render_bending_plane(volume, patient, frame, needle),
-        _average_slab(volume, turned, "xzy", (x, z, np.interp(x, local[:, 0], local[:, 1]))),
-    )
-
-
-def render_bending_plane(
-    volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike, beside: float = SIDE_MARGIN_MM
-) -> ScanView:
-    """Return the image of the bending plane (x, y), `beside` mm wide to both sides; see `render_views`."""
-    local, turned = _to_constraint_frame(patient, frame, needle)
-    x, y = _pixels_along(local), _pixels_across(local, 1, beside)
-    return _average_slab(volume, turned, "xyz", (x, y, np.interp(x, local[:, 0], local[:, 2])))
-
-
-def _to_constraint_frame(patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[Floats, Frame]:
-    """Return the needle (N, 3) in C, in the order of its x, and C in the scan's LPS."""
     local = frame.to_local(patient.to_world(needle))
+    local = local[np.argsort(local[:, 0])]
     turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
-    return local[np.argsort(local[:, 0])], turned
+    first = max(-ENTRY_MARGIN_MM, float(local[0, 0]) - 2.0)
+    right = _list_pixels(first, float(local[-1, 0]) + TIP_MARGIN_MM)
+    shown = local[local[:, 0] >= -ENTRY_MARGIN_MM]
+    views, half = [], PIXEL_MM / 2
+    for up, through in ((1, 2), (2, 1)):
+        side = shown[:, up]
+        rows = _list_pixels(float(side.min()) - SIDE_MARGIN_MM, float(side.max()) + SIDE_MARGIN_MM)
+        points = np.empty((len(rows), len(right), len(SLAB_OFFSETS_MM), 3))
+        points[..., 0] = right[None, :, None]
+        points[..., up] = rows[:, None, None]
+        middle = np.interp(right, local[:, 0], local[:, through])
+        points[..., through] = middle[None, :, None] + SLAB_OFFSETS_MM
+        index = to_index(volume, turned.to_world(points.reshape(-1, 3)))[:, ::-1].T
+        values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
+        extent = (right[0] - half, right[-1] + half, rows[0] - half, rows[-1] + half)
+        left, rightmost, bottom, top = (float(edge) for edge in extent)
+        mean = values.reshape(points.shape[:3]).mean(axis=2)
+        views.append(ScanView(("x", "xyz"[up]), mean, (left, rightmost, bottom, top)))
+    return tuple(views)
 
 
-def _pixels_along(local: Floats) -> Floats:
-    """Return the columns of a picture along a needle in C (N, 3)."""
-    return _pixels(max(-ENTRY_MARGIN_MM, float(local[0, 0]) - 2.0), float(local[-1, 0]) + TIP_MARGIN_MM)
-
-
-def _pixels_across(local: Floats, axis: int, beside: float) -> Floats:
-    """Return the pixels along one of the axes across a needle in C (N, 3), from `beside` mm before it on."""
-    side = local[local[:, 0] >= -ENTRY_MARGIN_MM, axis]
-    return _pixels(float(side.min()) - beside, float(side.max()) + beside)
-
-
-def _pixels(low: float, high: float) -> Floats:
+def _list_pixels(low: float, high: float) -> Floats:
     """Return the centres of the pixels from `low` to about `high`, mm."""
     return low + PIXEL_MM * (np.arange(max(1, round((high - low) / PIXEL_MM)), dtype=np.float64) + 0.5)
-
-
-def _average_slab(volume: Volume, frame: Frame, axes: str, places: tuple[Floats, Floats, Floats]) -> ScanView:
-    """Return the mean brightness over a slab.
-
-    `frame`: C in the scan's LPS.
-    `axes`: C's axes to the right, upwards, and through the slab.
-    `places`: columns (W,), rows (H,), and where the slab's middle lies in each column (W,), mm in C.
-    """
-    right, up, middle = places
-    points = np.empty((len(up), len(right), len(SLAB_OFFSETS_MM), 3))
-    order = ["xyz".index(axis) for axis in axes]
-    points[..., order[0]] = right[None, :, None]
-    points[..., order[1]] = up[:, None, None]
-    points[..., order[2]] = middle[None, :, None] + SLAB_OFFSETS_MM
-    index = to_index(volume, frame.to_world(points.reshape(-1, 3)))[:, ::-1].T
-    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
-    mean = values.reshape(points.shape[:3]).mean(axis=2)
-    half = PIXEL_MM / 2
-    extent = (right[0] - half, right[-1] + half, up[0] - half, up[-1] + half)
-    left, rightmost, bottom, top = (float(edge) for edge in extent)
-    return ScanView((axes[0], axes[1]), mean, (left, rightmost, bottom, top))

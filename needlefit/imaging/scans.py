@@ -5,7 +5,7 @@ import difflib
 import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +17,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN, make_id
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
+from needlefit.datasets.formats.csv import list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
@@ -118,17 +118,16 @@ class Scan:
 
 
 STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
-# By the field of `Scan`: the columns of vectors (the point is placed by hand in the scan, LPS), of counts
-# and of lengths, and of files.
+# By the field of `Scan`: the columns of vectors (the point is placed by hand in the scan, LPS), of counts and
+# of files.
 VECTORS = {
     "bevel": BEVEL_COLUMNS,
     "needle_at": ("needle_x_mm", "needle_y_mm", "needle_z_mm"),
 }
 COUNTS = ("layers", "layers_alternative")
-LENGTHS = {"guide_distance": "guide_distance_mm"}
 FILES = ("mask", "markers", "fiducials")
 NUMBER_COLUMNS = (
-    *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, *LENGTHS.values()),
+    *(*STAGE_COLUMNS, *VECTORS["bevel"], "bevel_side", *COUNTS, "guide_distance_mm"),
     *VECTORS["needle_at"],
 )
 # Every column of a table of scans; those of `insertions.csv` mean the same here.
@@ -186,7 +185,10 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if not is_file(path):
         return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
     mesh = path.suffix.lower() in MESH_SUFFIXES
-    if not mesh and not _may_be_segmentation(path):
+    readable = mesh or path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
+    with suppress(DataError):  # one that may not be read; DICOM of archives has no ending
+        readable = readable or begins_as_dicom(path)
+    if not readable:
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
         expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
@@ -205,15 +207,6 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     return LayerSource(path, "sheet" if match["kind"] == "sheet" else "solid", int(match["into"]))
 
 
-def _may_be_segmentation(path: Path) -> bool:
-    """Whether a file is an image file, an archive, or begins as DICOM; archives of PACS use no ending."""
-    if path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
-        return True
-    with suppress(DataError):  # one that may not be read
-        return begins_as_dicom(path)
-    return False
-
-
 def build_scan(row: ScanRow, id_: str) -> Scan:
     """Return the scan of a row without faults."""
     text, number = row.text, row.number
@@ -223,8 +216,7 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         parts[name] = None if np.isnan(vector).any() else normalize(vector) if name == "bevel" else vector
     for name in COUNTS:
         parts[name] = None if math.isnan(number[name]) else int(number[name])
-    for name, column in LENGTHS.items():
-        parts[name] = None if math.isnan(number[column]) else number[column]
+    distance = number["guide_distance_mm"]
     if not np.isnan(row.vector(STAGE_COLUMNS)).any():
         shift, angle = number["pose_shift_sd_mm"], math.radians(number["pose_angle_sd_deg"])
         direction = normalize(row.vector(DIRECTION_COLUMNS))
@@ -239,26 +231,21 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
         side=-1 if number["bevel_side"] == -1 else 1,
+        guide_distance=None if math.isnan(distance) else distance,
         origin="synthetic" if text["origin"] == "synthetic" else "measured",
         **parts,
     )
 
 
-def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
-    """Yield a fault if an id or a medium cannot be used in file names; an empty one is a default."""
-    if given and not ID_PATTERN.fullmatch(given):
-        expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
-        yield Fault(where, f"{name} is {given!r}", expected, "rename it")
-
-
-def label_faults(name: str, given: str, where: str) -> Iterator[Fault]:
-    """Yield a fault if a name cannot be used in tables."""
-    if fault := name_fault(given):
-        yield Fault(where, f"{name} is {given!r}: {fault}", EXPECTED_NAME, "rename it")
-
-
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
     """Yield what is wrong with words and files of a row, what is expected, and the fix."""
+    for name in ("id", "medium"):
+        if row.text[name] and not ID_PATTERN.fullmatch(row.text[name]):
+            expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
+            yield f"{name} is {row.text[name]!r}", expected, "rename it"
+    for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
+        if wrong := name_fault(given):
+            yield f"{name} is {given!r}: {wrong}", EXPECTED_NAME, "rename it"
     for name, words in CHOICE_COLUMNS.items():
         if row.text[name] and row.text[name] not in words:
             expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
@@ -322,8 +309,29 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     missing.
     """
     table = read_table(path, SCANS_DOCUMENT)
-    found = list(_column_faults(table))
-    rows = _parse_rows(table, found)
+    found, where, cells = list[Fault](), f"{table.path}:1", table.cells
+    if "scan" not in cells:
+        expected = f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(cells.columns)}"
+        found.append(Fault(where, "column `scan` is missing", expected, "add the column"))
+    for name in cells if "scan" in cells else ():  # one mistyped would silently leave its cells out
+        if name not in SCAN_COLUMNS:
+            near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
+            fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
+            known = f"one of {', '.join(SCAN_COLUMNS)}"
+            found.append(Fault(where, f"column `{name}` is unknown", known, fix))
+    lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
+    texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
+    numbers = {name: parse_numbers(table, name, found, optional=True) for name in stated}
+    rows = [
+        ScanRow(
+            table.where(n),
+            path.parent,
+            dict.fromkeys(SCAN_COLUMNS, "") | {name: column[n] for name, column in texts.items()},
+            dict.fromkeys(NUMBER_COLUMNS, math.nan)
+            | {name: float(column[n]) for name, column in numbers.items()},
+        )
+        for n in lines
+    ]
     if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
         what = "`markers` is empty, but other scans have some"
         expected = "one world for all: markers for every scan, or for none"
@@ -336,16 +344,18 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     """Return the scans of rows; DataError listing the faults that were `found`, and all others."""
     unread = {fault.where for fault in found}
     for row in rows:
-        for name in ("id", "medium"):
-            found += name_faults(name, row.text[name], row.where)
-        for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
-            found += label_faults(name, given, row.where)
         found += (Fault(row.where, *fault) for fault in _word_faults(row))
         found += (layer for layer in row.layers() if isinstance(layer, Fault))
         if row.where not in unread:
             found += (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
-    found += _repeated_id_faults(ids, [row.where for row in rows])
+    first: dict[str, str] = {}
+    for id_, row in zip(ids, rows, strict=True):
+        if id_ in first:
+            expected = "a different id for every scan: it names files of the dataset"
+            fix = "give each an id of its own in a table of scans"
+            found.append(Fault(row.where, f"has the id {id_}, as {first[id_]} has", expected, fix))
+        first.setdefault(id_, row.where)
     if found:
         raise as_error(found, path)
     return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
@@ -391,50 +401,6 @@ def scan_id(volume: Path) -> str:
     return make_id(name[: len(name) - len(ending)], "scan")
 
 
-def _column_faults(table: CsvTable) -> Iterator[Fault]:
-    """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
-    where = f"{table.path}:1"
-    if "scan" not in table.cells:
-        listed = list_columns(table.cells.columns)
-        expected = f"the path of each volume: {READABLE_VOLUMES}; there are {listed}"
-        yield Fault(where, "column `scan` is missing", expected, "add the column")
-        return
-    for name in table.cells:
-        if name not in SCAN_COLUMNS:
-            near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
-            fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
-            yield Fault(where, f"column `{name}` is unknown", f"one of {', '.join(SCAN_COLUMNS)}", fix)
-
-
-def _parse_rows(table: CsvTable, found: list[Fault]) -> list[ScanRow]:
-    blank = [""] * len(table.lines)
-    text = {name: table.cells[name].tolist() if name in table.cells else blank for name in SCAN_COLUMNS}
-    unknown = np.full(len(blank), np.nan)
-    number = {
-        name: parse_numbers(table, name, found, optional=True) if name in table.cells else unknown
-        for name in NUMBER_COLUMNS
-    }
-    return [
-        ScanRow(
-            table.where(n),
-            table.path.parent,
-            {name: cells[n] for name, cells in text.items()},
-            {name: float(values[n]) for name, values in number.items()},
-        )
-        for n in range(len(blank))
-    ]
-
-
-def _repeated_id_faults(ids: Iterable[str], places: Iterable[str]) -> Iterator[Fault]:
-    first: dict[str, str] = {}
-    for id_, place in zip(ids, places, strict=True):
-        if id_ in first:
-            expected = "a different id for every scan: it names files of the dataset"
-            fix = "give each an id of its own in a table of scans"
-            yield Fault(place, f"has the id {id_}, as {first[id_]} has", expected, fix)
-        first.setdefault(id_, place)
-
-
 def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None) -> None:
     """Write a table of scans, from which `read_scans` reads the same.
 
@@ -455,8 +421,8 @@ def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
     row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
     row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
     numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}
-    numbers |= {(column,): getattr(scan, name) for name, column in LENGTHS.items()}
     numbers |= {(name,): getattr(scan, name) for name in COUNTS}
+    numbers["guide_distance_mm",] = scan.guide_distance
     if (stage := scan.stage) is not None:
         numbers[STAGE_COLUMNS] = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
     for names, values in numbers.items():

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.errors import DataError
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file, read_structures
@@ -90,33 +89,20 @@ def _check_labels(volume: Volume, stated: tuple[Segment, ...]) -> Labels:
 
 def _parse_segments(texts: Mapping[str, str]) -> tuple[Segment, ...]:
     """Return the segments that the texts of a header name, in its order; DataError if two are the same."""
-    count = 0
-    while f"Segment{count}_ID" in texts or f"Segment{count}_LabelValue" in texts:
-        count += 1
-    segments = tuple(
-        Segment(
-            _parse_count(texts.get(f"Segment{n}_LabelValue", f"{n + 1}"), 2**16),
-            texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
-        )
-        for n in range(count)
-    )
+    segments: list[Segment] = []
+    while any(f"Segment{len(segments)}_{key}" in texts for key in ("ID", "LabelValue")):
+        n = len(segments)
+        text = texts.get(f"Segment{n}_LabelValue", f"{n + 1}").strip()
+        if not re.fullmatch(r"[0-9]{1,5}", text):
+            raise refusal(f"""its header states {text[:40]!r} where a segment has a whole number
+                expected: numbers of up to 5 digits
+                fix: {SAVE_AGAIN_FIX}""")
+        segments.append(Segment(int(text), texts.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS]))
     if len({segment.value for segment in segments}) < len(segments):
-        raise _overlap_error([segment.name for segment in segments])
-    return segments
-
-
-def _parse_count(text: str, greatest: int) -> int:
-    if re.fullmatch(r"[0-9]{1,9}", text.strip()) and int(text) <= greatest:
-        return int(text)
-    raise refusal(f"""its header states {text[:40]!r} where a segment has a whole number
-        expected: numbers up to {greatest}
-        fix: {SAVE_AGAIN_FIX}""")
-
-
-def _overlap_error(names: Sequence[str]) -> DataError:
-    return refusal(f"""its segments overlap: {", ".join(names)}
-        expected: every voxel in one layer
-        fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
+        raise refusal(f"""its segments overlap: {", ".join(segment.name for segment in segments)}
+            expected: every voxel in one layer
+            fix: in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again""")
+    return tuple(segments)
 
 
 def choose_segments(present: Sequence[str], names: Sequence[str]) -> list[int]:

@@ -112,12 +112,6 @@ class SphereTables:
 make_tables = lru_cache(maxsize=8)(SphereTables)
 
 
-def look_up(table: Floats, across: Floats, along: Floats) -> Floats:
-    """Return a table's values (N,) at distances `across` and `along` (N,) >= 0, mm."""
-    places = np.stack([across, along]) / TABLE_STEP_MM
-    return np.asarray(map_coordinates(table, places, order=3, mode="mirror", prefilter=False))
-
-
 # What the 15 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
 # sees its middle darker, negative; logarithm of the blur in the slices, mm, and the kernel's boost; logarithm
 # of the blur across them; the background's lower level and its step, HU; the step's direction over its width,
@@ -160,7 +154,8 @@ def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
     )
     d = near.places - theta[CENTER]
     across, along = np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])
-    seen = [look_up(table, across, along) for table in tables]
+    at = np.stack([across, along]) / TABLE_STEP_MM
+    seen = [map_coordinates(table, at, order=3, mode="mirror", prefilter=False) for table in tables]
     part, dark = seen[BALL] + theta[DARK] * seen[SHORTFALL], seen[SHORTFALL]
     moved = -np.column_stack([seen[ACROSS][:, None] * d[:, :2], seen[ALONG] * d[:, 2]])
     *shapes, grown = seen[ALONG + 1 :]

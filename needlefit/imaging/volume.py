@@ -296,26 +296,20 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     """Refuse values that cannot be HU: files without a modality hold MR, stored or attenuation values, too.
 
     HU have a fixed zero: what lies around any needle has values below it, be it air, or the noise of water.
+    Metal whose values have run over 12 bits, and begin again at the lowest, is refused, too.
     """
     low, high = float(volume.values.min()), float(volume.values.max())
-    if low < 0 and high - low >= MIN_RANGE_HU:
-        _refuse_wrapped_metal(volume, high, where)
-        return
-    raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}
-        expected: a CT volume in HU
-        fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
-            values: HU = 1000 (mu / mu of water - 1)
-        where: {where}""")
-
-
-def _refuse_wrapped_metal(volume: Volume, high: float, where: str) -> None:
-    """Refuse metal whose values have run over 12 bits, and begin again at the lowest."""
-    low, top = TOP_12_BIT_HU
-    if not low <= high <= top:
+    if low >= 0 or high - low < MIN_RANGE_HU:
+        raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}
+            expected: a CT volume in HU
+            fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
+                values: HU = 1000 (mu / mu of water - 1)
+            where: {where}""")
+    if not TOP_12_BIT_HU[0] <= high <= TOP_12_BIT_HU[1]:
         return
     holes, saturated = 0, 0
     for plane in volume.values:
-        if plane.max() > low / 2:
+        if plane.max() > TOP_12_BIT_HU[0] / 2:
             saturated += int(np.count_nonzero(plane >= high - 1))
             depth = np.minimum(plane[:, :-2], plane[:, 2:]) - plane[:, 1:-1]
             holes += int(np.count_nonzero(depth > MIN_HOLE_HU))

@@ -73,7 +73,20 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
             place, series = _choose_member(place, series)
         if is_image_file(place):
             return _build_volume(*_read_arrays(place, labels=False), place)
-        return _build_volume(*_read_series(place, series, acquisition), place)
+        if not place.is_dir():
+            with open_regular(place, sys.maxsize):  # a regular file
+                pass
+        try:
+            sizes = [file.stat().st_size for file in list_series_files(place)]
+        except OSError as fault:
+            folder = place if place.is_dir() else place.parent
+            raise unreadable_error(fault, DataError, str(folder)) from None
+        seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
+        arguments = {"path": str(place), "series": series, "acquisition": acquisition}
+        reader = "needlefit.imaging.dicom.series:read_series"
+        return _build_volume(
+            *read_in_process(reader, place, arguments, max(sizes, default=0), seconds), place
+        )
 
 
 @contextmanager
@@ -184,23 +197,6 @@ def _read_arrays(path: Path, labels: bool) -> tuple[Any, dict[str, NDArray[Any]]
     nifti = path.name.lower().endswith((".nii", ".nii.gz"))
     reader = "nifti_files:read_nifti" if nifti else "image_files:read_image"
     return read_in_process(f"needlefit.imaging.{reader}", path, arguments, seconds=seconds)
-
-
-def _read_series(
-    path: Path, series: str | None, acquisition: str | None
-) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return the grid of a DICOM series, and its voxels as "values"."""
-    if not path.is_dir():
-        with open_regular(path, sys.maxsize):  # a regular file
-            pass
-    try:
-        sizes = [file.stat().st_size for file in list_series_files(path)]
-    except OSError as fault:
-        raise unreadable_error(fault, DataError, str(path if path.is_dir() else path.parent)) from None
-    seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
-    arguments = {"path": str(path), "series": series, "acquisition": acquisition}
-    reader = "needlefit.imaging.dicom.series:read_series"
-    return read_in_process(reader, path, arguments, max(sizes, default=0), seconds)
 
 
 def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON

@@ -63,7 +63,8 @@ def mark_regions(regions: Sequence[ContouredRegion]) -> tuple[VoxelGrid, NDArray
     DataError if contours are not parallel, flat and in even steps.
     """
     normal = _find_normal([one for region in regions for one in region.contours])
-    axes = _make_axes(normal)
+    first = np.array([1.0, 0.0, 0.0]) if normal[2] == 1.0 else make_normal(normal)
+    axes = np.column_stack([first, np.cross(normal, first), normal])
     turned = [[one @ axes for one in region.contours] for region in regions]
     grid = _make_grid(turned, axes)
     values = np.zeros(grid.size[::-1], dtype=np.uint8)
@@ -96,12 +97,6 @@ def _find_normal(contours: Sequence[Floats]) -> Floats:
     if not normal.any() or thickness > 2 * PLANE_TOLERANCE_MM:
         raise _contour_error("has contours that are not flat, or not parallel to each other")
     return normal
-
-
-def _make_axes(normal: Floats) -> Floats:
-    """Return axes (3, 3) whose columns are two directions in the planes, and their normal."""
-    first = np.array([1.0, 0.0, 0.0]) if normal[2] == 1.0 else make_normal(normal)
-    return np.column_stack([first, np.cross(normal, first), normal])
 
 
 def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats) -> VoxelGrid:

@@ -5,6 +5,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,12 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
                 fix: {"give the UID" if named else "give one of the numbers listed"}
                 where: {path}""")
         return named[0]
-    stacks = {uid: slices for uid, slices in groups.items() if _may_be_volume(slices)} or groups
+    stacks = {}  # of slices, not overviews, single images and pictures of reports
+    for uid, slices in groups.items():
+        placed = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
+        if len(placed) > 1 or any(item.frames > 1 for item in slices):
+            stacks[uid] = slices
+    stacks = stacks or groups
     if len(stacks) > 1:  # what is no CT is refused only where it is all there is
         stacks = {uid: one for uid, one in stacks.items() if one[0].modality in XRAY_MODALITIES} or stacks
     if len(stacks) > 1:
@@ -116,12 +122,6 @@ def _name_pattern(file: Path) -> tuple[Path, str]:
     return file.parent, re.sub(r"\d+", "#", file.name)
 
 
-def _may_be_volume(slices: list[DicomSlice]) -> bool:
-    """Tell a stack of slices from overviews, single images and pictures of reports."""
-    positioned = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
-    return len(positioned) > 1 or any(item.frames > 1 for item in slices)
-
-
 def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
     """Return the series in words: those in a subfolder with its name."""
     lines = []
@@ -152,8 +152,12 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     notes: list[str] = []
-    found = _drop_copies(_drop_localizers(find_series(Path(path), series), notes), notes)
-    slices, grid = _stack_acquisition(found, acquisition)
+    found = find_series(Path(path), series)
+    kept = [item for item in found if LOCALIZER not in item.kind] or found
+    if len(kept) < len(found):
+        left = len(found) - len(kept)
+        notes.append(f"{left} localizer(s) in the series were left out: they are no slices")
+    slices, grid = _stack_acquisition(_drop_copies(kept, notes), acquisition)
     notes += describe_headers(slices, grid)
     allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
     allow_memory(4 * math.prod(grid.size))
@@ -162,7 +166,15 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     reader.SetImageIO("GDCMImageIO")
     frames = _read_frames([item for item in slices if item.frame is not None])
     for item, plane in zip(slices, values, strict=True):
-        stored = _read_voxels(reader, item) if item.frame is None else next(frames)
+        if item.frame is None:
+            reader.SetFileName(str(item.file))
+            try:
+                image = reader.Execute()
+            except RuntimeError as error:
+                raise _unreadable_voxels_error(item) from error
+            stored = np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64)[0]
+        else:
+            stored = next(frames)
         if item.padding is not None:
             assert item.rescale is not None  # the stack was checked
             slope, intercept = item.rescale
@@ -183,15 +195,6 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
 
 
-def _drop_localizers(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
-    """Return the slices of a series without its localizers, unless it holds nothing else."""
-    kept = [item for item in slices if LOCALIZER not in item.kind]
-    if not kept or len(kept) == len(slices):
-        return slices
-    notes.append(f"{len(slices) - len(kept)} localizer(s) in the series were left out: they are no slices")
-    return kept
-
-
 def _drop_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
     """Return the slices without those that repeat another one's place, rescaling and stored voxels."""
     places: dict[tuple[Any, ...], list[DicomSlice]] = {}
@@ -202,21 +205,18 @@ def _drop_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]
     for same in places.values():
         digests: set[object] = set()
         for item in same:
+            digest: object = object()
             # only what stands where another slice does is read for its content
-            digest = _digest_voxels(item) if len(same) > 1 and item.frame is None else object()
+            if len(same) > 1 and item.frame is None:
+                with damaged_unless_read(item.file), open_regular(item.file, sys.maxsize) as content:
+                    data = dcmread(content, specific_tags=["PixelData"], force=True)
+                    digest = hashlib.sha256(data.PixelData).digest()
             if digest not in digests:
                 digests.add(digest)
                 kept.append(item)
     if len(kept) < len(slices):
         notes.append(f"{len(slices) - len(kept)} slice(s) with the place and voxels of another were left out")
     return kept
-
-
-def _digest_voxels(item: DicomSlice) -> bytes:
-    """Return a digest of the voxels of a slice as they are stored."""
-    with damaged_unless_read(item.file), open_regular(item.file, sys.maxsize) as content:
-        data = dcmread(content, specific_tags=["PixelData"], force=True)
-        return hashlib.sha256(data.PixelData).digest()
 
 
 def _stack_acquisition(
@@ -241,7 +241,11 @@ def _stack_acquisition(
     try:
         return stack_slices(slices)
     except DataError as error:
-        sound = [name for name, one in parts.items() if name and _is_stack(one)]
+        sound = []
+        for name, one in parts.items():
+            with suppress(DataError):
+                stack_slices(one)
+                sound += [name] if name else []
         if len(parts) == 1 or not sound:
             raise
         raise refusal(f"""its slices are no single stack, but those of {len(parts)} acquisitions: {listed}
@@ -249,24 +253,6 @@ def _stack_acquisition(
             fix: name the one that is meant with --acquisition, or under `acquisition` in a table of scans:
                 {" or ".join(sound)}
             where: {where}""") from error
-
-
-def _is_stack(slices: list[DicomSlice]) -> bool:
-    try:
-        stack_slices(slices)
-    except DataError:
-        return False
-    return True
-
-
-def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:
-    """Return the rescaled values (rows, columns) of a slice."""
-    reader.SetFileName(str(item.file))
-    try:
-        image = reader.Execute()
-    except RuntimeError as error:
-        raise _unreadable_voxels_error(item) from error
-    return np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64).reshape(item.rows, item.columns)
 
 
 def _read_frames(frames: Sequence[DicomSlice]) -> Iterator[NDArray[np.float64]]:

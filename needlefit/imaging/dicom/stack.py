@@ -410,30 +410,31 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
 def _check_alike(slices: Sequence[DicomSlice]) -> None:
     """See that all slices have the size, spacing, orientation and kind of values of the first."""
     first = slices[0]
+    assert first.pixel is not None and first.axes is not None
+    pixels = max(first.rows, first.columns)
+    extent = pixels * float(first.pixel.max())
     for item in slices[1:]:
-        if difference := _find_difference(first, item):
-            name, one, other = difference
-            raise refusal(f"""its {name} is {other}, that of {first.name} is {one}
+        assert item.pixel is not None and item.axes is not None
+        own, other = (
+            {
+                "size": (one.rows, one.columns),
+                "frame of reference": one.frame_of_reference,
+                "pixel spacing": np.array(one.pixel).tolist(),
+                "orientation": np.array(one.axes).round(4).tolist(),
+            }
+            for one in (first, item)
+        )
+        differ = {
+            "size": (first.rows, first.columns) != (item.rows, item.columns),
+            "frame of reference": first.frame_of_reference != item.frame_of_reference,
+            "pixel spacing": np.abs(first.pixel - item.pixel).max() * pixels > MAX_OFFSET_MM,
+            "orientation": np.abs(first.axes - item.axes).max() * extent > MAX_OFFSET_MM,
+        }
+        for name in [name for name, differs in differ.items() if differs][:1]:
+            raise refusal(f"""its {name} is {other[name]}, that of {first.name} is {own[name]}
                 expected: the same in every slice of a series
                 fix: move the slices of another scan to a folder of their own, or export the series again
                 where: {item.where}""")
-
-
-def _find_difference(one: DicomSlice, other: DicomSlice) -> tuple[str, object, object] | None:
-    """Return in what two slices differ, and both values; None if in nothing that matters."""
-    assert one.pixel is not None and one.axes is not None
-    assert other.pixel is not None and other.axes is not None
-    pixels = max(one.rows, one.columns)
-    extent = pixels * float(one.pixel.max())
-    if (one.rows, one.columns) != (other.rows, other.columns):
-        return "size", (one.rows, one.columns), (other.rows, other.columns)
-    if one.frame_of_reference != other.frame_of_reference:
-        return "frame of reference", one.frame_of_reference, other.frame_of_reference
-    if np.abs(one.pixel - other.pixel).max() * pixels > MAX_OFFSET_MM:
-        return "pixel spacing", one.pixel.tolist(), other.pixel.tolist()
-    if np.abs(one.axes - other.axes).max() * extent > MAX_OFFSET_MM:
-        return "orientation", one.axes.round(4).tolist(), other.axes.round(4).tolist()
-    return None
 
 
 def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> Floats:

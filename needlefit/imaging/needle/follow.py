@@ -74,8 +74,13 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
             where: points on the needle""")
     center, axes = principal_axes(points)
     ordered = points[np.argsort((points - center) @ axes[0])]
-    places, amplitude = _center_places(volume, _join(ordered), recipe)
-    shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
+    s = arc_length(ordered)
+    count = max(2, round(float(s[-1]) / STEP_MM) + 1)
+    places = np.asarray(PchipInterpolator(s, ordered)(np.linspace(0.0, s[-1], count)))
+    for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
+        shifts, amplitude = _look_across(volume, places, recipe)
+        shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
+        places = places + np.where(shown[:, None], shifts, 0.0)
     level = float(np.median(amplitude))
     if level < MIN_METAL_CONTRAST_HU / 2 or shown.mean() < MIN_SHOWN_FRACTION:
         raise refusal(f"""between the points that were placed the scan shows no needle: what lies there is
@@ -109,13 +114,6 @@ def _voxels(volume: Volume, points: Floats) -> Ints:
     return index[((index >= 0) & (index < np.array(volume.grid.size))).all(axis=1)]
 
 
-def _join(points: Floats) -> Floats:
-    """Return places every `STEP_MM` on a smooth curve through points (N, 3)."""
-    s = arc_length(points)
-    count = max(2, round(float(s[-1]) / STEP_MM) + 1)
-    return np.asarray(PchipInterpolator(s, points)(np.linspace(0.0, s[-1], count)))
-
-
 def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
     """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
     ways = np.gradient(places, axis=0)
@@ -129,15 +127,6 @@ def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -
     found = find_centroids(np.nan_to_num(values), plane, recipe.needle.diameter_mm)
     shifts = found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
     return np.where(inside[:, None], shifts, 0.0), np.where(inside, found.amplitude, 0.0)
-
-
-def _center_places(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
-    """Return places (N, 3) moved to the needle's middle, and its amplitude there (N,); faint ones stay."""
-    for _ in range(ROUNDS):
-        shifts, amplitude = _look_across(volume, places, recipe)
-        shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)
-        places = places + np.where(shown[:, None], shifts, 0.0)
-    return places, amplitude
 
 
 def _extend(volume: Volume, places: Floats, level: float, recipe: ReconstructionRecord) -> Iterator[Floats]:

@@ -371,7 +371,14 @@ def select_needle(
     """
     tubes = find_tubes(volume, recipe) if tubes is None else tubes
     if point is None:
-        needle = _choose_longest(volume, tubes, recipe.needle.diameter_mm)
+        alike = list_needles(volume, tubes, recipe.needle.diameter_mm)
+        if len(alike) > 1:
+            raise refusal(f"""{len(alike)} needles: {"; ".join(describe_tube(volume, part) for part in alike)}
+                expected: one needle
+                fix: reconstruct every one (--all); or state a point on the needle that is meant (LPS) in a
+                    table of scans: needle_x_mm, needle_y_mm, needle_z_mm; or crop the scan, or give a
+                    mask""")
+        needle = alike[0]
     else:
         distances = [float(cKDTree(to_patient(volume, part.voxels)).query(point)[0]) for part in tubes]
         nearest = int(np.argmin(distances))
@@ -403,17 +410,6 @@ def find_ends(volume: Volume, part: Component) -> Floats:
     center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
     return points[[int(np.argmin(along)), int(np.argmax(along))]]
-
-
-def _choose_longest(volume: Volume, tubes: Sequence[Component], diameter: float) -> Component:
-    """Return the longest tube, unless another one of nearly its length is nearer to the diameter."""
-    needles = list_needles(volume, tubes, diameter)
-    if len(needles) == 1:
-        return needles[0]
-    raise refusal(f"""{len(needles)} needles: {"; ".join(describe_tube(volume, part) for part in needles)}
-        expected: one needle
-        fix: reconstruct every one (--all); or state a point on the needle that is meant (LPS) in a table of
-            scans: needle_x_mm, needle_y_mm, needle_z_mm; or crop the scan, or give a mask""")
 
 
 def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) -> list[Component]:

@@ -187,17 +187,6 @@ class AxisVoxels:
     values: Floats
 
 
-def measure_ray(volume: Volume, axis: AxisSpline, needle: ScannedNeedleRecord) -> float:
-    """Return the length of the needle that rays within one slice pass along its end, mm.
-
-    Where the needle lies flattest: its direction right at a hidden end is what is least known.
-    """
-    s = np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16)
-    steep = float(np.abs(axis_frames(axis, s).tangents @ volume.grid.normal).min())
-    thick = needle.diameter_mm + volume.grid.slice_distance
-    return thick / max(steep, 1e-6)
-
-
 def bevel_length(needle: ScannedNeedleRecord) -> float:
     """Return the length of the bevel: how far behind the point the tip is cut, mm."""
     return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
@@ -222,7 +211,7 @@ class TipProblem:
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
         frame, normal = axis_frames(axis, np.array([guess])), volume.grid.normal
         # the tip may be found 4 mm from where it is looked for
-        back, ahead = bevel_length(needle) + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
+        back, ahead = heel + REACH_BEFORE_MM + 4.0, REACH_AFTER_MM + 4.0
         slices = (float(frame.tangents[0] @ normal), float(frame.u[0] @ normal), float(frame.v[0] @ normal))
         self.rod = RodModel(needle.diameter_mm / 2, back, ahead, RADIAL_REACH_MM + 0.5, slices)
         top = float(near.values.max())  # where several voxels share it the scanner's numbers end
@@ -236,16 +225,30 @@ class TipProblem:
         self.level = float(np.median(near.values[np.hypot(near.u, near.v) > 0.8 * RADIAL_REACH_MM]))
         self.swing = np.clip((self.near.s - axis.length) / max(guess - axis.length, 0.25), 0, None)
         swing_sd = float(np.hypot(SWING_SD_MM, axis_sd(axis, np.array([axis.length]))[0]))
-        self.ray = measure_ray(volume, axis, needle)
-        course = swing_sd, min(MAX_RAY_MM, self.ray)
-        self.means, self.sds = _prior(volume, needle, spread, course)
+        # the length of the needle that rays within one slice pass along its end, where it lies flattest: its
+        # direction right at a hidden end is what is least known
+        end = axis_frames(axis, np.linspace(max(0.0, axis.length - END_LENGTH_MM), axis.length, 16))
+        steep = max(float(np.abs(end.tangents @ normal).min()), 1e-6)
+        self.ray = min(MAX_RAY_MM, (needle.diameter_mm + volume.grid.slice_distance) / steep)
+        cot = heel / needle.diameter_mm
+        cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if self.rolled else BLUNT_COTANGENT_SD
+        cot_sd /= np.hypot(1.0, self.ray / BEVEL_RAY_MM)
+        dark_sd = np.clip(DARK_SD_PER_MM * self.ray, MIN_DARK_SD, MAX_DARK_SD)
+        known = spread or expected_spread(volume.grid.slice_distance)
+        # means and deviations of the parameters `HELD`
+        self.means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *known.parameters, 0.0, 0.0])
+        sds = (swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, STREAK_SD_HU)
+        self.sds = np.array(sds)
         low, high = LOWER_BOUNDS.copy(), UPPER_BOUNDS.copy()
         low[HELD] = np.maximum(low[HELD], self.means - MAX_PRIOR_SD * self.sds)
         high[HELD] = np.minimum(high[HELD], self.means + MAX_PRIOR_SD * self.sds)
         self.bounds = low, high
         core = np.sqrt(1 + (np.hypot(self.near.u, self.near.v) / CORE_REACH_MM) ** 4)
         metal = np.clip(self.near.values - self.level, 0, None)
-        self.sigma = core * np.hypot(_estimate_noise(near, guess), SIGNAL_ERROR * metal)
+        beyond, noise = near.values[near.s > guess + 0.5 * REACH_AFTER_MM], 50.0
+        if beyond.size >= 20:
+            noise = max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
+        self.sigma = core * np.hypot(noise, SIGNAL_ERROR * metal)
 
     def show(self, theta: Floats, s: Floats, u: Floats, v: Floats) -> Floats:
         """Return what the scanner shows (N,), HU, at places from the tip."""
@@ -395,24 +398,6 @@ class TipProblem:
 END_STEP_MM = 0.05  # spacing of the sections in which a threshold looks for the end, mm
 
 
-def _prior(
-    volume: Volume, needle: ScannedNeedleRecord, spread: PointSpread | None, course: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Return means and deviations of the parameters `HELD`.
-
-    `course`: deviation of the swing, and the length of the needle that rays pass, mm.
-    """
-    swing_sd, ray = course
-    cot = bevel_length(needle) / needle.diameter_mm
-    rolled = needle.bevel_deg < MAX_BEVEL_DEG
-    cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if rolled else BLUNT_COTANGENT_SD
-    cot_sd /= np.hypot(1.0, ray / BEVEL_RAY_MM)
-    dark_sd = np.clip(DARK_SD_PER_MM * ray, MIN_DARK_SD, MAX_DARK_SD)
-    known = spread or expected_spread(volume.grid.slice_distance)
-    means = np.array([0.0, 0.0, np.log(MEAN_HEIGHT_HU), cot, *known.parameters, 0.0, 0.0])
-    return means, np.array([swing_sd, swing_sd, HEIGHT_SD, cot_sd, *known.sds, dark_sd, STREAK_SD_HU])
-
-
 def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: float) -> AxisVoxels:
     """Return the voxels within `RADIAL_REACH_MM` of the axis between `start` and `stop` (mm along it)."""
     fine = np.arange(start - 1, stop + 1, 0.1)
@@ -433,14 +418,6 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     i, j, k = ijk[close].T
     inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
     return AxisVoxels(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
-
-
-def _estimate_noise(near: AxisVoxels, guess: float) -> float:
-    """Return the deviation of what lies beyond the tip (HU), 10 at least."""
-    beyond = near.values[near.s > guess + 0.5 * REACH_AFTER_MM]
-    if beyond.size < 20:
-        return 50.0
-    return max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))
 
 
 TipSource = Literal["model", "threshold", "hand"]
@@ -491,20 +468,27 @@ def fit_tip(
     variance = np.diag(covariance)
     away = problem.threshold_disagreement(best.x)
     # how dark the streak beyond the end is shows how much the rays hide of it
-    hidden = HIDDEN_END_SD_PER_MM * min(MAX_RAY_MM, problem.ray)
+    hidden = HIDDEN_END_SD_PER_MM * problem.ray
     hidden *= min(1.0, float(np.hypot(MIN_HIDDEN_PART, best.x[STREAK] / HIDING_STREAK_HU)))
     parts = [np.sqrt(variance[TIP]), EDGE_SD_MM, DISAGREEMENT_SD * away, hidden]
     if volume.resampled_top is not None:
         parts.append(RESAMPLED_SD * float(volume.spacing.max()))
     along = float(np.linalg.norm(parts))
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
-    missed = ACROSS_ERROR_MM + ACROSS_ERROR_PER_MM * min(MAX_RAY_MM, problem.ray)
+    missed = ACROSS_ERROR_MM + ACROSS_ERROR_PER_MM * problem.ray
     across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
     at = float(best.x[TIP])
     source: TipSource = "model"
     believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
     if not rough and not believed:
-        at, along, source = _end_by_threshold(at, away, volume)
+        if not np.isfinite(away):
+            raise refusal("""the end of the needle does not show: no section near it is as bright as half the
+                    shaft
+                expected: a needle that ends in the tissue, in the volume
+                fix: check that the scan holds the tip, away from other metal; or give a mask of the needle
+                where: tip of the needle""")
+        limits = [MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2]
+        at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))
     u, v, roll = there.u[0], there.v[0], best.x[ROLL]
     probability = problem.bevel_probability(best, covariance) if problem.rolled and not rough else np.nan
@@ -513,21 +497,6 @@ def fit_tip(
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
     width = None if rough else problem.width_misfit(best)
     return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, width)
-
-
-def _end_by_threshold(at: float, away: float, volume: Volume) -> tuple[float, float, TipSource]:
-    """Return where a threshold sees the end, its deviation, mm, and the source.
-
-    DataError if a threshold sees no end either.
-    """
-    if not np.isfinite(away):
-        raise refusal("""the end of the needle does not show: no section near it is as bright as half the
-                shaft
-            expected: a needle that ends in the tissue, in the volume
-            fix: check that the scan holds the tip, away from other metal; or give a mask of the needle
-            where: tip of the needle""")
-    sd = np.linalg.norm([MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2])
-    return at + away, float(sd), "threshold"
 
 
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its

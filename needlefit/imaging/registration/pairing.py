@@ -31,7 +31,6 @@ from scipy.linalg import pinvh
 from scipy.special import chdtri, elliprg
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.refusals import refusal
 
@@ -130,12 +129,6 @@ def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
     return np.asarray(np.einsum("nia,n,nib->ab", moved, 1 / variance, moved))
 
 
-def propagate_to_targets(arms: ArrayLike, pose: Floats) -> Floats:
-    """Return the covariance (N, 3, 3), mm^2, world axes, of targets at `arms` (N, 3) from the centre."""
-    moved = motion_jacobian(arms)
-    return np.asarray(moved @ pose @ np.swapaxes(moved, -1, -2))
-
-
 def mean_error_length(covariance: Floats) -> Floats:
     """Return the mean length (N,) of Gaussian errors of these covariances (N, 3, 3).
 
@@ -220,14 +213,10 @@ def expected_fre(alignment: Alignment, found: Floats) -> float:
 
     A residual has the covariance of its pair less what the fit follows of it, v_i I - J_i cov(theta) J_i^T.
     """
-    left = np.trace(_residual_covariance(alignment, found), axis1=1, axis2=2)
-    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
-
-
-def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
     followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
-    return np.asarray(alignment.variance[:, None, None] * np.eye(3) - followed)
+    left = 3 * alignment.variance - np.trace(followed, axis1=1, axis2=2)
+    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
 
 
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
@@ -277,14 +266,6 @@ def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
         if candidates and candidates[0].alignment.chi2 <= chi2_limit(count):
             return candidates
     return []
-
-
-def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
-    """Return `find_largest_pairings`, or nothing if the search would take too long; for diagnosis."""
-    try:
-        return find_largest_pairings(sets)
-    except DataError:
-        return []
 
 
 def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:

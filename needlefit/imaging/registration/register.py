@@ -9,6 +9,7 @@ same frame can (`check_axis_signs`).
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,38 +34,13 @@ from needlefit.imaging.registration.pairing import (
     make_marker_sets,
     mean_error_length,
     mirror,
-    propagate_to_targets,
+    motion_jacobian,
     select_likeliest,
-    try_find_largest_pairings,
     worst_turn_sd,
 )
 
 # By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
 MIN_DISTANCE_RATIO = 4.0
-
-
-def mirror_error(sets: MarkerSets, reached: int) -> DataError | None:
-    """Return the error of markers that are mirrored; None if no more than the `reached` pairs then fit."""
-    reflected = try_find_largest_pairings(mirror(sets))
-    if reflected and len(reflected[0].pairs) > reached:
-        return refusal(f"""the markers are mirrored: {len(reflected[0].pairs)} fit reflected, {reached} as
-                they are
-            expected: a scan of the same handedness as the world
-            fix: one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z
-                alone): look at the direction of the slices and at the coordinate system of the markers' file
-            where: markers""")
-    return None
-
-
-def no_fit_error(sets: MarkerSets) -> DataError:
-    """Return the error for sets that no pairing within the stated noise fits."""
-    return refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits
-            within {sets.typical_sd:.2f} mm
-        expected: three or more markers at distances as in the world, more if some are missing and others
-            spurious
-        fix: look at the markers found in the scan; check the known ones and their unit, mm, and the spacing
-            of the voxels; state larger deviations
-        where: markers""")
 
 
 def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
@@ -84,11 +60,6 @@ def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
             where: markers given in the frame of the scan""")
 
 
-def format_pairs(pairs: ArrayLike) -> str:
-    """Return pairs (P, 2) as text."""
-    return ", ".join(f"{i}->{j}" for i, j in np.asarray(pairs).tolist())
-
-
 def _root_mean_square(difference: Floats) -> float:
     """Return the root mean square length of vectors (N, 3)."""
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
@@ -99,38 +70,40 @@ def select_pairing(sets: MarkerSets) -> Pairing:
     candidates = find_largest_pairings(sets)
     reached = len(candidates[0].pairs) if candidates else 0
     if reached < sets.smaller_count:
-        error = mirror_error(sets, reached)
-        if error or not candidates:
-            raise error or no_fit_error(sets)
+        reflected: list[MarkerPairingCandidate] = []
+        with suppress(DataError):  # the search would take too long
+            reflected = find_largest_pairings(mirror(sets))
+        if reflected and len(reflected[0].pairs) > reached:
+            raise refusal(f"""the markers are mirrored: {len(reflected[0].pairs)} fit reflected, {reached} as
+                    they are
+                expected: a scan of the same handedness as the world
+                fix: one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z
+                    alone): look at the direction of the slices and at the coordinate system of the markers'
+                    file
+                where: markers""")
+    if not candidates:
+        raise refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers
+                fits within {sets.typical_sd:.2f} mm
+            expected: three or more markers at distances as in the world, more if some are missing and others
+                spurious
+            fix: look at the markers found in the scan; check the known ones and their unit, mm, and the
+                spacing of the voxels; state larger deviations
+            where: markers""")
     chosen = select_likeliest(candidates)
     if chosen.wrong_pairing_probability > MAX_WRONG_PAIRING_PROBABILITY:
-        raise _ambiguous_error(chosen)
+        two = (chosen.best, chosen.alternatives[0])
+        left, other = (_root_mean_square(one.alignment.residuals) for one in two)
+        pairs, others = (", ".join(f"{i}->{j}" for i, j in one.pairs.tolist()) for one in two)
+        raise refusal(f"""{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely,
+                the best two leave {left:.2f} and {other:.2f} mm: {pairs} or {others}
+            expected: one pairing that is at least 1000 times as likely as all others together
+            fix: move or add a marker so that no two distances are alike
+            where: markers""")
     return chosen
-
-
-def _ambiguous_error(chosen: Pairing) -> DataError:
-    two = (chosen.best, chosen.alternatives[0])
-    left, other = (_root_mean_square(one.alignment.residuals) for one in two)
-    pairs, others = (format_pairs(one.pairs) for one in two)
-    what = (
-        f"{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely, the best two "
-        f"leave {left:.2f} and {other:.2f} mm: {pairs} or {others}"
-    )
-    return refusal(f"""{what}
-        expected: one pairing that is at least 1000 times as likely as all others together
-        fix: move or add a marker so that no two distances are alike
-        where: markers""")
 
 
 def _list_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[str]:
     """Yield the warnings about a pairing, the most important first."""
-    yield from _unpaired_warnings(sets, best)
-    # flat layouts always fit a mirrored scan nearly as well
-    if align_pairs(mirror(sets), best.pairs).chi2 - best.alignment.chi2 <= MIN_CHI2_GAP:
-        yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
-
-
-def _unpaired_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[str]:
     found = np.setdiff1d(np.arange(len(sets.found)), best.pairs[:, 0])
     known = np.setdiff1d(np.arange(len(sets.known)), best.pairs[:, 1])
     listed, missing = (", ".join(map(str, numbers.tolist())) for numbers in (found, known))
@@ -146,6 +119,9 @@ def _unpaired_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterat
                 f"found marker {i} lies {away.min():.2f} mm from known marker {known[np.argmin(away)]}: "
                 "one of them has moved, or is measured wrongly"
             )
+    # flat layouts always fit a mirrored scan nearly as well
+    if align_pairs(mirror(sets), best.pairs).chi2 - best.alignment.chi2 <= MIN_CHI2_GAP:
+        yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
 
 
 MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
@@ -189,7 +165,20 @@ def register(
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
     _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.variance.max())))
-    return _build_registration(sets, chosen)
+    return Registration(
+        rotation=alignment.frame.rotation,
+        translation=alignment.frame.origin,
+        pairs=paired,
+        residuals=alignment.residuals,
+        fre=_root_mean_square(alignment.residuals),
+        expected_fre=expected_fre(alignment, sets.found[paired[:, 0]]),
+        p_value=float(chdtrc(3 * len(paired) - 6, alignment.chi2)),
+        wrong_pairing_probability=chosen.wrong_pairing_probability,
+        known=len(sets.known),
+        centre=alignment.centre,
+        covariance=alignment.covariance,
+        warnings=tuple(_list_warnings(sets, chosen.best)),
+    )
 
 
 def scan_frame(registration: Registration) -> Frame:
@@ -204,32 +193,13 @@ def to_world(registration: Registration, points: ArrayLike) -> Floats:
 
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
-    arms = to_world(registration, points) - registration.centre
-    return propagate_to_targets(arms, registration.covariance)
+    moved = motion_jacobian(to_world(registration, points) - registration.centre)
+    return np.asarray(moved @ registration.covariance @ np.swapaxes(moved, -1, -2))
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
     """Return the expected length (N,) of the error at scan `points` (N, 3), mm."""
     return mean_error_length(target_covariance(registration, points))
-
-
-def _build_registration(sets: MarkerSets, chosen: Pairing) -> Registration:
-    alignment, pairs = chosen.best.alignment, chosen.best.pairs
-    found = sets.found[pairs[:, 0]]
-    return Registration(
-        rotation=alignment.frame.rotation,
-        translation=alignment.frame.origin,
-        pairs=pairs,
-        residuals=alignment.residuals,
-        fre=_root_mean_square(alignment.residuals),
-        expected_fre=expected_fre(alignment, found),
-        p_value=float(chdtrc(3 * len(pairs) - 6, alignment.chi2)),
-        wrong_pairing_probability=chosen.wrong_pairing_probability,
-        known=len(sets.known),
-        centre=alignment.centre,
-        covariance=alignment.covariance,
-        warnings=tuple(_list_warnings(sets, chosen.best)),
-    )
 
 
 def _refuse_collinear(points: Floats, sd: float) -> None:
