@@ -7,7 +7,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from test_cli import run
-from track_cases import DEPTH, GUIDE, NEEDLE, NOISE, TRUTH, measured, track, written
+from track_cases import (
+    DEPTH,
+    GUIDE,
+    GUIDE_Z,
+    NEEDLE,
+    NOISE,
+    TRUTH,
+    measured,
+    measured_in_space,
+    track,
+    written,
+)
 
 from needlefit.mechanics.control import Bevel, Controls, Guide
 from needlefit.mechanics.simulate import simulate
@@ -117,11 +128,32 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert str(project) not in json.dumps(record) and record["fits"]["gel"]["folds"][0]["tune"][0] == "rest0"
 
 
+@pytest.mark.sweep
+@pytest.mark.parametrize("planes", [1, 2])
+@pytest.mark.usefixtures("few_draws")
+def test_runs_tracked_in_space_are_predicted_along_both(project, planes):
+    """Fitted along y alone, or along both: the guide's moves along z are predicted."""
+    runs = [track(f"rest{n}", 0 * GUIDE, guide_z=0 * GUIDE) for n in range(4)]
+    runs += [track(f"moved{n}", GUIDE * (1 - n), guide_z=GUIDE_Z) for n in (0, 2)]
+    every = [measured_in_space(one, n, (0.03 + 0.004 * n, -0.02)) for n, one in enumerate(runs)]
+    written(project / "data/mine", every)
+    text = STUDY.replace('medium = "gel"', f'medium = "gel"\nplanes = {planes}')
+    (project / "studies/mine.toml").write_text(text)
+    assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
+    found = pd.read_csv(project / "reports/mine/runs.csv").drop_duplicates(["run", "direction", "method"])
+    assert set(found["direction"]) == {"y", "z"} and len(found) == 2 * 2 * 4
+    error = found.groupby(["direction", "method"])["rms_mm"].mean()
+    assert error["z", "fitted"] < 0.6 * error["z", "straight"]
+    methods = pd.read_csv(project / "reports/mine/methods.csv")
+    assert len(methods) == 2 * 4
+
+
 @pytest.mark.parametrize(
     ("file", "old", "new", "key"),
     [
         ("studies/mine.toml", "validate = { guided = true }", "validate = {}", "gel"),
         ("data/mine/dataset.toml", "slope_sd_deg = 1.0", "", "slope_sd_deg"),
+        ("studies/mine.toml", 'medium = "gel"', 'medium = "gel"\nplanes = 2', "planes"),
     ],
 )
 def test_a_study_that_cannot_predict_is_refused(project, capsys, file, old, new, key):

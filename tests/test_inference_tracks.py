@@ -10,13 +10,16 @@ from scipy.linalg import block_diag
 from track_cases import (
     DEPTH,
     GUIDE,
+    GUIDE_Z,
     MEDIUM,
     NEEDLE,
     NOISE,
     TRUTH,
     dataset,
     measured,
+    measured_in_space,
     problem,
+    simulate_in_space,
     simulate_tips,
     track,
     with_tip,
@@ -59,6 +62,81 @@ def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
     for n, more in enumerate(np.diff(depth), start=1):
         shape = session.step(insert=float(more), guides=(Guide(-20.0, float(GUIDE[n])),))
         assert found[0, n] == pytest.approx(shape.u[-1], abs=0.002)
+
+
+def test_a_track_in_space_is_where_a_stepwise_insertion_has_its_tip():
+    """Guide along y and z, the bevel turned by a quarter on the way."""
+    one = replace(track("run", GUIDE, guide_z=GUIDE_Z), turns=((20.0, 90.0),))
+    found = simulate_in_space(one)
+    gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
+    session = Session(NEEDLE, gel, Bevel(0.03), rules=ModelOptions())
+    for n, more in enumerate(np.diff(DEPTH), start=1):
+        bevel = Bevel(0.03, roll_deg=90.0 * (DEPTH[n - 1] >= 20))
+        guide = Guide(-20.0, float(GUIDE[n]), z=float(GUIDE_Z[n]))
+        shape = session.step(insert=float(more), guides=(guide,), bevel=bevel)
+        assert found[n] == pytest.approx([shape.u[-1], shape.w[-1]], abs=0.002)
+
+
+@pytest.fixture(scope="module")
+def runs_in_space():
+    """Runs with a bevel that is off by some degrees, in frames of different slopes."""
+    moves = ((GUIDE, GUIDE_Z), (-0.5 * GUIDE, GUIDE), (REST, REST), (REST, REST))
+    runs = [track(f"run{n}", y, guide_z=z, roll=6.0 - 4.0 * n) for n, (y, z) in enumerate(moves)]
+    every = [measured_in_space(one, n, (0.01, -0.02)) for n, one in enumerate(runs)]
+    return [replace(one, turns=()) for one in every]
+
+
+ROLLED = TrackErrorsRecord(gain_sd=0.2, roll_sd_deg=5.0)
+
+
+def in_space(runs, errors=ROLLED):
+    asked = problem(runs, planes=2)
+    likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
+    return replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
+
+
+def test_runs_in_space_tell_more_and_the_truth(runs_in_space):
+    recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3, "algorithm": "leastsquares"})
+    sds = []
+    for asked in (in_space(runs_in_space), replace(in_space(runs_in_space), dataset=in_plane(runs_in_space))):
+        fit = minimize(asked, recipe, np.random.default_rng(1))
+        _, slope = asked.jacobian(np.array(fit.theta))
+        sds.append(np.sqrt(np.diag(np.linalg.inv(slope.T @ slope))))
+        assert np.all(np.abs(np.array(fit.theta) - THETA) < 3.5 * sds[-1])
+    assert np.all(sds[0] < 0.95 * sds[1])
+
+
+def in_plane(runs):
+    return replace(dataset(runs), noise=SESSION_NOISE)
+
+
+def test_a_needle_turned_as_a_whole_has_the_same_density(runs_in_space):
+    """Tips, guide and bevel, turned by a quarter about the depth: y becomes z."""
+    turned = [
+        replace(
+            with_tip(one, -one.out_of_plane, one.tip),
+            guide=-one.guide_z,
+            guide_z=one.guide,
+            turns=((0.0, 90.0),),
+        )
+        for one in runs_in_space
+    ]
+    here, there = in_space(runs_in_space), in_space(turned)
+    assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
+    assert there.objective(THETA) == pytest.approx(here.objective(THETA), abs=1e-8)
+    assert_one_density(there, THETA + np.array([0.3, -0.2, 0.1]), rtol=5e-4)
+    at = THETA + 0.2
+    ends = [(there.objective(at + d) - there.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
+    assert there.objective_gradient(at)[1] == pytest.approx(ends, rel=1e-4, abs=1e-5)
+
+
+def test_a_roll_that_errs_is_allowed_for(runs_in_space):
+    """Of a run at rest, the tip along z is the tip along y times the roll."""
+    (known,) = in_space(runs_in_space[2:3]).density.observations
+    assert len(known.nodes.insertions) == 3
+    ends = [simulate_in_space(one) for one in known.nodes.insertions]
+    bent = simulate_in_space(runs_in_space[2])[-1, 0]
+    assert ends[2][-1, 1] - ends[1][-1, 1] == pytest.approx(2 * np.sin(np.radians(5)) * bent, rel=1e-6)
 
 
 def test_runs_under_a_resting_guide_are_one_insertion():

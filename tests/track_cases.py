@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Noise, TipReadings, TipTrack, make_track
-from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.compared_points import pad_planes
+from needlefit.inference.forward_model import PreparedModel, simulate_deflections
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
@@ -18,6 +19,8 @@ TRUTH = {"mu1_pa": 3e4, "alpha1": 1.0, "bevel_mm": 0.03, "guide_distance_mm": 20
 DEPTH = np.arange(0.0, 61.0, 5.0)
 #: where the guide stood on the way to each reading, mm
 GUIDE = np.array([0.0, 0, 1, 3, 4, 4, 2, 0, -1, -2, -2, 0, 1])
+#: the same across it
+GUIDE_Z = np.array([0.0, 1, 1, 0, -2, -3, -3, -1, 0, 2, 3, 3, 2])
 
 MEDIUM = MediumRecord.model_validate(
     {
@@ -63,20 +66,43 @@ valid = "ok"
 """
 
 
-def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1) -> TipTrack:
-    """A run not yet measured: its tip is 0."""
+def track(
+    name: str,
+    guide: np.ndarray,
+    depth: np.ndarray = DEPTH,
+    side: int = 1,
+    guide_z: np.ndarray | None = None,
+    roll: float = 0.0,
+) -> TipTrack:
+    """A run not yet measured: its tip is 0; with `guide_z` it is in space, its bevel rolled, degrees."""
     readings = TipReadings(depth, np.zeros(len(depth)), guide)
-    return make_track(name, "gel", "gel", side, readings, (np.empty(0), (1,)))
+    if guide_z is not None:
+        readings = readings._replace(tip_z=np.zeros(len(depth)), guide_z=guide_z)
+    turns = ((0.0, roll),) if roll else ()
+    return make_track(name, "gel", "gel", side, readings, (np.empty(0), (1,)), turns)
 
 
-def with_tip(one: TipTrack, tip: np.ndarray) -> TipTrack:
+def with_tip(one: TipTrack, tip: np.ndarray, tip_z: np.ndarray | None = None) -> TipTrack:
     """The run with these readings of its tip."""
-    return replace(one, planar=np.column_stack([one.depths, tip]))
+    z = one.out_of_plane if tip_z is None else tip_z
+    return replace(one, planar=np.column_stack([one.depths, tip]), out_of_plane=z)
 
 
 def simulate_tips(tracks: list[TipTrack]) -> tuple[np.ndarray, ...]:
     """The tips (1, n) of every run at the truth."""
     return simulate_deflections([TRUTH], MEDIUM, NEEDLE, tracks, [one.depths for one in tracks])
+
+
+def simulate_in_space(one: TipTrack) -> np.ndarray:
+    """The tips (n, 2) along y and z of a run at the truth."""
+    ((points,),) = PreparedModel(MEDIUM, NEEDLE, [one]).read_points([TRUTH], [one.depths])
+    return np.asarray(pad_planes(points, 2)[:, 1:])
+
+
+def measured_in_space(one: TipTrack, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> TipTrack:
+    """The same of a run in space, in a frame with these slopes along y and z."""
+    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.tip), 2))
+    return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.depths, slopes) + 3.0).T)
 
 
 def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> TipTrack:
@@ -86,24 +112,28 @@ def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | 
     return with_tip(one, tip[0] + shift + slope * one.depths + noise)
 
 
-def dataset(tracks: list[TipTrack]) -> Dataset:
-    return Dataset(
+def dataset(tracks: list[TipTrack], planes: int = 1) -> Dataset:
+    found = Dataset(
         "cases", "cases", "synthetic", NEEDLE, tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
     )
+    return replace(found, planes=planes)
 
 
-def problem(tracks: list[TipTrack], medium: MediumRecord = MEDIUM) -> Problem:
-    return make_problem(dataset(tracks), tracks, medium, WeightsRecord())
+def problem(tracks: list[TipTrack], medium: MediumRecord = MEDIUM, planes: int = 1) -> Problem:
+    return make_problem(dataset(tracks, planes), tracks, medium, WeightsRecord())
 
 
 def written(folder: Path, tracks: list[TipTrack], toml: str = TOML) -> Path:
     """A folder with the runs as somebody's table, depths beginning anywhere."""
-    rows = [
-        f"{one.id},{one.medium},{depth + 0.7:.4f},{tip:.5f},{guide - 25.0:.4f},1"
-        for one in tracks
-        for depth, tip, guide in zip(one.depths, one.tip, one.guide, strict=True)
-    ]
+    rows, in_space = [], all(one.guide_z is not None for one in tracks)
+    for one in tracks:
+        places = [one.depths + 0.7, one.tip, one.guide - 25.0, np.ones(len(one.tip))]
+        places += [one.out_of_plane, one.guide_z + 4.0] if in_space else []
+        rows += [
+            ",".join([one.id, one.medium, *(f"{x:.5f}" for x in row)]) for row in zip(*places, strict=True)
+        ]
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "steps.csv").write_text(HEAD + "\n".join(rows) + "\n")
+    head = HEAD.replace("\n", ",tip_z_mm,guide_z_mm\n") if in_space else HEAD
+    (folder / "steps.csv").write_text(head + "\n".join(rows) + "\n")
     (folder / "dataset.toml").write_text(toml)
     return folder

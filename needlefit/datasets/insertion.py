@@ -314,18 +314,25 @@ class TipReadings(NamedTuple):
     # (n,); lateral place of the guide on the way to each reading, mm, from where it stood at the first.
     guide: Floats
     heading: Floats | None = None  # (n,); direction of the tip as the tracker reports it, rad
+    # tip_z, guide_z, heading_z: (n,); the same across these, in a right-handed frame with the depth
+    tip_z: Floats | None = None
+    guide_z: Floats | None = None
+    heading_z: Floats | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class TipTrack(Insertion):
     """An insertion that was observed by its tip on the way, not by its shape at the end.
 
-    `planar` (n, 2) holds the depth and the tip of each reading, mm; `depth` is that of the last one. The
-    `specimen` is the piece punctured; runs into one piece are no independent ones.
+    `planar` (n, 2) holds the depth and the tip of each reading, mm, `out_of_plane` the tip along z; `depth`
+    is that of the last one. The `specimen` is the piece punctured; runs into one piece are no independent
+    ones.
     """
 
     guide: Floats  # (n,)
     heading: Floats | None = None  # (n,); see `TipReadings`
+    guide_z: Floats | None = None  # (n,); None where the tip was not tracked along z
+    heading_z: Floats | None = None  # (n,)
 
     @property
     def depths(self) -> Floats:
@@ -340,7 +347,23 @@ class TipTrack(Insertion):
     @property
     def guided(self) -> bool:
         """Whether the guide moved during the run."""
-        return bool(np.ptp(self.guide) > GUIDE_STILL_MM)
+        return bool(np.ptp(self.guide) > GUIDE_STILL_MM or self.guided_along_z)
+
+    @property
+    def guided_along_z(self) -> bool:
+        """Whether the guide moved along z."""
+        return self.guide_z is not None and bool(np.ptp(self.guide_z) > GUIDE_STILL_MM)
+
+    def find_roll(self, depth: float) -> float:
+        """Return the roll of the bevel behind a depth (mm), degrees from that at first contact."""
+        return next((roll for start, roll in reversed(self.turns) if start <= depth), 0.0)
+
+    def list_directions(self, planes: int) -> tuple[Self, ...]:
+        """Return what was read along y, and in two planes, in place of that, what was read along z."""
+        if planes == 1 or self.guide_z is None:
+            return (self,)
+        planar, parts = np.column_stack([self.depths, self.out_of_plane]), (self.guide_z, self.heading_z)
+        return self, replace(self, planar=planar, guide=parts[0], heading=parts[1], guide_z=None)
 
 
 def make_track(
@@ -350,17 +373,21 @@ def make_track(
     side: int,
     readings: TipReadings,
     layers: tuple[Floats, tuple[int, ...]],
+    turns: tuple[tuple[float, float], ...] = (),
 ) -> TipTrack:
-    """Return a run whose bevel faces `side` (+1: toward greater tip).
+    """Return a run whose bevel faces `side` (+1: toward greater tip), but for its `turns`.
 
     `layers` are the boundaries (m - 1,), mm, and the m layer numbers between them.
     """
     boundaries, sequence = layers
-    planar, flat = np.column_stack([readings.depth, readings.tip]), np.zeros(len(readings.depth))
+    across = np.zeros(len(readings.depth)) if readings.tip_z is None else readings.tip_z
+    planar = np.column_stack([readings.depth, readings.tip])
+    guide_z = None if readings.tip_z is None else np.zeros(len(across))
     return TipTrack(
         id=name, medium=medium, specimen=specimen, layers=len(sequence), layers_alternative=len(sequence),
         depth=float(readings.depth[-1]), side=side, frame=IDENTITY_FRAME, pose_source="none",
-        pose_shift_sd=0.0, pose_angle_sd=0.0, centerline=np.column_stack([planar, flat]), planar=planar,
-        out_of_plane=flat, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
-        guide=readings.guide, heading=readings.heading,
+        pose_shift_sd=0.0, pose_angle_sd=0.0, centerline=np.column_stack([planar, across]), planar=planar,
+        turns=turns, out_of_plane=across, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
+        guide=readings.guide, heading=readings.heading, heading_z=readings.heading_z,
+        guide_z=guide_z if readings.guide_z is None else readings.guide_z,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack, find_free_reach
 from needlefit.geometry.curves import (
     COMPARISON_POINTS,
     ComparedCurves,
@@ -38,16 +38,15 @@ def estimate_noise_floor(
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
     curve, flat = insertion.planar, insertion.out_of_plane
-    perturbed = curve + displaced
     across = flat + draw_errors_across(dataset, insertion, rng, draws)
-    if dataset.pose == "tracker":
-        perturbed[..., 0] = curve[:, 0]  # depths are known; the best shift and slope are taken off
-        perturbed = align_lateral(perturbed, curve)
+    again = np.concatenate([curve + displaced, across[..., None]], axis=-1)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     tracker = dataset.pose == "tracker"
     whole = np.column_stack([curve, flat])
+    if tracker:
+        again[..., 0] = curve[:, 0]  # depths are known; the best shifts and slopes are taken off
+        again = align_lateral(again, whole)
     compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, free)
-    again = np.concatenate([perturbed, across[..., None]], axis=-1)
     errors = [compute_metrics(compare(one), metrics) for one in again]
     return {metric.name: float(np.mean([row[metric.name] for row in errors])) for metric in metrics}
 
@@ -79,15 +78,15 @@ def draw_measurement_errors(
 def draw_errors_across(
     dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
 ) -> Floats:
-    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 of tip tracks.
+    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 of tips tracked in one.
 
     They are drawn after those in the plane, which do not depend on them.
     """
-    if dataset.pose == "tracker":
+    if isinstance(insertion, TipTrack) and insertion.guide_z is None:
         return np.zeros((draws, len(insertion.planar)))
     s = arc_length(insertion.planar)
     points = draw_point_noise(insertion.planar, dataset.noise, rng, draws)[..., 0]
-    if dataset.pose == "free":
+    if dataset.pose != "known":
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     normal = rng.normal(size=(2, draws, 1))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import ConfigError
@@ -43,7 +43,13 @@ def turns_out_of_plane(insertion: Insertion) -> bool:
 
 
 def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
-    """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too."""
+    """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too.
+
+    A run of a tip track leaves it where its guide does.
+    """
+    if isinstance(insertion, TipTrack):
+        turned = insertion.guide_z is not None and turns_out_of_plane(insertion)
+        return turned or insertion.guided_along_z
     if turns_out_of_plane(insertion):
         return True
     away, sd = abs(float(insertion.out_of_plane[-1])), compute_plane_sd(insertion, noise)
@@ -54,23 +60,25 @@ def set_planes(dataset: Dataset, insertions: Sequence[Insertion], stated: int | 
     """Return the dataset with the number of planes in which its needles are simulated and compared.
 
     It is the `stated` one; where that is None, 2 if any of the `insertions` leaves its plane. In one plane a
-    turn counts as the half turn, or none, that is nearest to it.
+    turn counts as the half turn, or none, that is nearest to it, and what a tracker read along z does not.
 
-    Raises ConfigError if two are stated for needles of unknown pose.
+    Raises ConfigError if two are stated for shapes of unknown pose, or tips that were tracked in one plane.
     """
-    if stated == 2 and dataset.pose != "known":
+    flat = any(isinstance(one, TipTrack) and one.guide_z is None for one in insertions)
+    if stated == 2 and (flat or dataset.pose == "free"):
         raise ConfigError(
-            f"the needles of {dataset.name} have no known pose",
+            f"the needles of {dataset.name} have no known " + ("place along z" if flat else "pose"),
             key="planes",
-            expected="1: their plane is that of their shape",
+            expected="1" + (", or tip_z_mm of every run" if flat else ": their plane is that of their shape"),
         )
     planes = stated or 1
-    if stated is None and dataset.pose == "known":
+    if stated is None and not flat and dataset.pose != "free":
         planes += any(leaves_plane(one, dataset.noise) for one in insertions)
     if planes == 2:
         return replace(dataset, planes=2)
-    kept = tuple(_project_turns(one) if one.turns else one for one in dataset.insertions)
-    return replace(dataset, insertions=kept)
+    kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
+    kept = (replace(one, guide_z=None) if isinstance(one, TipTrack) else one for one in kept)
+    return replace(dataset, insertions=tuple(kept))
 
 
 def _project_turns(insertion: Insertion) -> Insertion:

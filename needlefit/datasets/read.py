@@ -82,7 +82,10 @@ BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leav
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 # Columns that may be absent or have empty cells, with their default values.
-OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
+OPTIONAL_TRACK_COLUMNS = {
+    **{"heading_deg": np.nan, "tip_z_mm": np.nan, "guide_z_mm": 0.0, "heading_z_deg": np.nan},
+    **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0},
+}
 # Least number of readings of a run: shift and slope take two, and a bend needs more than one.
 MIN_READINGS = 5
 MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
@@ -456,19 +459,29 @@ def _parse_tracks(
         found += faults
         if faults:
             continue
-        medium, heading = record.media[media[rows[0]]], np.radians(own["heading_deg"])
+        medium, depth = record.media[media[rows[0]]], own["depth_mm"] - own["depth_mm"][0]
+        heading, tip_z, heading_z = (
+            None if np.isnan(part).any() else part
+            for part in (np.radians(own["heading_deg"]), own["tip_z_mm"], np.radians(own["heading_z_deg"]))
+        )
+        roll = own["bevel_roll_deg"][1:]
+        turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
         yield make_track(
             id_,
             str(media[rows[0]]),
             medium.specimen or str(media[rows[0]]),
             int(own["bevel_side"][0]),
             TipReadings(
-                depth=own["depth_mm"] - own["depth_mm"][0],
+                depth=depth,
                 tip=own["tip_mm"],
                 guide=own["guide_mm"] - own["guide_mm"][0],
-                heading=None if np.isnan(heading).any() else heading,
+                heading=heading,
+                tip_z=tip_z,
+                guide_z=None if tip_z is None else own["guide_z_mm"] - own["guide_z_mm"][0],
+                heading_z=None if tip_z is None else heading_z,
             ),
             (np.array(medium.boundaries_mm), medium.layers),
+            tuple((float(depth[n]), float(roll[n])) for n in turned),
         )
 
 
@@ -497,6 +510,10 @@ def _find_run_faults(
         what = f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"
         expected = f"mm, at most {MAX_STEP_MM:g} at once"
         yield Fault(places[n + 1], what, expected, "convert to mm, or add the readings between")
+    absent = np.flatnonzero(np.isnan(values["tip_z_mm"]))
+    if 0 < len(absent) < len(depth):
+        expected = "the tip along z in every reading of a run, or in none"
+        yield Fault(places[absent[0]], f"run {id_} has no tip_z_mm here", expected, "fill the cell")
     if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
         yield Fault(first, f"bevel_side of run {id_} is {sides[0]:g}", "1 or -1, one for all of a run", "")
 

@@ -117,21 +117,23 @@ def make_tracker_columns(depth: Floats) -> Floats:
 
 
 def align_lateral(moving: Floats, fixed: Floats) -> Floats:
-    """Return `moving` (..., N, 2) after the shift and slope of its y that bring it closest to `fixed` (N, 2).
+    """Return `moving` (..., N, D) after the shifts and slopes across that bring it closest to `fixed`.
 
     So are two tip tracks compared, whose tracker's frame is not known; x, the depth, is the same in both.
     """
     columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
     aligned = moving.copy()
-    aligned[..., 1] += (fixed[:, 1] - moving[..., 1]) @ columns @ columns.T
+    for axis in range(1, moving.shape[-1]):
+        aligned[..., axis] += (fixed[:, axis] - moving[..., axis]) @ columns @ columns.T
     return aligned
 
 
 def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (..., N, 2, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
+    """Return the derivatives (..., N, D, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
     columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
     derivatives = slopes.copy()
-    derivatives[..., 1, :] -= columns @ (columns.T @ slopes[..., 1, :])
+    for axis in range(1, slopes.shape[-2]):
+        derivatives[..., axis, :] -= columns @ (columns.T @ slopes[..., axis, :])
     return derivatives
 
 

@@ -52,7 +52,8 @@ def read_points(insertion: Insertion | None, shape: NeedleShape, s: Floats) -> F
     if not shape.converged:
         return np.full((len(s), 2 if shape.w is None else 3), np.nan)
     if isinstance(insertion, TipTrack):
-        return np.column_stack([s, extrapolate_tip(shape.constraints[:, 0], shape.tip_track[:, 0], s)])
+        tips = shape.tip_track[:, ::2].T
+        return np.column_stack([s, *(extrapolate_tip(shape.constraints[:, 0], one, s) for one in tips)])
     return compute_positions(shape, s)
 
 
@@ -60,10 +61,11 @@ def read_batch_points(insertion: Insertion, shapes: NeedleShapes, s: Floats) -> 
     """Return `read_points` (B, K, 2), in space (B, K, 3), of many simulations of one insertion."""
     if not isinstance(insertion, TipTrack):
         return compute_batch_positions(shapes, s)
-    found = np.full((len(shapes), len(s), 2), np.nan)
+    found = np.full((len(shapes), len(s), shapes.constraints.shape[2]), np.nan)
     found[..., 0] = s
-    tip = extrapolate_tip(shapes.constraints[0, :, 0], shapes.tip_track[:, :, 0], s)
-    found[..., 1] = np.where(shapes.converged[:, None], tip, np.nan)
+    for plane, tips in enumerate(np.moveaxis(shapes.tip_track[:, :, ::2], -1, 0), start=1):
+        tip = extrapolate_tip(shapes.constraints[0, :, 0], tips, s)
+        found[..., plane] = np.where(shapes.converged[:, None], tip, np.nan)
     return found
 
 
@@ -73,9 +75,11 @@ def read_batch_derivatives(
     """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `read_batch_points`."""
     if not isinstance(insertion, TipTrack):
         return differentiate_batch_positions(shapes, jacobians, s)
-    found = np.zeros((len(shapes), len(s), 2, len(jacobians.names)))
-    moved = extrapolate_tip(shapes.constraints[0, :, 0], jacobians.tip_track.transpose(0, 2, 1), s)
-    found[:, :, 1] = moved.transpose(0, 2, 1)
+    found = np.zeros((len(shapes), len(s), shapes.constraints.shape[2], len(jacobians.names)))
+    tracks = jacobians.tip_track.reshape(-1, len(shapes), *jacobians.tip_track.shape[-2:])
+    for plane, track in enumerate(tracks, start=1):
+        moved = extrapolate_tip(shapes.constraints[0, :, 0], track.transpose(0, 2, 1), s)
+        found[:, :, plane] = moved.transpose(0, 2, 1)
     return found
 
 
@@ -114,15 +118,15 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     keys = []
     for one in insertions:
         key = None
-        if isinstance(one, TipTrack) and not one.guided:
-            key = (one.side, one.bevel_factor, one.sequence, tuple(one.boundaries.tolist()))
+        if isinstance(one, TipTrack) and not (one.guided or any(depth for depth, _ in one.turns)):
+            key = (one.side, one.turns, one.bevel_factor, one.sequence, tuple(one.boundaries.tolist()))
             if one.depth > deepest.setdefault(key, one).depth:
                 deepest[key] = one
         elif isinstance(one, TipTrack):
             nearest, least = float(np.diff(one.depths).min()), MIN_CONSTRAINT_POINTS * spacing
             if nearest < least:
                 raise DataError(
-                    f"run {one.id} has readings {nearest:.3g} mm apart while its guide moves",
+                    f"run {one.id} has readings {nearest:.3g} mm apart while guide or bevel moves",
                     expected=f"{least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint "
                     "spacing",
                     fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then "
@@ -200,11 +204,11 @@ def select_points(
     Of a tip track they are its readings, whatever `stations`.
     """
     if isinstance(insertion, TipTrack):
-        depth, tip = insertion.planar.T
+        depth, *tips = *insertion.planar.T, insertion.out_of_plane
         frame = make_tracker_columns(depth)
         first = frame[: _count_entry_side(len(depth))]
-        line = frame @ np.linalg.lstsq(first, tip[: len(first)], rcond=None)[0]
-        return ComparedPoints(depth, np.column_stack([depth, tip - line]), pose, np.zeros(len(depth)))
+        tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
+        return ComparedPoints(depth, np.column_stack([depth, tip]), pose, across)
     along = insertion.measure_arc(planes)
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
@@ -220,12 +224,17 @@ def select_points(
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
     simulated = pad_planes(curve(target.s), 2)
+    if target.pose != "free":
+        return align(target.pose, simulated, target.in_space), target.in_space
     planar = align(target.pose, simulated[:, :2], target.measured)
     return np.column_stack([planar, simulated[:, 2]]), target.in_space
 
 
 def align(pose: Pose, simulated: Floats, measured: Floats) -> Floats:
-    """Return simulated points (..., K, 2) as the pose allows them to lie beside the measured ones (K, 2)."""
+    """Return simulated points (..., K, 2) as the pose allows them to lie beside the measured ones (K, 2).
+
+    In space both have three coordinates; free shapes are in a plane.
+    """
     if pose == "free":
         return align_rigid(simulated, measured)
     return align_lateral(simulated, measured) if pose == "tracker" else simulated

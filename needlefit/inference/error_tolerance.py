@@ -135,18 +135,19 @@ def _linearize(
     for insertion, goal, simulated, by, by_stated in zip(
         problem.insertions, some, points, slopes, stated_slopes, strict=True
     ):
-        planes, place = problem.dataset.planes, (goal.pose, simulated[0], goal.measured)
-        measured, by_stated = goal.measured_in(planes), pad_planes(by_stated, planes, axis=-2)
+        planes, measured = problem.dataset.planes, goal.measured_in(problem.dataset.planes)
+        by_stated, by = (pad_planes(one[0], planes, axis=-2) for one in (by_stated, by))
+        place = goal.pose, pad_planes(simulated[0], planes), measured
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
-            drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[0][..., columns])
+            drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
             # as the alignment of a free pose changes simulated points, so it changes these
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
         found.append(
             _LinearErrors(
                 station_weights(measured, problem.weights),
-                pad_planes(align(*place), planes) - measured,
-                pad_planes(differentiate_align(*place, by[0]), planes, axis=-2),
+                align(*place) - measured,
+                differentiate_align(*place, by),
                 drawn,
             )
         )

@@ -315,12 +315,15 @@ def _make_steps(
     distance = values.get("guide_distance_mm", insertion.guide_distance)
     controls = Controls() if distance is None else Controls(guides=(Guide(-distance),))
     if isinstance(insertion, TipTrack):
-        end = find_end(insertion, medium.constraint_spacing_mm)
-        if not insertion.guided:
-            return (Step(end, bevel, controls),)
-        ends = zip([*insertion.depths[1:-1].tolist(), end], insertion.guide[1:], strict=True)
-        x = -values["guide_distance_mm"]
-        return tuple(Step(depth, bevel, Controls(guides=(Guide(x, float(y)),))) for depth, y in ends)
+        end, x = find_end(insertion, medium.constraint_spacing_mm), -values["guide_distance_mm"]
+        starts = insertion.depths[:-1].tolist()
+        bevels = [replace(bevel, roll_deg=insertion.find_roll(depth)) for depth in starts]
+        if not insertion.guided and len({one.roll_deg for one in bevels}) == 1:
+            return (Step(end, bevels[0], controls),)
+        guide_z = np.zeros(len(insertion.guide)) if insertion.guide_z is None else insertion.guide_z
+        places = zip(insertion.guide[1:].tolist(), guide_z[1:].tolist(), strict=True)
+        held = [Controls(guides=(Guide(x, y, z=z),)) for y, z in places]
+        return tuple(map(Step, [*starts[1:], end], bevels, held))
     turned = [(0.0, 0.0), *(turn for turn in insertion.turns if turn[0] < insertion.depth)]
     stops = [*(depth for depth, _ in turned[1:]), insertion.depth]
     steps = [

@@ -118,7 +118,8 @@ class PosteriorDensity:
         nodes = self._first_nodes if as_measured else self._nodes
         points = iter(nodes.model.read_points(sets, nodes.places, jobs))
         for one, some in zip(self.observations, nodes.nodes, strict=True):
-            stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 2)
+            planar = (pad_planes(next(points), one.planes) for _ in some.s)
+            stacked = np.stack([*planar], axis=1)  # (B, m, K, 2), in space (B, m, K, 3)
             white = whiten_residuals(one, stacked)
             yield white if as_measured else append_pose_curves(one, white)
 
@@ -280,7 +281,10 @@ class PosteriorDensity:
         found, nodes = [], self._nodes
         points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
         for one, some in zip(self.observations, nodes.nodes, strict=True):
-            stacked, by = (np.stack([next(part) for _ in some.s], axis=1) for part in (points, slopes))
+            stacked, by = (
+                np.stack([pad_planes(next(part), one.planes, axis=axis) for _ in some.s], axis=1)
+                for part, axis in ((points, -1), (slopes, -2))
+            )
             white = append_pose_curves(one, whiten_residuals(one, stacked))
             by_white = np.zeros((*white.shape, by.shape[-1]))
             by_white[:, : len(some.s)] = whiten_derivatives(one, stacked, by)
@@ -418,7 +422,7 @@ class Problem:
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
         for goal, simulated in zip(goals, points, strict=True):
             measured = goal.measured_in(planes)
-            aligned = pad_planes(align(goal.pose, simulated, goal.measured), planes)
+            aligned = align(goal.pose, pad_planes(simulated, planes), measured)
             total += [metric_misfit(one, measured, self.weights) for one in aligned]
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
@@ -428,9 +432,9 @@ class Problem:
         pairs = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
         for goal, simulated, by in zip(goals, *pairs, strict=True):
             planes, measured = self.dataset.planes, goal.measured_in(self.dataset.planes)
-            by_aligned = differentiate_align(goal.pose, simulated, goal.measured, by)
-            slopes = pad_planes(by_aligned, planes, axis=-2)
-            aligned = pad_planes(align(goal.pose, simulated, goal.measured), planes)
+            simulated, by = pad_planes(simulated, planes), pad_planes(by, planes, axis=-2)
+            slopes = differentiate_align(goal.pose, simulated, measured, by)
+            aligned = align(goal.pose, simulated, measured)
             for b in range(len(sets)):
                 total[b] += metric_misfit(aligned[b], measured, self.weights)
                 slope[b] += metric_misfit_gradient(aligned[b], measured, self.weights, slopes[b])
@@ -509,7 +513,7 @@ class Problem:
         """The posterior with depths and bevel as stated: one needle instead of 2 d + 1 or more."""
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
-        tracks = self.likelihood.tip_tracks.model_copy(update={"gain_sd": 0.0})
+        tracks = self.likelihood.tip_tracks.model_copy(update={"gain_sd": 0.0, "roll_sd_deg": 0.0})
         plain = {"depths": "fixed", "bevel_spread": 0.0, "tip_tracks": tracks}
         return replace(self, likelihood=self.likelihood.model_copy(update=plain))
 

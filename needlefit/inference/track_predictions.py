@@ -39,9 +39,10 @@ def predict_runs(
 ) -> list[Floats]:
     """Return of each run held out draws (B, n - k) of its readings after the first k, `observed`, mm.
 
-    `scale` (B,) is what each draw multiplies the stated deviations of the noise by; `curves` are the
-    deflections (B, m, n), mm, of the runs `tuned` and `held_out` at the m nodes of each. What runs share is
-    estimated from the runs fitted to, for every draw, and from the first readings.
+    In space they are (B, 2 (n - k)), those along y before those along z, and so are curves. `scale` (B,) is
+    what each draw multiplies the stated deviations of the noise by; `curves` are the deflections (B, m, n),
+    mm, of the runs `tuned` and `held_out` at the m nodes of each. What runs share is estimated from the runs
+    fitted to, for every draw, and from the first readings.
     """
     every = (*tuned, *held_out)
     surfaces = sorted({axis.surface for one in every for axis in one.nodes.axes if axis.surface})
@@ -54,7 +55,8 @@ def predict_runs(
         # (B, d, n): the changes by one SD along the d axes of the run's errors
         columns = every[k].nodes.linear[1:] @ np.concatenate([curves[k], frame], axis=1)
         own = group.own[k][:, None] * columns
-        noise = scale[:, None, None] ** 2 * every[k].point_covariance + SHIFT_SD_MM**2
+        shifts = SHIFT_SD_MM**2 * every[k].free @ every[k].free.T
+        noise = scale[:, None, None] ** 2 * every[k].point_covariance + shifts
         return noise + own.transpose(0, 2, 1) @ own, columns.transpose(0, 2, 1) @ group.shared[k]
 
     pull = np.zeros((len(scale), len(surfaces)))
@@ -63,7 +65,7 @@ def predict_runs(
         covariance, shared = spread(k)
         weighted = np.linalg.solve(covariance, shared).transpose(0, 2, 1)  # (B, K, n)
         precision = precision + weighted @ shared
-        pull = pull + np.einsum("bkn,bn->bk", weighted, one.measured[:, 1] - curves[k][:, 0])
+        pull = pull + np.einsum("bkn,bn->bk", weighted, one.stack(one.measured) - curves[k][:, 0])
     found = np.linalg.inv(precision)
     best = np.einsum("bkl,bl->bk", found, pull)
     predicted = []
@@ -72,11 +74,13 @@ def predict_runs(
         mean = curves[k][:, 0] + np.einsum("bnk,bk->bn", shared, best)
         total = covariance + shared @ found @ shared.transpose(0, 2, 1)
         # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
-        cross = total[:, :count, count:]
-        gain = np.linalg.solve(total[:, :count, :count], cross)  # (B, k, n - k)
-        off = one.measured[:count, 1] - mean[:, :count]
-        centre = mean[:, count:] + np.einsum("bk,bkr->br", off, gain)
-        root = np.linalg.cholesky(total[:, count:, count:] - gain.transpose(0, 2, 1) @ cross)
+        first = np.tile(np.arange(len(one.measured)) < count, one.planes)
+        above, below = total[:, first], total[:, ~first]
+        cross = above[..., ~first]
+        gain = np.linalg.solve(above[..., first], cross)  # (B, k, n - k)
+        off = one.stack(one.measured)[first] - mean[:, first]
+        centre = mean[:, ~first] + np.einsum("bk,bkr->br", off, gain)
+        root = np.linalg.cholesky(below[..., ~first] - gain.transpose(0, 2, 1) @ cross)
         predicted.append(centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape)))
     return predicted
 

@@ -49,6 +49,8 @@ class TrackErrorsRecord(Record):
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Standard deviation of the slope of a group of runs in the tracker's frame, where the dataset states
     that of a run."""
+    roll_sd_deg: float = Field(default=0.0, ge=0, le=45)
+    """Of tips tracked in space: standard deviation of the bevel's roll in a run."""
     entry_sd_mm: float = Field(default=0.0, ge=0)
     """Standard deviation of the tip at first contact, where the tissue yields."""
     entry_yield: float = Field(default=0.0, ge=0)

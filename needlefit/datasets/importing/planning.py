@@ -364,7 +364,7 @@ class Planner:
     # ---- tip tracks
 
     def make_tracks(self) -> list[InsertionRow]:
-        """Return the runs; their readings are then in mm, and their points the deflection toward side 1."""
+        """Return the runs; their readings are then in mm, and their points the deflections along y and z."""
         angles = self.settle_sides()
         sides, turns = to_sides(angles or [0.0] * len(self.curves))
         if any(turns):
@@ -385,8 +385,10 @@ class Planner:
                 "bevel", "bend", "the mean direction in which the tips bend from their sides"
             )
             bevel = normalize(bends if answer.text == "bend" else answer.to_vector("bevel"))
+        across = np.cross(sum(one.line[-1] - one.line[0] for one in self.curves), bevel)
+        across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
         for one in self.curves:
-            one.points = replace(one.points, values=one.line @ np.outer(bevel, [1, 0, 0]))
+            one.points = replace(one.points, values=one.line @ np.column_stack([bevel, across, np.zeros(3)]))
         return rows
 
 

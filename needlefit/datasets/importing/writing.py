@@ -67,13 +67,16 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
     """Write a dataset of tip tracks."""
-    lines, media = ["id,medium,depth_mm,tip_mm,bevel_side\n"], dict[str, object]()
+    flat = not any(curve.line[:, 1].any() for curve in content.curves)
+    head, media = "id,medium,depth_mm,tip_mm,bevel_side", dict[str, object]()
+    lines = [f"{head}\n" if flat else f"{head},tip_z_mm\n"]
     medium = {"layers": [*range(1, len(plan.depths_mm) + 2)], "boundaries_mm": [*plan.depths_mm]}
     for row, curve in zip(plan.rows, content.curves, strict=True):
         media[row.medium] = medium | {"specimen": row.specimen}
         assert curve.readings is not None, "a track has readings"
-        for depth, tip in zip(curve.readings.depth, curve.line[:, 0], strict=True):
-            lines.append(f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}\n")
+        for depth, (tip, across, _) in zip(curve.readings.depth, curve.line, strict=True):
+            line = f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}"
+            lines.append(f"{line}\n" if flat else f"{line},{across:.4f}\n")
     source = {"file": TRACKS_FILE, "constants": {"guide_mm": 0.0}}  # at rest
     tables = {"tip_tracks": source, "media": media}
     record = check_record(draft | tables, TrackDatasetRecord, folder)

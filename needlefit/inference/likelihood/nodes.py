@@ -27,6 +27,7 @@ DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides a
 FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
 #: part of the guide's moves by which they are changed to simulate their effect, to both sides
 GAIN_STEP = 0.1
+ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides
 BEVEL_STEP = 0.1  #: part of the bevel's offset by which it is changed to simulate its effect, to both sides
 MIN_GAP_MM = 1e-3  #: smallest distance, mm, of moved boundaries from each other and from the entry
 
@@ -81,21 +82,28 @@ def make_nodes(
     constants: int = 0,
     shared: tuple[ErrorAxis, ...] = (),
     gain: tuple[ErrorAxis, float] | None = None,
+    roll_sd_deg: float = 0.0,
 ) -> Nodes:
     """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,).
 
     With `bevel` its offset may differ from that of other insertions. `constants` curves stand behind those of
-    the nodes; the last of these lie along the axes `shared` with other insertions. `gain`: the axis and
-    relative SD of a moved guide's effect.
+    the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain`: the
+    axis and relative SD of a moved guide's effect, and `roll_sd_deg`: the SD of the bevel's roll.
     """
     moves = _list_depth_errors(insertion) if depths == "linear" else []
     found = [(insertion, s)]
     for _, boundaries, depth in moves:
         found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
     axes = [axis for axis, *_ in moves]
+    changes = []
     if gain is not None:
-        axes.append(gain[0])
-        found += [(scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
+        both = [scale_guide(insertion, 1 + step) for step in (-GAIN_STEP, GAIN_STEP)]
+        changes.append((*gain, GAIN_STEP, both))
+    if roll_sd_deg:
+        both = [roll_bevel(insertion, step) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
+        changes.append((ErrorAxis(), roll_sd_deg, ROLL_STEP_DEG, both))
+    axes += [axis for axis, *_ in changes]
+    found += [(one, s) for *_, both in changes for one in both]
     if bevel:
         factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
         found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
@@ -104,9 +112,8 @@ def make_nodes(
     linear[0, 0] = 1.0
     for j in range(len(moves)):
         linear[1 + j, 1 + 2 * j : 3 + 2 * j] = [-0.5, 0.5]  # central difference
-    if gain is not None:
-        first = 1 + 2 * len(moves)
-        linear[len(axes), first : first + 2] = np.array([-0.5, 0.5]) * gain[1] / GAIN_STEP
+    for j, (_, sd, step, _) in enumerate(changes, start=len(moves)):
+        linear[1 + j, 1 + 2 * j : 3 + 2 * j] = np.array([-0.5, 0.5]) * sd / step
     apart = constants - len(shared)
     linear[1 + len(axes) :, len(found) + apart :] = np.eye(len(shared))
     effects = np.zeros((bevel + apart, len(found) + constants))
@@ -119,8 +126,19 @@ def make_nodes(
 def scale_guide(insertion: Insertion, factor: float) -> Insertion:
     """Return a tip track whose guide moved `factor` times as far from where it first stood."""
     assert isinstance(insertion, TipTrack)
-    first = insertion.guide[0]
-    return replace(insertion, guide=first + factor * (insertion.guide - first))
+    first, along_z = insertion.guide[0], insertion.guide_z
+    guide_z = None if along_z is None else along_z[0] + factor * (along_z - along_z[0])
+    return replace(insertion, guide=first + factor * (insertion.guide - first), guide_z=guide_z)
+
+
+def roll_bevel(insertion: Insertion, angle: float) -> Insertion:
+    """Return an insertion whose bevel was turned by an angle (degrees) before it and all along."""
+    turns = (
+        insertion.turns
+        if insertion.turns[:1] and insertion.turns[0][0] == 0
+        else ((0.0, 0.0), *insertion.turns)
+    )
+    return replace(insertion, turns=tuple((depth, roll + angle) for depth, roll in turns))
 
 
 Surface = tuple[object, ...]

@@ -331,36 +331,48 @@ def _observe_track(
 ) -> Observation:
     """Return the observation of a tip track: of its readings, and of their headings if their error is stated.
 
-    What is compared are the tips and then the headings of all readings but the first, which is in no tissue.
+    What is compared are the tips and then the headings of all readings but the first, which is in no tissue;
+    in space those along y before those along z.
     """
-    cov = points_covariance(track.depths, noise, track.sd)
-    frame, measured, operator = make_tracker_columns(track.depths), track.planar, None
-    if noise.heading_sd > 0 and track.heading is not None:
-        measured, operator = add_headings(track, track.heading)
-        cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
-        turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
-        frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
-    at, errors = measured[:, 0], likelihood.tip_tracks
-    # along the depth; what they do to a heading is their slope there
-    added = entry_covariance(track, at, errors)
-    added = added if model_error is None else added + model_error.covariance(at)
-    cov = cov + (added if operator is None else operator @ added @ operator.T)
-    if likelihood.noise == "independent":
-        cov = np.diag(np.diag(cov))
-    axes = list_session_axes(track.specimen, noise.slope_sd, frame.shape[1] - 1)
-    free = frame[:, : frame.shape[1] - len(axes)]
-    session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in axes]
-    if axes and errors.slope_sd_deg:
-        axes = (*axes, make_group_slope(track))
-        session = np.column_stack([session, math.radians(errors.slope_sd_deg) * frame[:, 1]])
+    errors, directions = likelihood.tip_tracks, track.list_directions(dataset.planes)
+    headings = [one.heading for one in directions if noise.heading_sd > 0 and one.heading is not None]
+    axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
+    for number, one in enumerate(directions):
+        cov, operator = points_covariance(one.depths, noise, one.sd), np.eye(len(one.depths))
+        frame, measured = make_tracker_columns(one.depths), one.planar
+        if len(headings) == len(directions):
+            measured, operator = add_headings(one, headings[number])
+            cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
+            turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
+            frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
+        at = measured[:, 0]
+        # along the depth; what they do to a heading is their slope there
+        added = entry_covariance(one, at, errors)
+        added = added if model_error is None else added + model_error.covariance(at)
+        cov = cov + operator @ added @ operator.T
+        if likelihood.noise == "independent":
+            cov = np.diag(np.diag(cov))
+        own = list_session_axes(track.specimen, noise.slope_sd, frame.shape[1] - 1, number)
+        free = frame[:, : frame.shape[1] - len(own)]
+        session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in own]
+        if own and errors.slope_sd_deg:
+            own = (*own, make_group_slope(track, number))
+            session = np.column_stack([session, math.radians(errors.slope_sd_deg) * frame[:, 1]])
+        axes += own
+        parts.append((measured[:, 1], operator, cov, free, session))
+    across, *blocks = zip(*parts, strict=True)
+    operator, cov, free, session = (block_diag(*block) for block in blocks)
     try:
         whitening, log_norm = whiten(cov, free)
     except np.linalg.LinAlgError:
         raise _without_errors(dataset, track) from None
     curves, varies = (whitening @ session).T, likelihood.bevel_spread > 0
-    gain = make_gain(track, errors.gain_sd)
-    nodes = make_nodes(track, at, "fixed", bevel=varies, constants=len(curves), shared=axes, gain=gain)
-    whitening = whitening if operator is None else whitening @ operator
+    gain, roll_sd_deg = make_gain(track, errors.gain_sd), errors.roll_sd_deg * (len(directions) - 1)
+    nodes = make_nodes(
+        track, at, "fixed", bevel=varies, constants=len(curves), shared=tuple(axes), gain=gain,
+        roll_sd_deg=roll_sd_deg,
+    )  # fmt: skip
+    measured, whitening = np.column_stack([at, *across]), whitening @ operator
     return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
 
 
@@ -369,8 +381,9 @@ def _name_group(track: TipTrack) -> str:
     return f"{track.medium}, {'steered' if track.guided else 'at rest'}"
 
 
-def make_group_slope(track: TipTrack) -> ErrorAxis:
-    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track)))
+def make_group_slope(track: TipTrack, direction: int = 0) -> ErrorAxis:
+    """Return the axis of the slope that a run's group has along y (0) or z (1)."""
+    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track) + ", along z" * direction))
 
 
 def make_gain(track: TipTrack, sd: float) -> tuple[ErrorAxis, float] | None:
@@ -404,16 +417,18 @@ def add_headings(track: TipTrack, heading: Floats) -> tuple[Floats, Floats]:
     return np.concatenate([track.planar, before]), np.block(rows)
 
 
-def list_session_axes(specimen: str, slope_sd: float, parts: int) -> tuple[ErrorAxis, ...]:
+def list_session_axes(
+    specimen: str, slope_sd: float, parts: int, direction: int = 0
+) -> tuple[ErrorAxis, ...]:
     """Return the axes of what a session's runs share: slope, and the offset of headings if `parts` is 2.
 
-    There are none where nothing is known of how much runs differ.
+    They are of a direction, y (0) or z (1). There are none where nothing is known of how much runs differ.
     """
     if not slope_sd:
         return ()
     whole = math.hypot(slope_sd, SESSION_SD_RAD)
-    slope = ErrorAxis(slope_sd / whole, SESSION_SD_RAD / whole, (specimen, FRAME, 0))
-    return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 1)))[:parts]
+    slope = ErrorAxis(slope_sd / whole, SESSION_SD_RAD / whole, (specimen, FRAME, 2 * direction))
+    return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
 
 def _without_errors(dataset: Dataset, insertion: Insertion) -> DataError:

@@ -116,16 +116,22 @@ def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int 
 
 
 def tracks(readings: pd.DataFrame) -> Figure:
-    """Draw every predicted run of tip tracks, a row of panels for each medium: the tip, below it the guide.
+    """Draw every predicted run of tip tracks, a row of panels for each medium (in space: and direction).
+
+    They show the tip, and below it the guide.
 
     `readings` has the columns of the frame `readings` of such a study.
     """
-    media = {name: list(dict.fromkeys(some["run"])) for name, some in readings.groupby("medium", sort=False)}
+    along = readings.get("direction", pd.Series("", readings.index))
+    titles = readings["medium"].map(medium_name) + along.map(lambda axis: axis and f", along {axis}")
+    readings = readings.assign(panels=titles)
+    panels = readings.groupby("panels", sort=False)
+    media = {str(name): list(dict.fromkeys(some["run"])) for name, some in panels}
     down, across = max(1, len(media)), max(map(len, media.values()), default=1)
     figure = Figure(figsize=(TEXT_WIDTH_IN, 1.75 * down))
     grid = figure.add_gridspec(2 * down, across, height_ratios=[3, 1] * down)
     for n, (medium, names) in enumerate(media.items()):
-        group = readings[readings["medium"] == medium]
+        group = readings[readings["panels"] == medium]
         values = np.concatenate([group["measured_mm"], group["median_mm"].dropna()])
         room = 0.25 * (values.max() - values.min())  # bands may leave it
         for k, name in enumerate(names):
@@ -137,13 +143,13 @@ def tracks(readings: pd.DataFrame) -> Figure:
             guide.step(known["depth_mm"], known["guide_mm"], where="pre", color=GREY, lw=0.9)
             tip.set_ylim(values.min() - room, values.max() + room)
             guide.set_ylim(group["guide_mm"].min() - 1, group["guide_mm"].max() + 1)
-            short = str(name).removeprefix(str(medium)).strip("_-. ") or str(name)
+            short = str(name).removeprefix(str(run["medium"].iloc[0])).strip("_-. ") or str(name)
             tip.set_title(short.replace("_", " "), loc="left", fontsize=6)
             tip.tick_params(labelbottom=False, labelleft=k == 0)
             guide.tick_params(labelbottom=n == down - 1, labelleft=k == 0)
             draw_grid(tip, "y")
             if k == 0:
-                tip.set_ylabel(f"{medium_name(str(medium))}\ntip (mm)")
+                tip.set_ylabel(f"{medium}\ntip (mm)")
                 guide.set_ylabel("guide\n(mm)")
             if n == down - 1:
                 guide.set_xlabel("depth (mm)")

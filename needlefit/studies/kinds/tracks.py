@@ -18,7 +18,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks
-from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
@@ -54,19 +54,20 @@ from needlefit.studies.score import Row
 KIND = StudyKind("tracks", TrackStudyRecord, __name__)
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading
+    # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading. The
+    # direction, y or z, is stated where runs were tracked in both.
     "readings": (
-        *("fit", "run", "medium", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
+        *("fit", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
         *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
     ),
     # a row per run predicted and method; `tip_...` at its last reading
     "runs": (
-        *("fit", "run", "medium", "specimen", "method", "readings", "rms_mm", "crps_mm"),
+        *("fit", "run", "medium", "direction", "specimen", "method", "readings", "rms_mm", "crps_mm"),
         *("tip_measured_mm", "tip_median_mm", "tip_in_50", "tip_in_95", "tip_95_low_mm", "tip_95_high_mm"),
     ),
     # mean error over the runs into a medium; the method's error minus the fitted model's, and its 95 %
     # interval (Student)
-    "methods": ("medium", "method", "runs", "rms_mm", "difference", "low", "high", "better"),
+    "methods": ("medium", "direction", "method", "runs", "rms_mm", "difference", "low", "high", "better"),
 }
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted run that are scored
@@ -83,9 +84,10 @@ def make_jobs(
     Raises ConfigError if a medium or run is missing, the needle is too short, or a run is predicted in a
     specimen in which none is fitted to.
     """
-    held = select_insertions(dataset, one.validate_.selection(), key="validate")
-    tuned = select_insertions(dataset, one.tune.selection())
-    job, count = prepare(name, record.tuning(one), settings, dataset), min(one.folds or 1, len(held))
+    job = prepare(name, record.tuning(one), settings, dataset)
+    held = select_insertions(job.dataset, one.validate_.selection(), key="validate")
+    tuned = select_insertions(job.dataset, one.tune.selection())
+    count = min(one.folds or 1, len(held))
     for k in range(count):
         left = held[k::count]
         names = {track.id for track in left}
@@ -141,9 +143,16 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
             break
         draws[one.name], posterior = drawn
         posteriors |= {} if posterior is None else {one.name: posterior}
-        for frame, more in _predict_runs(name, one, draws[one.name], placed_by, settings.jobs).items():
+        whole = restore_directions(one, dataset)
+        for frame, more in _predict_runs(name, whole, draws[one.name], placed_by, settings.jobs).items():
             rows[frame] += more
-    frames = {key: pd.DataFrame(each, columns=list(FRAMES[key])) for key, each in rows.items()}
+    directions = {row["direction"] for row in rows["runs"]}
+    frames = {
+        key: pd.DataFrame(
+            each, columns=[name for name in FRAMES[key] if name != "direction" or "z" in directions]
+        )
+        for key, each in rows.items()
+    }
     faults = tuple(
         RunFault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
     )
@@ -194,32 +203,57 @@ def _count_placed(track: Insertion, placed_by: float) -> int:
     return max(1, int(np.sum(track.planar[:, 0] <= placed_by)))
 
 
+def restore_directions(job: Job, dataset: Dataset) -> Job:
+    """Return a job with its runs as the dataset has them, in space if all of them were tracked along z."""
+    whole, (fold,) = {one.id: one for one in dataset.insertions}, job.folds
+    tune, validate = (tuple(whole[one.id] for one in part) for part in (fold.tune, fold.validate))
+    if any(isinstance(one, TipTrack) and one.guide_z is None for one in (*tune, *validate)):
+        return job
+    return replace(job, dataset=replace(job.dataset, planes=2), folds=(Fold(fold.name, tune, validate),))
+
+
 def _predict_runs(
     name: str, job: Job, draws: predict.Draws, placed_by: float, jobs: int
 ) -> dict[str, list[Row]]:
-    """Return rows of what every method makes of the runs of one fit, and of their readings."""
-    (fold,), runs, readings = job.folds, list[Row](), list[Row]()
+    """Return rows of what every method makes of the runs of one fit, and of their readings.
+
+    Curves predict each direction by itself.
+    """
+    (fold,), runs, readings, planes = job.folds, list[Row](), list[Row](), job.dataset.planes
     placed = [_count_placed(track, placed_by) for track in fold.validate]
     # curves are of readings in a frame whose slope they estimate from their own residuals
     exact = {"measurement": "points", "bevel_spread": 0.0, "tip_tracks": TrackErrorsRecord()}
     plain = job.recipe.likelihood.model_copy(update=exact)
+    flat = replace(job.dataset, planes=1)
     tuned, held = (
-        [make_observation(job.dataset, track, likelihood=plain) for track in tracks]
+        [
+            [make_observation(flat, one, likelihood=plain) for one in track.list_directions(planes)]
+            for track in tracks
+            if isinstance(track, TipTrack)
+        ]
         for tracks in (fold.tune, fold.validate)
     )
     for method in ("fitted", *(one.name for one in list_baselines("tracks"))):
         if method in BASELINES:
-            pairs = zip(held, placed, strict=True)
-            ahead = [predict_by_curve(BASELINES[method], tuned, one, count)[None] for one, count in pairs]
+            pairs, seen = zip(held, placed, strict=True), [*zip(*tuned, strict=True)]
+            ahead = [
+                np.concatenate(
+                    [predict_by_curve(BASELINES[method], *of, count) for of in zip(seen, one, strict=True)]
+                )[None]
+                for one, count in pairs
+            ]
         else:
             rng = random_stream(job.recipe.seed, name, job.name, method)
             ahead = predict_runs(*simulate_runs(job, draws, jobs, rng), placed, rng)
         certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
             assert isinstance(track, TipTrack)
-            row, rows = _score_run(track, count, predicted, certified)
-            runs.append({"fit": job.name, "method": method, **row})
-            readings += [{"fit": job.name, "method": method, **one} for one in rows]
+            parts = np.split(predicted, planes, axis=1)
+            for direction, one, part in zip("yz", track.list_directions(planes), parts, strict=False):
+                row, rows = _score_run(one, count, part, certified)
+                about = {"fit": job.name, "method": method, "direction": direction}
+                runs.append({**about, **row})
+                readings += [{**about, **each} for each in rows]
     return {"runs": runs, "readings": readings}
 
 
@@ -239,9 +273,9 @@ def simulate_runs(
     def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
         pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
         every, depths = [run for run, _ in pairs], [at for _, at in pairs]
-        curves = iter(simulate_deflections(sets, job.medium, job.dataset.needle, every, depths, jobs))
+        points = iter(PreparedModel(job.medium, job.dataset.needle, every).read_points(sets, depths, jobs))
         for one in some:
-            yield np.stack([next(curves) for _ in one.nodes.s], axis=1)  # (B, m, n)
+            yield np.stack([one.stack(next(points)) for _ in one.nodes.s], axis=1)  # (B, m, n or 2 n)
 
     tuned, held = (
         [make_observation(job.dataset, track, noise, likelihood) for track in tracks]
@@ -286,7 +320,8 @@ def _score_run(track: TipTrack, placed: int, predicted: Floats, certified: bool)
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
     """Compare every method with the fitted model on the same predicted runs: the frame "methods"."""
     rows = []
-    for medium, group in runs.groupby("medium", sort=False):
+    keys = [key for key in ("medium", "direction") if key in runs]
+    for place, group in runs.groupby(keys, sort=False):
         wide = group.pivot_table(index="run", columns="method", values="rms_mm", sort=False)
         for method in wide:
             gap = (wide[method] - wide["fitted"]).to_numpy(dtype=np.float64)
@@ -295,8 +330,9 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
                 half = float(stdtrit(n - 1, 0.975) * gap.std(ddof=1) / np.sqrt(n))
             difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
             known = (math.nan,) * len(difference) if method == "fitted" else difference
-            rows.append((medium, method, n, wide[method].mean(), *known))
-    return pd.DataFrame(rows, columns=list(FRAMES["methods"]))
+            rows.append((*place, method, n, wide[method].mean(), *known))
+    columns = [name for name in FRAMES["methods"] if name != "direction" or name in keys]
+    return pd.DataFrame(rows, columns=columns)
 
 
 # ---- the report
@@ -347,8 +383,9 @@ def tabulate(results: Run) -> list[Table]:
     """Return the errors of every method on the same runs."""
     named = {"fitted": MEDIAN_METHOD}  # the model predicts by all its draws
     rows = to_records(results.frames["methods"].replace({"method": named}))
-    columns = ("medium", "runs", "method", "track_error", "track_difference", "better_runs")
-    return [Table("scores", rows, columns, groups=("medium",), heads=2, strong="groups")]
+    keys = [key for key in ("medium", "direction") if key in results.frames["methods"]]
+    columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
+    return [Table("scores", rows, columns, groups=tuple(keys), heads=1 + len(keys), strong="groups")]
 
 
 def draw(results: Run) -> dict[str, Drawing]:
