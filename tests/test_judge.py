@@ -10,7 +10,15 @@ from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.answer import Check, Verdict, worst_status
-from needlefit.studies.judge import compare_pairs, describe_fit, join_trials, judge, list_checks
+from needlefit.studies.judge import (
+    compare_with_curves,
+    describe_fit,
+    join_trials,
+    judge,
+    judge_fits,
+    judge_tracks,
+    list_checks,
+)
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import pool_insertions
 
@@ -130,9 +138,31 @@ def pairs(gaps: np.ndarray, fold=None, specimen=None, hole=None) -> pd.DataFrame
 
 def test_paired_differences_have_students_p_values():
     gaps = np.array([-0.3, -0.1, -0.25, 0.05, -0.2])
-    ours, theirs = compare_pairs(pairs(gaps), "fitted", "straight")
-    assert ours == pytest.approx(scipy.stats.ttest_1samp(gaps, 0, alternative="less").pvalue)
-    assert theirs == pytest.approx(1 - ours)
+    (found,) = compare_with_curves(pairs(gaps), "fitted").to_dict("records")
+    assert (found["score"], found["curve"], found["trials"]) == ("te_mm", "straight", 5)
+    assert found["difference_mm"] == pytest.approx(gaps.mean())
+    for side, alternative in (("p_smaller", "less"), ("p_larger", "greater")):
+        exact = scipy.stats.ttest_1samp(gaps, 0, alternative=alternative).pvalue
+        assert found[side] == pytest.approx(exact)
+
+
+@pytest.mark.parametrize(
+    ("te", "crps", "outcome"),
+    [
+        (-0.3, -0.3, "generalises"),
+        (-0.3, 0.0, "not shown"),
+        (0.0, -0.3, "not shown"),
+        (0.0, 0.3, "does not generalise"),
+        (-0.3, 0.3, "does not generalise"),
+        (0.3, -0.3, "does not generalise"),
+    ],
+)
+def test_both_scores_decide_whether_fits_generalise(te, crps, outcome):
+    """A curve predicts a point: its CRPS is its tip error, 1 mm here."""
+    about = np.array([-0.02, 0.01, 0.03, -0.03, 0.01])
+    errors = pairs(te + about)
+    errors["tip_crps_mm"] = np.where(errors["method"] == "fitted", errors["te_mm"] - te + crps, np.nan)
+    assert judge_fits(errors, "fitted") == outcome
 
 
 def test_what_shares_a_fit_a_specimen_or_a_hole_is_one_trial():
@@ -142,10 +172,12 @@ def test_what_shares_a_fit_a_specimen_or_a_hole_is_one_trial():
     assert len(set(join_trials(chained))) == 1
     gaps = np.array([-0.3, -0.1, -0.25, 0.05])
     one_fit = pairs(gaps, fold=["all"] * 4)
-    assert compare_pairs(one_fit, "fitted", "straight") is None
-    two = compare_pairs(pairs(gaps, specimen=list("ppqq")), "fitted", "straight")
+    assert compare_with_curves(one_fit, "fitted").empty and judge_fits(one_fit, "fitted") == "not shown"
+    (two,) = compare_with_curves(pairs(gaps, specimen=list("ppqq")), "fitted").to_dict("records")
     means = np.array([gaps[:2].mean(), gaps[2:].mean()])
-    assert two[0] == pytest.approx(scipy.stats.ttest_1samp(means, 0, alternative="less").pvalue)
+    assert two["trials"] == 2 and two["p_smaller"] == pytest.approx(
+        scipy.stats.ttest_1samp(means, 0, alternative="less").pvalue
+    )
 
 
 def test_several_fits_generalise_only_where_they_beat_every_curve():
@@ -156,5 +188,27 @@ def test_several_fits_generalise_only_where_they_beat_every_curve():
     for changed in ({}, {"constant_curvature": (0.1, 0.0)}, {"straight": (0.01, 0.0), "fitted": (2.0, 0.01)}):
         one = with_tip_errors(results, **{**near, **others, **changed})
         group = pool_insertions(one)
-        outcomes.append(judge(one, group).outcome)
-    assert outcomes == ["generalises", "not shown", "does not generalise"]
+        outcomes.append((judge(one, group).outcome, find(one, Check.CURVES).passed))
+    assert outcomes == [("generalises", True), ("not shown", None), ("does not generalise", False)]
+
+
+def test_the_crps_of_predicted_tips_is_judged_too():
+    results = with_predictions(with_tip_errors(stereo(), **{**CURVES, "fitted": (0.1, 0.01)}))
+    errors, predictive = results.frames["errors"], results.frames["predictive"]
+    median = errors.query("method == 'fitted' and role == 'validate'").assign(method="predictive_median")
+    outcomes = []
+    for crps in (0.1, 10.0):
+        frames = {"errors": pd.concat([errors, median]), "predictive": predictive.assign(tip_crps_mm=crps)}
+        outcomes.append(results.with_frames(**frames).verdicts[0].numbers["outcome"])
+    assert outcomes == ["generalises", "does not generalise"]
+
+
+def test_tracks_of_several_fits_are_judged_and_those_of_one_described():
+    about = {"run": list("abcd"), "specimen": list("pqrs")}
+    ours = pd.DataFrame({**about, "method": "fitted", "rms_mm": [0.5, 0.6, 0.5, 0.4], "crps_mm": 0.3})
+    line = pd.DataFrame({**about, "method": "straight", "rms_mm": 1.0, "crps_mm": 0.8})
+    runs = pd.concat([ours, line])
+    assert judge_tracks(runs.assign(fit=[*"1234"] * 2), 0.5, 1.0) == "generalises"
+    assert judge_tracks(runs.assign(fit=[*"1234"] * 2, specimen="p"), 0.5, 1.0) == "not shown"
+    assert judge_tracks(runs.assign(fit="all"), 0.5, 1.0) == "in part"
+    assert judge_tracks(runs.assign(fit="all"), 0.5, 0.4) == "does not predict"

@@ -1,8 +1,10 @@
 """Judge predictions: the checks of the first page, and the verdict, from the stored tables of a run.
 
 One fit is described: "predicts", "predicts in part" or "does not predict" these needles. Several fits are
-judged by paired differences between our tip errors and those of each curve. Insertions that share a fit, a
-specimen or a hole err alike: their mean is one trial. Tip errors are those of the predictive median.
+judged by paired differences between our scores and those of each curve. Insertions that share a fit, a
+specimen or a hole err alike: their mean is one trial. Scores are the tip error of the predictive median, and
+the CRPS of the predicted tip. A curve predicts a point; its CRPS is its error. Of two that miss alike a
+distribution has the smaller CRPS, and a wrong spread is seen in CRPS alone: both scores are needed.
 """
 
 import math
@@ -28,6 +30,7 @@ MAX_NOISE_RATIO, FAR_NOISE_RATIO = 2.0, 5.0
 SIGNIFICANCE = 0.05
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
+CRPS = "tip_crps_mm"  #: column of the table "predictive": continuous ranked probability score of a tip
 #: kinds of warnings that are about the computation or about single parameters, not about the data
 _OTHER_WARNINGS = ("validity",)
 
@@ -37,6 +40,12 @@ Outcome = Literal[
 STATUS: Mapping[Outcome, Status] = {
     **{"predicts": "pass", "in part": "warn", "does not predict": "fail"},
     **{"generalises": "pass", "not shown": "warn", "does not generalise": "fail"},
+}
+#: whether several fits are closer than every curve; None: not shown
+CLOSER: Mapping[Outcome, bool | None] = {
+    "generalises": True,
+    "not shown": None,
+    "does not generalise": False,
 }
 
 
@@ -66,11 +75,22 @@ def judge(results: Run, group: ScoredGroup) -> Judgement | None:
     nearest = None if curve is None else group.get(group.tip, method=curve)
     if results.frames["errors"]["fold"].nunique() > 1:
         errors = select_group(results.frames["errors"], group)
-        held = (errors["role"] == "validate") & (errors["boundaries"] == "measured")
-        outcome = judge_fits(errors[held], method, group.tip)
+        held = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
+        if method == MEDIAN_METHOD:
+            scores = results.frames["predictive"][["fold", "insertion", CRPS]]
+            held = held.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
+        outcome = judge_fits(held, method, group.tip)
     else:
         outcome = describe_fit(error, ratio, nearest)
     return Judgement(outcome, error, ratio, curve or "", nearest)
+
+
+def judge_tracks(runs: pd.DataFrame, error_mm: float, curve_mm: float) -> Outcome:
+    """Judge predicted tip tracks by their table "runs"; describe one fit by its mean error and a curve's."""
+    if runs["fit"].nunique() == 1:
+        return describe_fit(error_mm, None, curve_mm)
+    named = {"fit": "fold", "run": "insertion", "rms_mm": TE, "crps_mm": CRPS}
+    return judge_fits(runs.rename(columns=named).assign(hole=runs["run"]), "fitted")
 
 
 def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | None) -> Outcome:
@@ -82,37 +102,54 @@ def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | N
 
 
 def judge_fits(errors: pd.DataFrame, method: str = MEDIAN_METHOD, metric: str = TE) -> Outcome:
-    """Return whether several fits generalise: their tip errors are significantly smaller than every curve's.
+    """Return whether several fits generalise: whether both their scores are better than every curve's.
 
-    Of many curves one may be closer by chance: that fits do not generalise has Holm's correction.
+    They generalise if tip errors and CRPS are significantly smaller than those of every curve. They do not if
+    either is significantly larger than that of a curve; as of many comparisons one may be so by chance, these
+    have Holm's correction.
 
     `errors`: rows of the table "errors" of held-out insertions, with `fold`, `specimen`, `hole`, `insertion`,
-    `method` and the `metric` (mm): those of `method`, and of the curves by their names.
+    `method` and the `metric` (mm): those of `method`, and of the curves by their names. `tip_crps_mm` is
+    the CRPS (mm) of `method`, and of curves if it is not their metric; without this column a point was
+    predicted, and the metric decides.
     """
-    pairs = (compare_pairs(errors, method, name, metric) for name in BASELINES.names())
-    known = [pair for pair in pairs if pair is not None]
-    if any(theirs * len(known) <= SIGNIFICANCE for _, theirs in known):
+    found = compare_with_curves(errors, method, metric)
+    if (found["p_larger"] * len(found) <= SIGNIFICANCE).any():
         return "does not generalise"
-    return "generalises" if known and all(ours <= SIGNIFICANCE for ours, _ in known) else "not shown"
+    return "generalises" if len(found) and (found["p_smaller"] <= SIGNIFICANCE).all() else "not shown"
 
 
-def compare_pairs(
-    errors: pd.DataFrame, method: str, other: str, metric: str = TE
-) -> tuple[float, float] | None:
-    """Return the p values of paired tip errors: that of a method's being smaller, and that of the other's.
+def compare_with_curves(errors: pd.DataFrame, method: str, metric: str = TE) -> pd.DataFrame:
+    """Compare the scores of a method with those of each curve on the same insertions.
 
-    `errors` as in `judge_fits`. A trial is the mean over insertions that share a fit, a specimen or a hole;
-    None with fewer than two.
+    `errors` as in `judge_fits`. A trial is the mean over insertions that share a fit, a specimen or a hole.
+
+    Returns
+    -------
+    DataFrame
+        A row for each score and curve with at least two trials: `score`, `curve`, `trials`, `difference_mm`
+        (the method's score less the curve's) and the p values of its being smaller and larger than 0 by
+        Student's t: `p_smaller`, `p_larger`.
     """
-    keys = ["fold", "specimen", "hole", "insertion"]
-    ours, theirs = (errors[errors["method"] == name].set_index(keys)[metric] for name in (method, other))
-    gaps = (ours - theirs).replace([np.inf, -np.inf], np.nan).dropna()
-    trials = gaps.groupby(join_trials(gaps.index.to_frame(index=False))).mean()
-    if len(trials) < 2:
-        return None
-    se = trials.std(ddof=1) / math.sqrt(len(trials))
-    t = trials.mean() / se if se > 0 else math.copysign(math.inf, trials.mean())
-    return float(scipy.special.stdtr(len(trials) - 1, t)), float(scipy.special.stdtr(len(trials) - 1, -t))
+    scores = [metric, CRPS] if CRPS in errors else [metric]
+    table = errors.replace([np.inf, -np.inf], np.nan).pivot(
+        index=["fold", "specimen", "hole", "insertion"], columns="method", values=scores
+    )
+    curves = [name for name in BASELINES.names() if (metric, name) in table]
+    trial, rows = join_trials(table.index.to_frame(index=False)), []
+    for score in scores:
+        of_curves = table[score][curves].fillna(table[metric][curves])
+        gaps = of_curves.rsub(table[score][method], axis=0)
+        for curve, means in gaps.groupby(trial).mean().items():
+            known = means.dropna()
+            if (n := len(known)) < 2:
+                continue
+            se, mean = known.std() / math.sqrt(n), known.mean()
+            t = mean / se if se > 0 else math.copysign(math.inf, mean)
+            p_smaller, p_larger = (float(scipy.special.stdtr(n - 1, one)) for one in (t, -t))
+            rows.append((score, curve, n, mean, p_smaller, p_larger))
+    columns = ["score", "curve", "trials", "difference_mm", "p_smaller", "p_larger"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def join_trials(rows: pd.DataFrame) -> list[int]:
@@ -147,7 +184,7 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
     if judged is not None:
         ratio, error, curve = judged.noise_ratio, judged.error_mm, judged.curve_mm
         if role != "tune" or ratio is None or ratio > 1:
-            closer = None if curve is None else error < curve
+            closer = CLOSER.get(judged.outcome, None if curve is None else error < curve)
             found.append(Finding(Check.CURVES, closer, error, curve, judged.curve))
         within = None if ratio is None else ratio <= MAX_NOISE_RATIO
         found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))

@@ -33,17 +33,16 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import warnings_entry
 from needlefit.project.toml import locate_key, renamed_keys
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.labels import medium_name
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
-from needlefit.studies.answer import Answer, Check, Finding, RunFault, Status, Verdict, find_fault_kind
+from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
 from needlefit.studies.job import Fold, Job, Settings, check_reach, prepare
-from needlefit.studies.judge import check_data, check_intervals
+from needlefit.studies.judge import CLOSER, STATUS, check_data, check_intervals, judge_tracks
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import describe_configuration
@@ -299,8 +298,9 @@ def _score_run(track: TipTrack, placed: int, predicted: Floats, certified: bool)
     known = {"measured": measured, "median": predict.quantile(mixture, 0.5)}
     row: Row = {"run": track.id, "medium": track.medium, "specimen": track.specimen}
     row |= {"readings": len(measured), "rms_mm": float(np.sqrt(np.mean((known["median"] - measured) ** 2)))}
-    if certified:
+    if certified or len(predicted) == 1:  # of a point CRPS is the absolute error
         row["crps_mm"] = float(predict.crps(mixture, measured).mean())
+    if certified:
         for level in predict.INTERVAL_PROBABILITIES:
             name, (low, high) = f"{100 * level:.0f}", predict.interval(mixture, level)
             known |= {f"low_{name}": low, f"high_{name}": high, f"{name}_low": low, f"{name}_high": high}
@@ -342,14 +342,11 @@ TEXT = KindText("tracks")
 
 def describe(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    errors, methods = results.frames["runs"].groupby("method")["rms_mm"].mean(), results.frames["methods"]
+    errors = results.frames["runs"].groupby("method")["rms_mm"].mean()
     curve = str(errors.drop("fitted").idxmin())
-    others = methods[methods["method"] != "fitted"].groupby("medium", sort=False)
-    closer = [medium_name(str(medium)) for medium, some in others if (some["low"] > 0).all()]
-    farther = [medium_name(str(medium)) for medium, some in others if (some["high"] < 0).any()]
     return {
         **{"rms_mm": errors["fitted"], "curve": curve, "curve_mm": errors[curve]},
-        **{"closer": closer, "farther": farther, "media": methods["medium"].nunique()},
+        "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
         "runs": len(results.frames["runs"].query("method == 'fitted'")),
         "notes": results.run["dataset"]["notes"],
         "placed_by": results.record.registration_depth_mm,
@@ -361,12 +358,11 @@ def describe(results: Run) -> dict[str, Any]:
 def find_answer(results: Run) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
     about = describe(results)
-    status: Status = (
-        "fail" if about["farther"] else "pass" if len(about["closer"]) == about["media"] else "warn"
-    )
-    numbers = {key: about[key] for key in ("rms_mm", "curve", "curve_mm", "runs")}
+    status = STATUS[about["outcome"]]
+    numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
     errors = about["rms_mm"], about["curve_mm"]
-    checks = [Finding(Check.CURVES, errors[0] < errors[1], *errors, about["curve"])]
+    closer = CLOSER.get(about["outcome"], errors[0] < errors[1])
+    checks = [Finding(Check.CURVES, closer, *errors, about["curve"])]
     ends = results.frames["runs"].query("method == 'fitted'").dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends.rename(columns={"fit": "fold", "run": "hole"}), results.run)

@@ -29,7 +29,7 @@ from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import STATUS, judge, list_checks
+from needlefit.studies.judge import CRPS, STATUS, judge, list_checks
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
 
@@ -119,6 +119,8 @@ def find_answer(results: Run) -> Answer:
     else:
         groups = scores.list_held_out_groups(results)
         # where there is one group, all insertions are those of the paper's row
+        crps = results.frames["predictive"][CRPS].mean()
+        numbers[CRPS] = None if pd.isna(crps) else float(crps)
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
         sentence, status = TEXT.sentence("predicted", words), STATUS[judged.outcome]
         table = fit_tables.lay_out_summary(results)
