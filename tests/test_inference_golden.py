@@ -12,7 +12,7 @@ from test_inference_identify import COVARIANCE, fit_at, predict_data, tied_probl
 from test_inference_importance import weighted
 from test_inference_optimize import squares, valley
 from test_inference_predict import measured as bent
-from test_inference_specimens import BOUNDS, MODEL, gaussian
+from test_inference_specimens import BOUNDS, MODEL, NOTHING_STATED, gaussian
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
@@ -53,7 +53,7 @@ def test_gains_and_specimens():
     of, by_depth = np.arange(60), np.array([0.5, -1.0, 2.0])
     means = rng().multivariate_normal([10.0, -1.6], np.diag([0.16, 0.04]), size=5)
     known = [make_specimen(gaussian(mean, COVARIANCE, n)[::10]) for n, mean in enumerate(means)]
-    posterior = Population(tuple(known), BOUNDS, MODEL).posterior(rng())
+    posterior = Population(tuple(known), BOUNDS, MODEL, NOTHING_STATED).posterior(rng())
     found = {
         "gain": nested_gain(predict_data(thetas, by_depth), of, thetas, rng()),
         "posterior": [posterior.thetas.mean(axis=0), posterior.thetas.std(axis=0), posterior.k],

@@ -154,9 +154,13 @@ class SpreadModel:
         taus, rest = np.exp(at[:, : len(self.sds)]), at[:, len(self.sds) :]
         rho = np.tanh(rest[:, 0]) if self.correlated else np.zeros(len(at))
         share = expit(rest[:, -1]) if self.moduli > 1 else np.ones(len(at))
+        modulus = np.arange(len(self.names)) < self.moduli
+        both, mixed = np.outer(modulus, modulus), np.not_equal.outer(modulus, modulus)
+        correlations = both * share[:, None, None] + mixed * (rho * np.sqrt(share))[:, None, None]
+        correlations[:, np.eye(len(self.names), dtype=bool)] = 1.0
         # a row of `each` for each parameter: the tau of the moduli is that of all of them
         each = taus[:, [0] * self.moduli + list(range(bool(self.moduli), taus.shape[1]))]
-        return _correlate(self.names, share, rho) * each[:, :, None] * each[:, None, :]
+        return correlations * each[:, :, None] * each[:, None, :]
 
 
 def make_spread_model(problem: Problem, stated: BetweenSpecimensRecord, theta: Floats) -> SpreadModel:
@@ -240,7 +244,7 @@ class Population:
     bounds: tuple[Floats, Floats]  #: (Q,), (Q,) of m
     model: SpreadModel
     #: what is stated of m: means and standard deviations (Q,), (Q,), infinite where nothing is
-    stated: tuple[Floats, Floats] | None = None
+    stated: tuple[Floats, Floats]
 
     @property
     def lower(self) -> Floats:
@@ -272,8 +276,6 @@ class Population:
 
     def log_stated(self, at: Floats) -> Floats:
         """Return the log density (W,) of what is stated of m, at (W, Q), but for a constant."""
-        if self.stated is None:
-            return np.zeros(len(at))
         means, sds = self.stated
         found: Floats = -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
         return found
@@ -411,7 +413,8 @@ def draw_specimens(
     A specimen outside the medium's bounds is drawn again.
     """
     columns = [parameters.free.index(name) for name in model.names]
-    roots = _find_roots(covariances)
+    sizes, axes = np.linalg.eigh(covariances)  # some may be singular
+    roots = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
     drawn, left = thetas.copy(), np.arange(len(thetas))
     for _ in range(MAX_REDRAWS):
         some = thetas[left].copy()
@@ -429,22 +432,3 @@ def draw_specimens(
         if not len(left):
             break
     return np.clip(drawn, parameters.lower, parameters.upper)
-
-
-def _correlate(names: Sequence[str], share: Floats, rho: Floats) -> Floats:
-    """Return the correlations (B, Q, Q) of T with w and rho (B,); a single modulus has w = 1."""
-    moduli = np.array([dimension(name) == "modulus" for name in names], dtype=np.bool_)
-    bevels = np.array([name in BEVEL_PARAMETERS for name in names], dtype=np.bool_)
-    common = share if moduli.sum() > 1 else np.ones_like(share)
-    correlations = np.outer(moduli, moduli) * common[:, None, None]
-    between = np.outer(moduli, bevels) | np.outer(bevels, moduli)
-    correlations += between * (rho * np.sqrt(common))[:, None, None]
-    correlations[:, np.eye(len(names), dtype=bool)] = 1.0
-    return correlations
-
-
-def _find_roots(covariances: Floats) -> Floats:
-    """Return matrices (B, Q, Q) whose squares are the covariances, singular ones too."""
-    sizes, axes = np.linalg.eigh(covariances)
-    roots: Floats = axes * np.sqrt(np.maximum(sizes, 0.0))[:, None, :]
-    return roots

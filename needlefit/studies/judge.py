@@ -58,6 +58,7 @@ class Judgement:
     noise_ratio: float | None  #: over that of the measurement noise; None where none is stated
     curve: str  #: the curve without mechanics that is closest, by its name; "" without any
     curve_mm: float | None
+    fits: int | None = None  #: of how many fits, if of several
 
 
 def choose_method(results: Run) -> str:
@@ -73,7 +74,8 @@ def judge(results: Run, group: ScoredGroup) -> Judgement | None:
         return None
     ratio, curve = group.over_floor(group.tip, method=method), find_closest_curve(group)
     nearest = None if curve is None else group.get(group.tip, method=curve)
-    if results.frames["errors"]["fold"].nunique() > 1:
+    fits = results.frames["errors"]["fold"].nunique()
+    if fits > 1:
         errors = select_group(results.frames["errors"], group)
         held = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
         if method == MEDIAN_METHOD:
@@ -82,7 +84,7 @@ def judge(results: Run, group: ScoredGroup) -> Judgement | None:
         outcome = judge_fits(held, method, group.tip)
     else:
         outcome = describe_fit(error, ratio, nearest)
-    return Judgement(outcome, error, ratio, curve or "", nearest)
+    return Judgement(outcome, error, ratio, curve or "", nearest, fits if fits > 1 else None)
 
 
 def judge_tracks(runs: pd.DataFrame, error_mm: float, curve_mm: float) -> Outcome:
@@ -185,7 +187,7 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
         ratio, error, curve = judged.noise_ratio, judged.error_mm, judged.curve_mm
         if role != "tune" or ratio is None or ratio > 1:
             closer = CLOSER.get(judged.outcome, None if curve is None else error < curve)
-            found.append(Finding(Check.CURVES, closer, error, curve, judged.curve))
+            found.append(Finding(Check.CURVES, closer, error, curve, judged.curve, fits=judged.fits))
         within = None if ratio is None else ratio <= MAX_NOISE_RATIO
         found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))
     predictive = results.frames["predictive"]

@@ -346,6 +346,7 @@ def describe(results: Run) -> dict[str, Any]:
     curve = str(errors.drop("fitted").idxmin())
     return {
         **{"rms_mm": errors["fitted"], "curve": curve, "curve_mm": errors[curve]},
+        "fits": results.frames["runs"]["fit"].nunique(),
         "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
         "runs": len(results.frames["runs"].query("method == 'fitted'")),
         "notes": results.run["dataset"]["notes"],
@@ -362,7 +363,7 @@ def find_answer(results: Run) -> Answer:
     numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
     errors = about["rms_mm"], about["curve_mm"]
     closer = CLOSER.get(about["outcome"], errors[0] < errors[1])
-    checks = [Finding(Check.CURVES, closer, *errors, about["curve"])]
+    checks = [Finding(Check.CURVES, closer, *errors, about["curve"], fits=about["fits"])]
     ends = results.frames["runs"].query("method == 'fitted'").dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends.rename(columns={"fit": "fold", "run": "hole"}), results.run)
