@@ -96,11 +96,11 @@ def summarize(rows: pd.DataFrame) -> pd.DataFrame:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", default="twin,control", help="of twin, stereo, control")
-    parser.add_argument("--quick", action="store_true", help="the control alone, two folds")
+    parser.add_argument("--quick", action="store_true", help="the control alone, four folds")
     parser.add_argument("--out", type=Path, default=Path("reports/comparison.png"))
     options = parser.parse_args()
     sources = ["control"] if options.quick else options.data.split(",")
-    rows = pd.concat([compare(source, 2 if options.quick else None) for source in sources])
+    rows = pd.concat([compare(source, 4 if options.quick else None) for source in sources])
     table = summarize(rows)
     print(table.to_string(index=False, float_format="%.2f"))
     figure, axes = plt.subplots(figsize=(5.5, 1 + 0.35 * len(table)), layout="constrained")
