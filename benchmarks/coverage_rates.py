@@ -44,8 +44,8 @@ def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the mode (P,) found from the truth, and the curvature (P, P) of the log posterior there."""
 
     def down(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, slope = task.gradient(theta)
-        return (-value, -slope) if np.isfinite(value) else (1e12, np.zeros(len(theta)))
+        value, (residuals, slopes) = task.log_posterior(theta), task.jacobian(theta)
+        return (-value, residuals @ slopes) if np.isfinite(value) else (1e12, np.zeros(len(theta)))
 
     bounds = list(zip(task.lower, task.upper, strict=True))
     mode = minimize(down, truth, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12}).x

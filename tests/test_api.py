@@ -176,7 +176,7 @@ def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
 
     options = {
         "tune": TUNE,
-        "recipe": {**RECIPE, "starts": 3, "approach": False},
+        "recipe": {**RECIPE, "starts": 3},
         "checkpoint": tmp_path / "keep",
     }
     before = signal.getsignal(signal.SIGINT)

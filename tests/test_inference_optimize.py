@@ -22,7 +22,6 @@ from needlefit.inference.fit import (
     start_to_dict,
 )
 from needlefit.inference.optimize import (
-    ALGORITHMS,
     minimize,
     select_leaders,
     starting_points,
@@ -103,19 +102,15 @@ def squares(function, half=2.0):
     return Squares(function, np.full(2, -half), np.full(2, half))
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_way_ends_at_the_same_log_posterior(algorithm):
-    fit = minimize(
-        squares(valley), squares_recipe(algorithm=algorithm, evaluations=20_000, tolerance=1e-10), rng()
-    )
+def test_squares_lead_to_the_peak_of_the_posterior():
+    fit = minimize(squares(valley), squares_recipe(), rng())
     assert fit.objective == pytest.approx(-7.0, abs=1e-6)
     assert fit.minimized == "posterior"
     assert sum(start.stopped == "tolerance" for start in fit.starts) >= 1
 
 
-@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
-def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
-    fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
+def test_a_minimum_at_a_bound_is_found_and_flagged():
+    fit = minimize(squares(valley, half=0.5), squares_recipe(), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
     assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
     assert "bound" in {start.stopped for start in fit.starts}
@@ -230,10 +225,7 @@ def test_starts_far_behind_the_best_are_not_continued():
 RESUMED = [
     (lambda: box(rosenbrock), recipe()),
     (lambda: box(half), recipe(evaluations=60)),
-    *[
-        (lambda: squares(valley), squares_recipe(algorithm=algorithm, starts=6))
-        for algorithm in ("leastsquares", "slsqp")
-    ],
+    (lambda: squares(valley), squares_recipe(starts=6)),
     (led, squares_recipe(starts=8)),
 ]
 

@@ -157,7 +157,7 @@ def test_runs_under_a_resting_guide_are_one_insertion():
 
 
 def test_the_true_parameters_are_recovered(runs):
-    recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3, "algorithm": "leastsquares"})
+    recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3})
     asked = problem(runs)
     fit = minimize(asked, recipe, np.random.default_rng(1))
     assert fit.failures == 0

@@ -118,7 +118,6 @@ validate = [{ insertions = ["example2"] }]
 """
 
 RECIPE = """schema = 2
-algorithm = "leastsquares"
 starts = 1
 evaluations = 100
 tolerance = 1e-2

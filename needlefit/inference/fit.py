@@ -1,8 +1,7 @@
 """Run of a search (starts and fit), and the callbacks that resume, report and stop it.
 
-Objective functions are the negative log posterior, or the metric objective. Both offer a value, a value with
-its exact gradient, and, where the value is half a sum of squares but for a constant, the residuals and their
-exact Jacobian.
+Objective functions are the negative log posterior, half a sum of squares but for a constant, whose residuals
+have an exact Jacobian, or the metric objective, which has an exact gradient.
 """
 
 import math
@@ -149,7 +148,7 @@ class ObjectiveFunction:
     lower: Floats
     upper: Floats
     value: Callable[[Floats], float]  #: theta (P,) -> the value to minimise
-    #: theta -> the value and its exact gradient (P,)
+    #: theta -> the value and its exact gradient (P,); for a value that is no sum of squares
     gradient: Callable[[Floats], tuple[float, Floats]] | None = None
     #: theta -> residuals (R,), half whose sum of squares is the value but for a constant, and their exact
     #: Jacobian (R, P)

@@ -1,4 +1,4 @@
-"""Search for the best fit: many starts, each by the algorithm of a recipe, then a check of its end.
+"""Search for the best fit: many starts, each by least squares or by gradients, then a check of its end.
 
 nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
 that are not finite. So nothing that it returns is used: every evaluation goes through an
@@ -22,11 +22,10 @@ make a posterior whose modes lie next to those of the whole one, at a fraction o
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Literal
 
 import nlopt
 import numpy as np
@@ -34,7 +33,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
 from needlefit.arrays import Floats
-from needlefit.errors import ConfigError, FitError
+from needlefit.errors import FitError
 from needlefit.inference.fit import (
     BEHIND,
     EVALUATION_ERRORS,
@@ -53,12 +52,10 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Stop, never_stop
 from needlefit.project.tasks import TaskStop
-from needlefit.schemas.recipe import AlgorithmName, ObjectiveName, RecipeRecord
+from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
 FIRST_GRADIENT_STEP = 0.1  #: first step of a search by gradients, as a part of each parameter's range
-#: step, likewise, under which a search by gradients for the peak of a posterior ends
-GRADIENT_STEP_TOLERANCE = 1e-12
-#: relative gain of a restarted gradient search that counts as none, unless the caller states another
+#: relative gain of a restarted gradient search that counts as none
 MIN_RELATIVE_GAIN = 1e-6
 #: shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is
 PENALTY = 1e3
@@ -79,9 +76,7 @@ def run_slsqp(recorder: EvaluationRecorder, start: Floats, tolerance: float) -> 
     while not recorder.reason and recorder.theta is not None:
         before = recorder.objective
         reason = _run_once(recorder, tolerance, recorder.theta)
-        if before - recorder.objective <= (
-            recorder.objective_function.absolute_tolerance or MIN_RELATIVE_GAIN * abs(before)
-        ):
+        if before - recorder.objective <= MIN_RELATIVE_GAIN * abs(before):
             break
     return reason
 
@@ -90,22 +85,16 @@ def _run_once(recorder: EvaluationRecorder, tolerance: float, start: Floats) -> 
     lower, span = recorder.objective_function.lower, recorder.objective_function.span
     optimizer = nlopt.opt(nlopt.LD_SLSQP, len(start))
     # The first step along the slope is to be `FIRST_GRADIENT_STEP` long. A method that knows no curvature at
-    # first takes the slope for the step: from a bad start, where a log posterior falls by 1e5 over the box,
-    # that leads into a corner, from which line searches fail.
+    # first takes the slope for the step: a steep one leads into a corner, from which line searches fail.
     try:
         steepness = float(np.linalg.norm(recorder.gradient(start)[1] * span))
     except SearchEnded:
         return recorder.reason
     scale = FIRST_GRADIENT_STEP / steepness if steepness > 0 else 1.0
-    absolute_tolerance = recorder.objective_function.absolute_tolerance * scale
-    step_tolerance = GRADIENT_STEP_TOLERANCE if absolute_tolerance else tolerance
     optimizer.set_lower_bounds(np.zeros(len(start)))
     optimizer.set_upper_bounds(np.ones(len(start)))
-    optimizer.set_xtol_abs(np.full(len(start), step_tolerance))
-    if absolute_tolerance:
-        optimizer.set_ftol_abs(absolute_tolerance)
-    else:
-        optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
+    optimizer.set_xtol_abs(np.full(len(start), tolerance))
+    optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
     bugs: list[BaseException] = []
 
     def function(cube: Floats, slope: Floats) -> float:
@@ -172,8 +161,8 @@ VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may 
 SUM_TOLERANCE, CONSTANT_ROUNDING = 1e-6, 1e-12
 
 
-def run_least_squares(recorder: EvaluationRecorder, start: Floats, _tolerance: float = 0.0) -> str:
-    """Search from theta `start` (P,), to rounding, whatever the recipe's tolerance; return why it ended."""
+def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
+    """Search from theta `start` (P,), to rounding; return why it ended."""
     reason = ""
     with suppress(SearchEnded):
         reason = _run_scipy(recorder, start)
@@ -322,32 +311,6 @@ def _verify_sum(recorder: EvaluationRecorder, rounding: float, reason: str) -> s
     return reason
 
 
-@dataclass(frozen=True)
-class Algorithm:
-    """One search algorithm that a recipe may name."""
-
-    #: recorder, theta to start from (P,), tolerance of the recipe -> why it ended
-    run: Callable[[EvaluationRecorder, Floats, float], str]
-    needs: Literal["gradient", "jacobian"]  #: what of the objective function it evaluates
-
-
-ALGORITHMS: Mapping[AlgorithmName, Algorithm] = {
-    "leastsquares": Algorithm(run_least_squares, "jacobian"),
-    "slsqp": Algorithm(run_slsqp, "gradient"),
-}
-
-
-def select_algorithm(name: AlgorithmName, objective_function: ObjectiveFunction) -> Algorithm:
-    """Return the algorithm of this name; ConfigError if the objective function lacks its derivative."""
-    if getattr(objective_function, ALGORITHMS[name].needs) is None:
-        raise ConfigError(
-            f"`{name}` needs a {ALGORITHMS[name].needs}, which what is minimised has not",
-            where="recipe, key `algorithm`",
-            expected="slsqp: the metric is no sum of squares",
-        )
-    return ALGORITHMS[name]
-
-
 #: largest gain of the value that a further step may promise; in units of the mean square where that is above
 #: 1, because rounding grows with it, or where nothing says what is negligible
 MAX_REMAINING_GAIN = 1e-6
@@ -415,13 +378,16 @@ def search(
     start_point: StartPoint,
     stop: Callable[[], bool] = never_stop,
 ) -> Start:
-    """Search from one start with a recipe's algorithm, tolerance and budget.
+    """Search from one start with a recipe's tolerance and budget: by least squares, or else by gradients.
 
     The start has the best point, and why the search ended: "tolerance" if at a minimum, as far as known.
     """
-    algorithm = select_algorithm(recipe.algorithm, objective_function)
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
-    reason = algorithm.run(recorder, np.array(start_point.theta, dtype=np.float64), recipe.tolerance)
+    start = np.array(start_point.theta, dtype=np.float64)
+    if objective_function.jacobian is None:
+        reason = run_slsqp(recorder, start, recipe.tolerance)
+    else:
+        reason = run_least_squares(recorder, start)
     if reason != INTERRUPTED:
         reason = certify_minimum(recorder, reason)
     if recorder.theta is None and reason != INTERRUPTED:
@@ -491,13 +457,10 @@ def minimize(
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
 
-    Raises ConfigError if the objective lacks the algorithm's derivative; FitError if no evaluation succeeded,
-    or finished starts belong to another fit.
+    Raises FitError if no evaluation succeeded, or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
     whole = _SearchTask(problem, recipe)
-    # a derivative that is missing is an error before anything is computed
-    select_algorithm(recipe.algorithm, whole.objective_function)
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     done = {index: start for index, start in callbacks.finished.items() if index < len(design)}
     for index, start in done.items():
@@ -508,7 +471,7 @@ def minimize(
             )
     start_points = [StartPoint(k, tuple(theta0.tolist())) for k, theta0 in enumerate(design)]
     easier = whole.objective_function.approach
-    if easier is None or not recipe.approach or len(done) == len(start_points):
+    if easier is None or len(done) == len(start_points):
         for start in whole.run_each([p for p in start_points if p.index not in done], callbacks):
             _add_start(start, done, callbacks)
     else:
@@ -556,8 +519,8 @@ def _search_by_approach(
     Approaches are not stored: a resumed search repeats them, and so finds the same groups.
     """
     half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
-    few = {"algorithm": "leastsquares", "evaluations": min(half.evaluations, APPROACH_EVALUATIONS)}
-    approach = _SearchTask(whole.problem, half.model_copy(update=few), of_approach=True)
+    few = half.model_copy(update={"evaluations": min(half.evaluations, APPROACH_EVALUATIONS)})
+    approach = _SearchTask(whole.problem, few, of_approach=True)
     ends: dict[int, Start] = {}
     for end in approach.run_each(start_points, callbacks):
         ends[end.index] = end

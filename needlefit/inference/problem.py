@@ -8,8 +8,7 @@ with the recipe's weights; edp_floor_mm is about the noise of a tip: a deflectio
 A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + e^2) - e with e =
 `SMOOTHING_MM`, which is smooth and at most e shorter.
 
-`PosteriorDensity` is the posterior density of one fit, its exact gradient, and its residuals for least
-squares.
+`PosteriorDensity` is the posterior density of one fit, and its residuals for least squares.
 """
 
 import math
@@ -143,28 +142,12 @@ class PosteriorDensity:
         mean, covariance = solve_shared(white, group, scale, spread)
         return mean[:, 0], np.sqrt(covariance[:, 0, 0])
 
-    def gradients(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[float, Floats]]:
-        """Return `log_densities`, and the derivatives (P,) of each by theta; NaN where a solve fails."""
-        pairs = self._differentiate(sets, jobs)
-        totals = self.add_up([white for white, _ in pairs], sets)
-        # the log density is a constant less half the residuals' squares
-        found = self._linearize(pairs, sets)
-        return [
-            (float(total), -(residuals @ by)) for total, (residuals, by) in zip(totals, found, strict=True)
-        ]
-
     def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
         """Return of each set residuals (R,) and their derivatives (R, P) by theta; NaN where a solve fails.
 
         The residuals are of the insertions, of the normalising factor, and of the prior.
         """
-        return self._linearize(self._differentiate(sets, jobs), sets)
-
-    def _linearize(
-        self, pairs: Sequence[tuple[Floats, Floats]], sets: Sequence[Values]
-    ) -> list[tuple[Floats, Floats]]:
-        """Return the same, given the whitened residuals of every insertion and their derivatives."""
-        at = self._scales(sets)
+        pairs, at = self._differentiate(sets, jobs), self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
         for members, group in self._nodes.groups:
@@ -459,19 +442,15 @@ class Problem:
         """
         return evaluate(self._jacobians, np.asarray(theta))
 
-    def gradient(self, theta: Theta) -> tuple[float, Floats]:
-        """Return `log_posterior` and its exact gradient (P,); NaN where a solve fails or theta is outside."""
-        if not self._inside(theta):
-            return float("-inf"), np.full(len(self.names), np.nan)
-        return evaluate(self._gradients, np.asarray(theta))
-
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
 
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        return evaluate(self._log_densities, np.asarray(theta)) if self._inside(theta) else float("-inf")
+        at = np.asarray(theta)
+        inside = np.all(at >= self.lower) and np.all(at <= self.upper)
+        return evaluate(self._log_densities, at) if inside else float("-inf")
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
@@ -484,15 +463,8 @@ class Problem:
     def _log_densities(self, thetas: Floats, jobs: int) -> list[float]:
         return list(map(float, self.density.log_densities(self._list_values(thetas), jobs)))
 
-    def _gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
-        return self.density.gradients(self._list_values(thetas), jobs)
-
     def _jacobians(self, thetas: Floats, jobs: int) -> list[tuple[Floats, Floats]]:
         return self.density.jacobians(self._list_values(thetas), jobs)
-
-    def _inside(self, theta: Theta) -> bool:
-        at = np.asarray(theta)
-        return bool(np.all(at >= self.lower) and np.all(at <= self.upper))
 
     def approach(self, minimized: ObjectiveName) -> "Problem | None":
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
@@ -612,22 +584,13 @@ def make_posterior_objective(
     problem: Problem, absolute_tolerance: float = POSTERIOR_TOLERANCE
 ) -> ObjectiveFunction:
     """Return the negative log posterior density in theta as an objective function."""
-
-    def value(theta: Floats) -> float:
-        return -problem.log_posterior(theta)
-
-    def gradient(theta: Floats) -> tuple[float, Floats]:
-        density, slope = problem.gradient(theta)
-        return -density, -slope
-
     return ObjectiveFunction(
         problem.lower,
         problem.upper,
-        value,
-        gradient,
-        problem.jacobian,
-        problem.compute_misfits,
-        absolute_tolerance,
+        lambda theta: -problem.log_posterior(theta),
+        jacobian=problem.jacobian,
+        misfits=problem.compute_misfits,
+        absolute_tolerance=absolute_tolerance,
     )
 
 

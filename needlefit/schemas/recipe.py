@@ -1,4 +1,4 @@
-"""A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
+"""A recipe: how to search (starts, budget), what to minimise, how to sample."""
 
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -14,7 +14,6 @@ from needlefit.schemas.limits import (
 )
 
 ObjectiveName = Literal["posterior", "metric"]
-AlgorithmName = Literal["leastsquares", "slsqp"]
 
 
 class WeightsRecord(Record):
@@ -115,15 +114,10 @@ class RecipeRecord(FileRecord):
     """Whether verdicts say that results of this recipe are preliminary."""
     minimize: ObjectiveName = "posterior"
     """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
-    algorithm: AlgorithmName = "leastsquares"
-    """Optimiser of the fit: `leastsquares`, or `slsqp` by gradients."""
     metric: bool = False
-    """Whether a second fit minimises the weighted errors, by `slsqp`; it is reported beside the first."""
+    """Whether a second fit minimises the weighted errors; it is reported beside the first."""
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     """Random starting points of the search."""
-    approach: bool = True
-    """Whether starts first minimise an easier posterior by least squares; those that meet continue as
-    one."""
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     """Seed of all random numbers."""
     evaluations: int = Field(default=600, ge=1, le=MAX_EVALUATIONS)

@@ -14,7 +14,6 @@ from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.optimize import select_algorithm
 from needlefit.inference.parameter_changes import change_parameters
 from needlefit.inference.parameters import (
     Parameters,
@@ -23,7 +22,7 @@ from needlefit.inference.parameters import (
     without_bevel_spread,
     without_prior,
 )
-from needlefit.inference.problem import Problem, make_objective
+from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.json_values import to_json_values
@@ -264,7 +263,7 @@ class Job:
 
 def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
     """Return the recipe that minimises the metric objective instead of the posterior."""
-    return recipe.model_copy(update={"minimize": "metric", "algorithm": "slsqp"})
+    return recipe.model_copy(update={"minimize": "metric"})
 
 
 def prepare(
@@ -311,7 +310,6 @@ def prepare(
     _check_layers(job)
     check_reach(job)
     _check_size(job)
-    _check_algorithms(job)
     for one in dict.fromkeys(job.warnings):
         if one.kind in DATA_WARNINGS:
             settings.note(f"warning: {one}")
@@ -443,11 +441,3 @@ def _check_size(job: Job) -> None:
             expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
             fix="select fewer insertions, or take a larger constraint spacing",
         )
-
-
-def _check_algorithms(job: Job) -> None:
-    """Refuse algorithms that need derivatives which the searches of a fold do not have."""
-    fold = job.folds[0]
-    for search in job.searches if fold.tune else ():
-        recipe = job.recipe_of(search)
-        select_algorithm(recipe.algorithm, make_objective(job.problem(fold, search), recipe.minimize))
