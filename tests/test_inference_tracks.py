@@ -96,7 +96,7 @@ def in_space(runs, errors=ROLLED):
 
 
 def test_runs_in_space_tell_more_and_the_truth(runs_in_space):
-    recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3, "algorithm": "leastsquares"})
+    recipe = RecipeRecord.model_validate({"schema": 1, "starts": 3})
     sds = []
     for asked in (in_space(runs_in_space), replace(in_space(runs_in_space), dataset=in_plane(runs_in_space))):
         fit = minimize(asked, recipe, np.random.default_rng(1))
