@@ -59,6 +59,7 @@ def find_fault_kind(draws: Draws) -> FaultKind:
 class Check(StrEnum):
     """A question to a result that is answered by yes or no."""
 
+    HELD_OUT = "held_out"  #: of a fit: whether insertions that it has not seen were predicted
     CURVES = "closer_than_curves"
     NOISE = "within_noise"
     COVERAGE_95 = "coverage_95"

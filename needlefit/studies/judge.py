@@ -183,6 +183,8 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
     """
     group, found = pool_insertions(results, role), list[Finding]()
     judged = None if group is None else judge(results, group)
+    if role == "tune":
+        found.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
         ratio, error, curve = judged.noise_ratio, judged.error_mm, judged.curve_mm
         if role != "tune" or ratio is None or ratio > 1:
