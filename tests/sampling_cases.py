@@ -7,7 +7,11 @@ import numpy as np
 
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
-from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
+from needlefit.inference.sampling.log_density import (
+    Evaluator,
+    approximate_by_information,
+    difference_information,
+)
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -69,7 +73,7 @@ def weighted(
 ) -> WeightedDraws:
     ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
     evaluator, bounds = Evaluator(known, 1), (known.lower, known.upper)
-    about = [approximate_by_laplace(evaluator, end, *bounds) for end in ends]
+    about = [approximate_by_information(difference_information(evaluator, end), end, *bounds) for end in ends]
     marked = None if uniform is None else np.asarray(uniform)
     return sample_by_importance(evaluator, about, bounds, np.random.default_rng(seed), (effort,), marked)
 

@@ -99,9 +99,9 @@ def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
     mode = minimize_squares(Plateau(), np.array([5.0, 4 * np.sin(5.0)]))
     alone, found = (
         sample_about_modes(Plateau(), [mode], np.random.default_rng(1), efforts=(effort,))
-        for effort in (Effort(profiles=False), Effort(draws=1000))
+        for effort in (Effort(profiles=False), Effort(draws=1000, min_ess=250.0))
     )
-    assert not alone.certified and found.certified and found.effective_sample_size >= 250
+    assert not alone.certified and found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] < 2].sum() == pytest.approx(0.2994, abs=0.05)
 
 

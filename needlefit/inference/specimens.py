@@ -55,7 +55,10 @@ from needlefit.inference.sampling.importance import (
     resample,
     sample_by_importance,
 )
-from needlefit.inference.sampling.log_density import approximate_by_laplace
+from needlefit.inference.sampling.log_density import (
+    approximate_by_information,
+    difference_information,
+)
 from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 #: least and largest tau, in standard deviations of its half-normal prior
@@ -288,7 +291,8 @@ class Population:
 
         bounds = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
         found = minimize(height, self._guess(), method="Nelder-Mead", bounds=bounds)
-        about = approximate_by_laplace(self.log_density, found.x, self.lower, self.upper)
+        information = difference_information(self.log_density, found.x)
+        about = approximate_by_information(information, found.x, self.lower, self.upper)
         return sample_by_importance(self.log_density, [about], (self.lower, self.upper), rng, SPREAD_EFFORTS)
 
     def _guess(self) -> Floats:

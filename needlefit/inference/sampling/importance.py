@@ -180,9 +180,7 @@ class Effort:
 
     draws: int = 250  #: of each round in which the proposal adapts, within the bounds
     rounds: int = 14  #: the most of these
-    #: independent draws that those of the last proposal must be worth; else those of the rounds are taken,
-    #: if they are worth `ADAPTED_ESS`
-    min_ess: float = 1000.0
+    min_ess: float = 1000.0  #: independent draws that those of the last proposal must be worth
     profiles: bool = True  #: whether the first draws are made along the profiles too, beside the modes
 
     @property
@@ -373,7 +371,7 @@ def _make_effort(
             last = _weigh(thetas, density, total + proposal.log_density(thetas), effort.min_ess, proposal)
             if last.certified:
                 return last
-    return found
+    return replace(found, min_ess=effort.min_ess)  # of draws to which a proposal was fitted
 
 
 def _weigh(
@@ -388,7 +386,7 @@ EM_STEPS = 6  #: steps of expectation and maximisation between rounds
 MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
 MIN_COMPONENTS, DRAWS_PER_COMPONENT = 2, 125  #: of the fitted mixture; draws of one round
 MIN_ROUNDS = 3  #: no proposal has adapted before
-ADAPTED_ESS = 250.0  #: independent draws that those of all rounds are worth once it has
+ADAPTED_ESS = 250.0  #: independent draws that those of all rounds are worth once one has
 MAX_TRIES = 50  #: tries for a draw within the bounds
 #: of the last proposal: independent draws for each component, and share of its fitted part
 LAST_ESS_PER_COMPONENT, LAST_SHARE = 30.0, 0.7
