@@ -66,7 +66,7 @@ def test_baselines_and_predictive_distributions():
     mixture = PredictiveMixture(rng().standard_t(3, size=(300, 2)), np.array([0.3, 0.05]))
     found = {
         pose: {
-            name: [one.rms, *one.coefficients, one.curve(shapes[0])(np.array([20.0, 77.0]))]
+            name: [*one.coefficients, one.curve(shapes[0])(np.array([20.0, 77.0]))]
             for name, one in fit_baselines(pose, 10.0, shapes).items()
         }
         for pose in ("known", "free")

@@ -8,7 +8,7 @@ from refusals import refusal
 
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.compared_points import compare_points, select_points
+from needlefit.inference.compared_points import align_points, select_points
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.inference.optimize import minimize
 from needlefit.schemas.recipe import WeightsRecord
@@ -63,7 +63,7 @@ def test_planned_boundaries_meshes_and_what_cannot_be_compared():
     refusal(ConfigError, "no insertion", lambda: problem(medium(), []))
     short = insertion(8.0).with_planar(np.array([[0.0, 0.0], [8.0, 0.0]]))
     with pytest.raises(DataError, match="at8"):
-        compare_points("free", 10.0, short, lambda s: np.column_stack([s, 0 * s]))
+        select_points("free", 10.0, short)
 
 
 def rng():
@@ -107,9 +107,10 @@ def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
 
     c, d = math.cos(2.0), math.sin(2.0)
     seen = bent(np.arange(40.0, 100.5)) @ np.array([[c, d], [-d, c]]) + [300.0, 1.0]
-    simulated, shown = compare_points("free", 5.0, measured(100.0, seen), bent, 56)
+    simulated, shown = align_points(select_points("free", 5.0, measured(100.0, seen), 56), bent)
     np.testing.assert_allclose(simulated, shown, atol=1e-9)
-    simulated, shown = compare_points("free", 5.0, measured(101.0, seen), lambda s: bent(s - 1.0), 56)
+    goal = select_points("free", 5.0, measured(101.0, seen), 56)
+    simulated, shown = align_points(goal, lambda s: bent(s - 1.0))
     np.testing.assert_allclose(simulated, shown, atol=1e-9)
 
 

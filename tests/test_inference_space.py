@@ -13,6 +13,7 @@ from needlefit.datasets.planes import leaves_plane, set_planes, turns_out_of_pla
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.curves import compare_curves
 from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -179,7 +180,7 @@ def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     assert_one_density(p, begin)
     found = minimize_squares(p, begin)
     assert found.converged
-    assert max(curves.distances_3d[-1] for curves in p.compare(found.theta)) < 0.1
+    assert max(compare_curves(*pair).distances_3d[-1] for pair in p.points(found.theta)) < 0.1
     both = in_space(made, FREE)
     assert [one.rows for one in both.density.observations] == [2 * 101 + 8] * 2
     assert_one_density(both, begin)

@@ -19,6 +19,7 @@ from track_cases import (
     measured,
     measured_in_space,
     problem,
+    simulate_deflections,
     simulate_in_space,
     simulate_tips,
     track,
@@ -26,10 +27,10 @@ from track_cases import (
 )
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.compared_points import find_end, share_simulations
-from needlefit.inference.forward_model import simulate_deflections
 from needlefit.inference.likelihood import observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
@@ -179,7 +180,8 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
     ends = [(here.objective(at + d) - here.objective(at - d)) / 2e-3 for d in 1e-3 * np.eye(3)]
     assert slope == pytest.approx(ends, rel=1e-4, abs=1e-5)
     # noise of 0.02 mm, from which each run's best shift and slope are taken
-    assert all(0.005 < one.distances.mean() < 0.03 for one in here.compare(THETA))
+    every = [compare_curves(*pair) for pair in here.points(THETA)]
+    assert all(0.005 < one.distances.mean() < 0.03 for one in every)
 
 
 def in_session(runs):
@@ -197,7 +199,7 @@ ERRORS = TrackErrorsRecord(gain_sd=0.2, slope_sd_deg=0.4, entry_sd_mm=0.3, entry
 def respond_to_guide(one, depths):
     """The change (n,) of the tip at `depths` by a guide that moves twice as far, linearised."""
     moved = [replace(one, guide=factor * one.guide) for factor in (0.9, 1.1)]
-    less, more = simulate_deflections([TRUTH], MEDIUM, NEEDLE, moved, [depths] * 2)
+    less, more = simulate_deflections(moved, [depths] * 2)
     return (more[0] - less[0]) / 0.2
 
 
@@ -217,9 +219,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
     )  # tips and headings of tips at both places
     for one, tip in zip(tracks, simulate_tips(tracks), strict=True):
-        before = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [one], [DEPTH - observation.HEADING_STEP_MM])[
-            0
-        ]
+        before = simulate_deflections([one], [DEPTH - observation.HEADING_STEP_MM])[0]
         path = (tip[0] - before[0])[1:] / observation.HEADING_STEP_MM
         off.append(np.append(tip[0] - one.tip, path - np.tan(one.heading[1:])))
         turn = np.append(DEPTH, np.ones(n - 1))
@@ -301,7 +301,7 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     draws = Draws(np.zeros((300, 0)), "posterior")
     _, _, _, (tuned, *held) = tracks.simulate_runs(job, draws, 1, np.random.default_rng(1))
-    (bent,) = simulate_deflections([TRUTH], MEDIUM, NEEDLE, [runs[2]], [DEPTH])
+    (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)

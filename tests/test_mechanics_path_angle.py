@@ -9,9 +9,8 @@ from solver_checks.refinement import ADVANCED, ANGLE, measure_spacing
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
-from needlefit.inference.forward_model import PreparedModel, make_batch
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameters import Parameters
-from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.mechanics.session import Session
@@ -109,7 +108,7 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
         slope = (predict(theta + step)[0] - predict(theta - step)[0]) / 2e-5
         np.testing.assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
     values = parameters.values(theta)
-    (shapes,) = simulate_batches([make_batch([values, values], medium, twin.needle, insertion)])
+    (shapes,) = model.simulate([values, values])
     scene = Scene.from_record(make_scene_record(values, medium, twin, insertion))
     assert scene.rules.path_angle
     np.testing.assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from needlefit.datasets.read import read
-from needlefit.inference.forward_model import PreparedModel, make_batch, predict
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.parameters import (
     Parameters,
 )
-from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
@@ -119,7 +118,7 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_moved=0.0))
     assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
-    (lanes,) = simulate_batches([make_batch([SOFT], THIN, NEEDLE, MOVED)])
+    (lanes,) = PreparedModel(THIN, NEEDLE, [MOVED]).simulate([SOFT])
     assert lanes.u[0] == pytest.approx(shape.u, abs=1e-6)
 
 

@@ -13,7 +13,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.compared_points import compare_points
+from needlefit.inference.compared_points import align_points, select_points
 from needlefit.inference.forward_model import ParameterDraws, predict, select_layer_draws
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
@@ -92,7 +92,8 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
     flat = straight(40.0)
-    expected = compare_curves(*compare_points("free", 5.0, free, lambda s: compute_positions(flat, s)))
+    goal = select_points("free", 5.0, free)
+    expected = compare_curves(*align_points(goal, lambda s: compute_positions(flat, s)))
     part, whole = page_errors(one, 30.0, 40.0)
     assert part is None and whole["te_mm"] == pytest.approx(expected.tip_error)
     onto = compute_positions(shape, one.s)

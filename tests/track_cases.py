@@ -7,7 +7,7 @@ import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Noise, TipReadings, TipTrack, make_track
 from needlefit.inference.compared_points import pad_planes
-from needlefit.inference.forward_model import PreparedModel, simulate_deflections
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
@@ -90,7 +90,13 @@ def with_tip(one: TipTrack, tip: np.ndarray, tip_z: np.ndarray | None = None) ->
 
 def simulate_tips(tracks: list[TipTrack]) -> tuple[np.ndarray, ...]:
     """The tips (1, n) of every run at the truth."""
-    return simulate_deflections([TRUTH], MEDIUM, NEEDLE, tracks, [one.depths for one in tracks])
+    return simulate_deflections(tracks, [one.depths for one in tracks])
+
+
+def simulate_deflections(tracks: list[TipTrack], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """The tips (1, K) of every run at its depths `at` (K,), at the truth."""
+    points = PreparedModel(MEDIUM, NEEDLE, tracks).read_points([TRUTH], at)
+    return tuple(one[..., 1] for one in points)
 
 
 def simulate_in_space(one: TipTrack) -> np.ndarray:

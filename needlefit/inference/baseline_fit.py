@@ -15,11 +15,10 @@ from needlefit.inference.compared_points import ComparedPoints, Curve, align_poi
 
 @dataclass(frozen=True)
 class FittedBaseline:
-    """A baseline with its coefficients; `rms` is the root mean square distance to the points, mm."""
+    """A baseline with its coefficients."""
 
     baseline: Baseline
     coefficients: tuple[float, ...]
-    rms: float
 
     def curve(self, insertion: Insertion) -> Curve:
         """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 2) in C, mm."""
@@ -48,9 +47,7 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
                 return _residuals(baseline, scales * scaled, pairs)
 
             found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-        # twice the mean over coordinates: x and y of a point add up to its squared distance
-        rms = float(np.sqrt(2 * np.mean(_residuals(baseline, found, pairs) ** 2)))
-    return FittedBaseline(baseline, tuple(found.tolist()), rms)
+    return FittedBaseline(baseline, tuple(found.tolist()))
 
 
 def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:

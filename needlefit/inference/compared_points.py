@@ -199,9 +199,10 @@ class ComparedPoints:
 def select_points(
     pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS, planes: int = 1
 ) -> ComparedPoints:
-    """Return the measured points that a curve is compared with; see `compare_points`.
+    """Return the measured points that a curve is compared with, entry side first, tip last.
 
-    Of a tip track they are its readings, whatever `stations`.
+    `drop` is the proximal length left out where the pose is free, mm. Of a tip track the points are its
+    readings, whatever `stations`.
     """
     if isinstance(insertion, TipTrack):
         depth, *tips = *insertion.planar.T, insertion.out_of_plane
@@ -245,22 +246,6 @@ def differentiate_align(pose: Pose, simulated: Floats, measured: Floats, slopes:
     if pose == "free":
         return differentiate_align_rigid(simulated, measured, slopes)
     return differentiate_align_lateral(measured, slopes) if pose == "tracker" else slopes
-
-
-def compare_points(
-    pose: Pose,
-    drop: float,
-    insertion: Insertion,
-    curve: Curve,
-    stations: int = COMPARISON_POINTS,
-    planes: int = 1,
-) -> tuple[Floats, Floats]:
-    """Return the simulated and the measured points (K, 3) that are compared, entry side first, tip last.
-
-    `drop` is the proximal length left out where the pose is free, mm. `curve` takes beam coordinates (K,), 0
-    at the entry and `insertion.depth` at the tip, to points (K, 2), or (K, 3) in space, in C, mm.
-    """
-    return align_points(select_points(pose, drop, insertion, stations, planes), curve)
 
 
 def rotate_to_entry_axes(points: Floats) -> Floats:

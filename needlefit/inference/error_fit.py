@@ -1,11 +1,9 @@
 """The error-minimising fit: parameters whose errors (IPE, TE, EDP) are the least, or not significantly more.
 
-The objective is flat along the ridge of modulus and bevel: a search ends somewhere on it, often at a bound.
-What the errors determine is the set of all parameters whose objective lies within the tolerance
-(`error_tolerance`) of the least one. The point of this set that is nearest to a target, the median of the
-posterior, in posterior standard deviations, is the fit that is reported. It minimises f / tolerance + mu d^2
-/ 2 with the largest mu for which f is within the limit (Tikhonov regularisation with Morozov's discrepancy
-principle), by gradients, with SLSQP.
+Of the parameters whose objective f is within the tolerance of the least one (docs/fitting.md,
+"Error-minimising fit") the nearest to a target is reported. It minimises f / tolerance + mu d^2 / 2 with the
+largest mu for which f is within the limit (Tikhonov regularisation with Morozov's discrepancy principle), by
+gradients, with SLSQP.
 """
 
 import math

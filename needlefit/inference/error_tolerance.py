@@ -1,16 +1,12 @@
 """How far the errors of a fit may exceed the least ones by chance: a bootstrap tolerance.
 
-Parameters are compared by the objective f of `metric_misfit`, mm. If theta were true, the least value of f on
-other measurements of the same kind would lie below f(theta) by an amount D, because the least follows the
-errors of those measurements. The tolerance is the 95 % quantile of D: parameters whose objective is within it
-of the least one cannot be distinguished from the best by these errors. (For half a sum of squares 2 D would
-be chi-square; f is a sum of distances, so D is drawn.)
+Parameters are compared by the objective f of `metric_misfit`, mm. The tolerance is the 95 % quantile of D, by
+which true parameters exceed the least f (docs/fitting.md, "Error-minimising fit"). For half a sum of squares
+2 D would be chi-square; f is a sum of distances, so D is drawn.
 
-Two bootstraps estimate it, and the larger value counts. One draws what the data state: errors of points,
-poses and depths, and the differences between layers that ties with a spread allow. The other draws the
-independent groups of insertions again, with replacement: it contains what no stated error explains, but not
-what all insertions share. In both the needles are linear in theta about the best point. Along a ridge they
-are not, but there f hardly changes, so that D hardly depends on it.
+One bootstrap draws the errors that data and ties state. The other draws groups of insertions again: it
+contains what no stated error explains, but not what all share. In both the needles are linear in theta about
+the best point.
 """
 
 import math

@@ -100,14 +100,6 @@ def make_simulation_inputs(
     return needle, tissue, _make_steps(values, insertion, medium), make_options(medium, MAX_TOLERANCE_MM)
 
 
-def make_batch(
-    sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
-) -> Batch:
-    """Return a batch of one insertion with many parameter sets, for `simulate_batches`; see `predict`."""
-    values = _stack_values(tabulate_sets(sets), medium, insertion)
-    return Batch(*make_simulation_inputs(sets[0], medium, needle, insertion), **values)
-
-
 def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> Floats:
     """Return the shape parameters (B, p, n) of layers, from the values (B,) of each parameter."""
     rows = [[np.asarray(table[name]) for name in row] for row in LAWS[law].name_shape(sequence)]
@@ -138,22 +130,6 @@ def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: 
     guide = table.get("guide_distance_mm")
     values = stack_values(table, medium, insertion.sequence, insertion.bevel_factor)
     return values if guide is None else values | {"guide_x": -guide}
-
-
-def simulate_deflections(
-    sets: Sequence[Mapping[str, float]],
-    medium: MediumRecord,
-    needle: Needle,
-    insertions: Sequence[Insertion],
-    s: Sequence[Floats],
-    jobs: int = 1,
-) -> tuple[Floats, ...]:
-    """Return the simulated deflections (B, K) of every insertion at its `s` (K,), mm, for B sets of values.
-
-    Of a tip track they are the tips at depths `s`. NaN where a solve failed.
-    """
-    points = PreparedModel(medium, needle, insertions).read_points(sets, s, jobs)
-    return tuple(one[..., 1] for one in points)
 
 
 class PreparedModel:

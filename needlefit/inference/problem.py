@@ -23,7 +23,6 @@ from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.compared_points import (
     ComparedPoints,
     SimulatedCurve,
@@ -34,7 +33,7 @@ from needlefit.inference.compared_points import (
     select_points,
 )
 from needlefit.inference.fit import ObjectiveFunction
-from needlefit.inference.forward_model import PreparedModel, make_batch, predict
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
     linearize_residuals,
@@ -61,7 +60,6 @@ from needlefit.inference.parameters import (
     with_hyperparameters,
 )
 from needlefit.inference.side_by_side import evaluate
-from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
@@ -388,10 +386,6 @@ class Problem:
         trios = zip(self.insertions, self.compared_points, self.shapes(theta), strict=True)
         return tuple(align_points(goal, SimulatedCurve(shape, one)) for one, goal, shape in trios)
 
-    def compare(self, theta: Theta) -> tuple[ComparedCurves, ...]:
-        """Return each simulated needle beside the measured one."""
-        return tuple(compare_curves(*pair) for pair in self.points(theta))
-
     def objective(self, theta: Theta) -> float:
         """Return the mean of `metric_misfit` over insertions, mm; infinite if any solve fails."""
         return evaluate(self._objectives, np.asarray(theta))
@@ -603,7 +597,7 @@ def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) ->
     if not len(thetas):
         return found
     sets = [problem.values(theta) for theta in thetas]
-    batches = [make_batch(sets, problem.medium, problem.dataset.needle, one) for one in problem.insertions]
-    for shapes in simulate_batches(batches, 1):
+    model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
+    for shapes in model.simulate(sets):
         found |= shapes.converged & ~shapes.validity.ok
     return found

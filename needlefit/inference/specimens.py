@@ -2,22 +2,9 @@
 
     theta_i ~ N( m, T ),      T = cov( ln mu_1 ... ln mu_G, ln b )
 
-for the specimens i of one population. The moduli of a specimen share a factor and have one of their own each,
-
-    T_mu = tau_mu^2 ( w 1 1^T + (1 - w) I ),   T_b = tau_b^2,   T_mu,b = rho sqrt(w) tau_mu tau_b
-
-(w = 1 with one modulus). tau_mu and tau_b have half-normal priors, rho is uniform from -1 to 1 (the LKJ prior
-with shape 1; D. Lewandowski, D. Kurowicka, H. Joe, J. Multivar. Anal. 100 (2009) 1989), w is uniform from 0
-to 1, m is flat within the bounds. What is known of specimens is rather how much their tips differ: with g the
-gradient of ln(tip deflection) by these parameters, the prior of T has the factor
-
-    exp( -g' T g (1 / s^2 - 1 / s_0^2) / 2 ),      s_0^2 = E g' T g by the priors above,
-
-with s the standard deviation of ln(tip deflection) between specimens. Without s_0, which the other priors
-imply, these would count a second time. Where s_0 is smaller than s the factor is 1.
-
-Of moduli that are tied with a spread the source counts; the others deviate
-from it as the tie states, in every specimen anew.
+for the specimens i of one population; T and its prior are those of docs/inference.md, "Specimens that
+differ". Of moduli that are tied with a spread the source counts; the others deviate from it as the tie
+states, in every specimen anew.
 
 Two stages estimate it (D. Lunn, J. Barrett, M. Sweeting, S. Thompson, J. R. Stat. Soc. C 62 (2013) 551).
 Stage one draws from the posterior of every specimen by itself. Stage two has the population,

@@ -17,10 +17,10 @@ from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import SimulatedCurve, pad_planes, select_points
 from needlefit.inference.fit import Fit
-from needlefit.inference.forward_model import make_batch, predict
+from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.studies.job import Fold
 from needlefit.studies.needles_in_scan import Band, NeedleInScan
@@ -119,7 +119,7 @@ def _place_band_of_draws(
 ) -> Band | None:
     """Return the band over the needles of draws, at the fitted needle's x (K,); None where none is solved."""
     sets = [problem.parameters.values(theta) for theta in thetas]
-    (shapes,) = simulate_batches([make_batch(sets, problem.medium, problem.dataset.needle, insertion)], jobs)
+    (shapes,) = PreparedModel(problem.medium, problem.dataset.needle, [insertion]).simulate(sets, jobs)
     s = _choose_places(problem, insertion)
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
     if not len(needles):

@@ -14,7 +14,7 @@ from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, name_holes
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points
+from needlefit.inference.compared_points import Curve, SimulatedCurve, align_points, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
@@ -98,7 +98,8 @@ class Scorer:
             if isinstance(curve, SimulatedCurve):
                 self.counts.score(where, curve.shape.validity)
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
-            simulated, measured = compare_points(pose, drop, insertion, curve, planes=self.dataset.planes)
+            goal = select_points(pose, drop, insertion, planes=self.dataset.planes)
+            simulated, measured = align_points(goal, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
             shapes += _shape_rows(where, simulated, measured)
         return errors, shapes

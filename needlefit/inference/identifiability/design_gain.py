@@ -1,17 +1,14 @@
 """Compute the expected information of insertions before they are made: nested Monte Carlo, or Fisher.
 
-The gain of an insertion is the mutual information of parameters and data: the entropy of the present
-posterior minus that of the next one, averaged over the data that may come (D. V. Lindley, Ann. Math. Stat. 27
-(1956) 986). Nested Monte Carlo computes it without linearising (K. J. Ryan, J. Comput. Graph. Stat. 12 (2003)
-585): some draws of the posterior each give the data that they predict, and all draws, of weights w_b that
-sum to 1, are reweighted by them,
+The gain of an insertion is the mutual information of parameters and data (D. V. Lindley, Ann. Math. Stat. 27
+(1956) 986), by nested Monte Carlo (K. J. Ryan, J. Comput. Graph. Stat. 12 (2003) 585): some draws of the
+posterior each give the data that they predict, and all draws, of weights w_b that sum to 1, are reweighted by
+them,
 
     gain = mean_o [ log p(y_o | theta_o) - log sum_b w_b p(y_o | theta_b) ],      y_o ~ p(y | theta_o).
 
 The new weights are the posterior after y_o, so deviations of single quantities come with it. As
 theta_o is among the b, what B draws can show is about log B at most.
-
-The precision that a whole design is expected to give is by the Fisher information.
 """
 
 from dataclasses import dataclass

@@ -1,22 +1,7 @@
 """Decide which parameters the data determine, and which only in combination.
 
-A parameter is called determined if the shapes could determine it (its standard deviation is below
-`MAX_LOG_SD` in the logarithm, `MAX_SHAPE_SD` for shape parameters of a law, and below the part
-`MAX_SD_RATIO` of the prior's), if it stays so with ties loosened and an error of the model (`conditions`), if
-the starts that ended within tolerance of the best agree on it (their range is below `MAX_RANGE_SD` such
-deviations), and if it does not lie at a bound. Of several specimens it is the mean over them; it must be as
-well known in a further one.
-
-Standard deviations and directions are those of the posterior's draws where there are any and no bound cuts
-them off, else by the information. That is J^T J of the whitened residuals plus that of the stated prior or,
-without one, of the bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free
-to be 300 would take mu with it. Where the residuals are larger than the noise explains (reduced chi-square
-above 1), J^T J is divided by that ratio. With five independent groups of insertions or more (depths of one
-hole are one group), and two more than parameters, no deviation is smaller than the scatter between groups
-implies (`precision.between_needle_sds`).
-
-The information at the optimum is local, profile likelihoods are not: what a profile leaves open is not
-determined.
+The rules are those of docs/fitting.md, "Identifiability". The information at the optimum is local, profile
+likelihoods are not: what a profile leaves open is not determined.
 """
 
 import math
@@ -81,11 +66,8 @@ class Identifiability:
     #: spread_low, spread_high: its range among the starts within tolerance of the best (Pa, mm)
     spread_low: Mapping[str, float]
     spread_high: Mapping[str, float]
-    equal_starts: int  #: how many starts these are
     directions: tuple[Direction, ...]  #: principal directions of the information, best known first
     notes: Mapping[str, str]  #: one sentence for a person
-    #: reduced: mean square of the whitened residuals at the best point; 1 where the noise explains them
-    chi_square: float
     together: Mapping[str, bool] = field(default_factory=dict)  #: the same while all others are held
     #: under which assumption alone the data determine it, "" otherwise
     conditions: Mapping[str, str] = field(default_factory=dict)
@@ -104,7 +86,7 @@ def identify(
     """
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
-    known, information, chi_square = compute_sds(noisy, theta, draws)
+    known, information = compute_sds(noisy, theta, draws)
     sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
     added = add_model_error(noisy, theta)
     # pinv: a direction without information has no variance to add to
@@ -160,10 +142,8 @@ def identify(
         at_bound=bounds,
         spread_low={n: low[n] for n in names},
         spread_high={n: high[n] for n in names},
-        equal_starts=len(equal),
         directions=found,
         notes=notes,
-        chi_square=chi_square,
     )
 
 

@@ -1,8 +1,6 @@
 """Compute the Fisher information, standard deviations of theta, and the assumptions that they rest on.
 
-Under which assumptions a parameter is determined is found by computing the information at the optimum again,
-with one Jacobian each, first with the ties loosened (`loosen_ties`), then with a model error added to that.
-Errors that insertions share are in the likelihood already.
+The assumptions are those of docs/fitting.md, "Assumptions loosened".
 """
 
 import math
@@ -10,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
@@ -45,8 +44,8 @@ def posterior_sds(problem: Problem, theta: Floats) -> dict[str, float]:
     return dict(zip(problem.names, compute_sds(problem, theta)[0].tolist(), strict=True))
 
 
-def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) -> tuple[Floats, Floats, float]:
-    """Return the standard deviations (P,), the information (P, P) and the reduced chi-square.
+def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) -> tuple[Floats, Floats]:
+    """Return the standard deviations (P,) and the information (P, P).
 
     With `draws` (B, P) of the posterior, deviations and information are theirs: where the posterior is not
     Gaussian, the information at one point is smaller or larger. Where bounds cut the draws off, deviations
@@ -69,7 +68,7 @@ def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) ->
     elif draws is not None:
         # pinv: draws that do not differ along a direction are no reason for an error
         information = np.linalg.pinv(np.atleast_2d(np.cov(draws, rowvar=False)), hermitian=True)
-    return np.maximum(cramer_rao(information), least), information, chi_square
+    return np.maximum(cramer_rao(information), least), information
 
 
 def find_bounds(problem: Problem, theta: Floats) -> list[str]:
@@ -246,7 +245,7 @@ def estimate_model_error(problem: Problem, residuals: Floats, chi_square: float)
     squares = float(residuals @ residuals)
     excess = squares * (1.0 - 1.0 / chi_square) if chi_square > 1 else 0.0
     added = sum(
-        float(np.sum((one.whitening @ unit.covariance_in(one.planes, s)) * one.whitening))
+        float(np.sum((one.whitening @ block_diag(*[unit.covariance(s)] * one.planes)) * one.whitening))
         for one in problem.density.observations
         for s in one.nodes.s[:1]
     )

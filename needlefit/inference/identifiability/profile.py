@@ -1,10 +1,9 @@
 """Compute profile likelihoods: how much the best fit worsens as one parameter is held away from its optimum.
 
-The deviance, twice the fall of the log posterior with all other parameters re-optimised, is followed from
-the optimum to both sides until it is well above the 95 % quantile of chi-square with one degree of freedom,
-or a bound is reached; each point starts from an extrapolation of the one before. Its derivative is exact (the
-others are at their best, so only the held parameter moves it): it sets the steps, and between points the
-curve is the cubic through values and derivatives.
+The deviance (docs/fitting.md, "Profile likelihoods") is followed from the optimum to both sides; each point
+starts from an extrapolation of the one before. Its derivative is exact (the others are at their best, so only
+the held parameter moves it): it sets the steps, and between points the curve is the cubic through values and
+derivatives.
 
 Minima of a sum of squares are found by Gauss-Newton steps, within bounds, with one parameter held if wanted.
 Each step is a small linear least-squares problem with bounds (the box, and a radius about the last point), so

@@ -6,15 +6,9 @@ A reconstruction that draws a smoothing spline rounds every rapid change of curv
 makes it, alike in all insertions. What it does is known, and is done to the simulation, too: residuals are
 then differences of spline coefficients, with the spline's own covariance.
 
-Errors of the pose in the plane: a shift across moves all points alike, a turn about the entry moves them by
-their distance from it, and a shift along the entry axis by the curve's slope. A known pose enters the
-covariance with its prior; a free one is projected off, as the limit of a prior that is flat. A tip track is
-the same: its points are the tips at some depths, and a shift and a slope of the tracker's frame are projected
-off. Where the dataset states how much runs of a session differ in slope, the slope is the session's, and
-integrated over with its prior. A slope and the response to the guide may also be a group's, and errors near
-the entry those of a tissue that yields there. Headings, where their deviation is stated, are compared with
-the direction of the path over the last `HEADING_STEP_MM` before a reading; they may all be off by a constant,
-the sensor's in the needle and the cut's. Equations: docs/inference.md, section 2 and "Tip tracks".
+A known pose enters the covariance with its prior; a free one is projected off, as the limit of a prior that
+is flat. A tip track is the same: its points are the tips at some depths, and a shift and a slope of the
+tracker's frame are projected off. Equations: docs/inference.md, sections 1 to 3 and "Tip tracks".
 
 In space the residuals along y stand before those along z. Both have the same errors; the pose adds a shift
 and a turn out of the plane, and the bevel's roll turns the whole needle about the entry axis.
@@ -123,11 +117,6 @@ class Discrepancy:
         """Return its covariance (K, K), mm^2, at arc lengths `s` (K,)."""
         apart = (s[:, None] - s) / self.length
         return self.sd**2 * np.exp(-0.5 * apart**2)
-
-    def covariance_in(self, planes: int, s: Floats) -> Floats:
-        """Return the same of deflections along y, and, in two planes, behind them along z."""
-        one = self.covariance(s)
-        return one if planes == 1 else np.asarray(block_diag(one, one))
 
 
 #: to both sides of a sensor, over which the simulated curvature is taken, mm

@@ -6,11 +6,8 @@ density of all rounds together (deterministic mixture weights; J.-M. Cornuet, J.
 Robert, Scand. J. Stat. 39 (2012) 798), and the mixture follows them by steps of expectation and maximisation
 over all components (Rao-Blackwellised population Monte Carlo; O. Cappe, R. Douc, A. Guillin, J.-M. Marin,
 C. P. Robert, Stat. Comput. 18 (2008) 447). While few draws carry all weight it follows a flatter density, so
-that it grows along a ridge instead of falling on its best draws. The first half keeps what the second might
-leave. What falls outside the bounds has no density, and costs nothing.
-What is returned are new draws, of the adapted proposal alone: weights of draws to which it was fitted are too
-small, and so is the evidence that they give.
-Parameters that the data leave as their flat prior has
+that it grows along a ridge instead of falling on its best draws. What is returned are new draws, of the
+adapted proposal alone (docs/inference.md, section 8). Parameters that the data leave as their flat prior has
 them, such as most alphas, are drawn from that prior.
 
 The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is and
@@ -19,15 +16,8 @@ J. Gabry, J. Mach. Learn. Res. 25 (2024) 72). k is estimated as by J. Zhang & M.
 (2009) 316: a mean over a grid of the profile likelihood, drawn to 1/2 by as much as ten further weights
 would. It cannot see what no draw has come near, which is why a part of the draws stays wide.
 
-The evidence Z is the integral of likelihood and prior over theta, the mean of the weights. How probable
-further data y are, after data D, is the evidence of both over that of the first:
-
-    log p(y | D) = log Z(D, y) - log Z(D)
-
-The mean of p(y | theta) over draws of the posterior of D is the same, but where y has many exact points it is
-decided by the one draw that comes nearest: too low at most times, and its own scatter does not tell. The two
-integrals are by importance, each about its own peaks (C. P. Robert, D. Wraith, AIP Conf. Proc. 1193 (2009)
-251), so that draws are where the integrand is.
+The evidence, the integral of likelihood and prior over theta, is the mean of the weights. That of further
+data is the ratio of two evidences: the mean of their likelihood over draws would be decided by a single draw.
 """
 
 import math

@@ -1,10 +1,7 @@
 """Evaluate many densities, and interpolate between the residuals of those that were simulated.
 
-A density simulates every insertion at 3 to 11 nodes (`likelihood.nodes`): as measured, and with each
-uncertain depth and the bevel moved to both sides. How the residuals of the others differ from the first's
-varies smoothly with theta. They are simulated at some 100 thetas, and between these interpolated by quintic
-radial basis functions. The needles as measured are simulated at some 800 thetas; where all of these had a
-solution, further ones are interpolated too.
+How the residuals at the nodes (`likelihood.nodes`) differ from those of the needle as measured varies
+smoothly with theta; see docs/inference.md, section 8.
 
 Of every call some thetas are evaluated exactly as well, more of those with a large density. Where these err
 by more than `MAX_RMS_ERROR` the needles as measured are simulated, and the thetas join the points that are

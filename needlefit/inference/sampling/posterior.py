@@ -1,8 +1,7 @@
 """The sampled posterior: draws, convergence, and its file (netCDF in the InferenceData layout)."""
 
-import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,8 +98,6 @@ def load(path: Path) -> Posterior:
     """Read the posterior that `save` wrote; DataError if the file is not a posterior, or is damaged."""
     attributes, numbers = read_numbers(path)
     try:
-        if attributes["posterior/sha256"] != _digest(attributes["posterior/about"], numbers):
-            raise ValueError("the digest does not match its content")
         about: dict[str, Any] = parse_json(attributes["posterior/about"], "about")
         about["names"] = tuple(about["names"])
         return Posterior(
@@ -120,15 +117,6 @@ def load(path: Path) -> Posterior:
         ) from error
 
 
-def _digest(about: str, numbers: Mapping[str, Floats]) -> str:
-    found = hashlib.sha256(about.encode("utf-8"))
-    for name, array in sorted(numbers.items()):
-        found.update(f"{name} {array.shape}".encode())
-        # little endian on every machine, so that the digest does not depend on it
-        found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-    return found.hexdigest()
-
-
 #: variables as xarray takes them (dimensions, values, attributes), coordinates, and attributes of a group
 _Group = tuple[dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]], dict[str, Any], dict[str, str]]
 
@@ -146,7 +134,6 @@ def _list_groups(posterior: Posterior) -> dict[str, _Group]:
         "inference_library": "emcee",
         "state": "; ".join(("NOT CONVERGED", *faults)) if (faults := posterior.faults) else "converged",
         "about": about,
-        "sha256": _digest(about, numbers),
     }
     frame = dict(zip(("chain", "draw"), map(np.arange, posterior.log_posterior.shape), strict=True))
     coordinates: dict[str, dict[str, Any]] = dict.fromkeys(GROUPS, frame)

@@ -24,7 +24,7 @@ from needlefit.datasets.insertion import TipTrack
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.grouping import group_values
-from needlefit.inference.forward_model import simulate_deflections
+from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
@@ -137,9 +137,9 @@ def compute_ranked(problem: Problem, directions: Floats, thetas: Floats) -> dict
         found |= {DESIGN: thetas @ directions[0], FIT: thetas @ directions[1]}
     medium, needle = problem.medium, problem.dataset.needle
     tip = max(problem.insertions, key=lambda one: one.depth)
-    (tips,) = simulate_deflections(sets, medium, needle, [tip], [np.array([tip.depth])])
+    (tips,) = PreparedModel(medium, needle, [tip]).read_points(sets, [np.array([tip.depth])])
     prior = [problem.parameters.prior.log_density(values) for values in sets]
-    return {**found, TIP: tips[:, 0], LIKELIHOOD: problem.log_posteriors(thetas) - prior}
+    return {**found, TIP: tips[:, 0, 1], LIKELIHOOD: problem.log_posteriors(thetas) - prior}
 
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:

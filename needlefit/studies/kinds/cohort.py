@@ -20,6 +20,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.datasets.sources import digest_folders
 from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.geometry.curves import compare_curves
 from needlefit.inference.identifiability.directions import format_sd
 from needlefit.inference.identifiability.precision import find_bounds, posterior_sds
 from needlefit.inference.parameters import is_logarithmic
@@ -243,7 +244,7 @@ def _fit_specimen(
         {"parameter": one, "value": fit.values[one], "sd": sd, "at_bound": bool(end), "converged": converged}
         for (one, sd), end in zip(sds.items(), find_bounds(problem, theta), strict=True)
     ]
-    every = pd.DataFrame([compute_metrics(one) for one in problem.compare(theta)])
+    every = pd.DataFrame([compute_metrics(compare_curves(*pair)) for pair in problem.points(theta)])
     return rows, {"converged": converged, **{str(name): value for name, value in every.mean().items()}}
 
 
