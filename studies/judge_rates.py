@@ -73,9 +73,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="20 simulations of each case")
     parser.add_argument("--out", type=Path, default=Path("reports/judge_rates.png"))
     options = parser.parse_args()
-    count, rng = 20 if options.quick else 300, np.random.default_rng(1)
+    count = 20 if options.quick else 300
     rows = []
     for fits, insertions, correlation in product(FITS, INSERTIONS, CORRELATIONS):
+        rng = np.random.default_rng([fits, insertions, round(10 * correlation)])
         for case, shifts in CASES.items():
             every = [simulate(rng, fits, insertions, correlation, shifts) for _ in range(count)]
             row = {"fits": fits, "insertions": insertions, "correlation": correlation, "case": case}

@@ -28,6 +28,7 @@ from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, se
 MAX_NOISE_RATIO, FAR_NOISE_RATIO = 2.0, 5.0
 #: probability of each error: to call fits that are as good as a curve better, or worse
 SIGNIFICANCE = 0.05
+SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller and of a larger score
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
 CRPS = "tip_crps_mm"  #: column of the table "predictive": continuous ranked probability score of a tip
@@ -138,20 +139,15 @@ def compare_with_curves(errors: pd.DataFrame, method: str, metric: str = TE) -> 
         index=["fold", "specimen", "hole", "insertion"], columns="method", values=scores
     )
     curves = [name for name in BASELINES.names() if (metric, name) in table]
-    trial, rows = join_trials(table.index.to_frame(index=False)), []
-    for score in scores:
-        of_curves = table[score][curves].fillna(table[metric][curves])
-        gaps = of_curves.rsub(table[score][method], axis=0)
-        for curve, means in gaps.groupby(trial).mean().items():
-            known = means.dropna()
-            if (n := len(known)) < 2:
-                continue
-            se, mean = known.std() / math.sqrt(n), known.mean()
-            t = mean / se if se > 0 else math.copysign(math.inf, mean)
-            p_smaller, p_larger = (float(scipy.special.stdtr(n - 1, one)) for one in (t, -t))
-            rows.append((score, curve, n, mean, p_smaller, p_larger))
-    columns = ["score", "curve", "trials", "difference_mm", "p_smaller", "p_larger"]
-    return pd.DataFrame(rows, columns=columns)
+    gaps = {score: -table[score][curves].fillna(table[metric][curves]) for score in scores}
+    found = pd.concat({score: gaps[score].add(table[score][method], axis=0) for score in scores}, axis=1)
+    trials = found.groupby(join_trials(table.index.to_frame(index=False))).mean()
+    count, mean = trials.count(), trials.mean()
+    with np.errstate(divide="ignore", invalid="ignore"):  # equal differences have no scatter
+        t = np.where(trials.std() > 0, mean * np.sqrt(count) / trials.std(), np.copysign(np.inf, mean))
+    sides = {f"p_{side}": scipy.special.stdtr(count - 1, sign * t) for side, sign in SIDES.items()}
+    about = {"trials": count, "difference_mm": mean, **sides}
+    return pd.DataFrame(about)[count > 1].rename_axis(["score", "curve"]).reset_index()
 
 
 def join_trials(rows: pd.DataFrame) -> list[int]:
