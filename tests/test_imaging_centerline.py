@@ -214,4 +214,6 @@ def test_a_needle_near_thick_slices_does_not_follow_their_staircase(tilt, overla
     assert errors.max() < 0.15
     assert np.linalg.norm(line.tip - truth[1]) < 0.5
     assert 0 < line.normal_sd < 0.5
+    hidden = line.sections.shared_along
+    assert np.linalg.norm(hidden) == pytest.approx(abs(hidden @ [0, 0, 1])) and 0 < abs(hidden[2]) < 0.5
     assert np.isnan([*line.bevel, line.bevel_probability]).all()  # blunt

@@ -1,5 +1,6 @@
 """What a measurement does to shapes: cross-sections, their file, and the likelihood of their spline."""
 
+import math
 from dataclasses import replace
 
 import needles
@@ -21,12 +22,18 @@ from needlefit.geometry.smoothing_spline import (
 )
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import make_observation, whiten_deflections
+from needlefit.inference.likelihood.observation import (
+    SHARED_ERROR_LENGTH_MM,
+    make_observation,
+    select_sections,
+    whiten_deflections,
+)
 from needlefit.inference.problem import make_problem
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.studies.simulated_data import simulate_measurement
 
 TRUE = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": needles.BEVEL}
 MEDIUM = MediumRecord.model_validate(
@@ -90,6 +97,31 @@ def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scan
     assert observation.whitening.shape == (observation.rows, len(one.planar))
 
 
+def test_an_error_along_one_direction_alone_is_one_of_that_direction(scanned):
+    """Slices lean by 30 degrees from y; what is simulated scatters as the likelihood has it."""
+    one, hidden, angle = replace(scanned.insertions[-1], roll_sd=0.0), 0.3, math.radians(30.0)
+    across = one.frame.rotation @ [0.0, math.cos(angle), math.sin(angle)]
+    sections = replace(one.sections, shared_along=hidden * across)
+    planned = replace(one, sections=sections, boundary_sd=0.0, depth_sd=0.0)
+    data = replace(scanned, planes=2)
+    plain, found, flat = map(make_observation, (data, data, scanned), (one, planned, planned))
+    added, size = found.point_covariance - plain.point_covariance, len(plain.point_covariance) // 2
+    along_z = added[size:, size:] / math.sin(angle) ** 2
+    known = select_sections(one, scanned.needle)
+    fade = np.exp(-np.abs(known.s[:, None] - known.s) / SHARED_ERROR_LENGTH_MM)
+    assert_allclose(along_z, hidden**2 * known.operator @ fade @ known.operator.T, atol=1e-12)
+    assert_allclose(added[:size, :size], math.cos(angle) ** 2 * along_z, atol=1e-12)
+    assert_allclose(added[:size, size:], math.sin(angle) * math.cos(angle) * along_z, atol=1e-12)
+    assert_allclose(flat.point_covariance, found.point_covariance[:size, :size], atol=1e-15)
+    planned = replace(planned, roll_sd=math.radians(5.0))
+    rng, squares = np.random.default_rng(4), []
+    for _ in range(40):
+        seen = simulate_measurement(data, planned, TRUE, MEDIUM, rng)
+        problem = make_problem(data, (seen,), MEDIUM, WeightsRecord(), LikelihoodRecord(bevel_spread=0.0))
+        squares.append(np.sum(problem.compute_misfits(problem.parameters.theta(TRUE)) ** 2))
+    assert np.mean(squares) == pytest.approx(found.rows, abs=4 * math.sqrt(2 * found.rows / len(squares)))
+
+
 STORED = 'operator = "spline"\nsections = "sections/{id}.toml"'
 
 
@@ -106,14 +138,18 @@ def with_measurement(folder, text, sections=()):
 
 
 def test_sections_are_written_and_read(scanned, tmp_path):
+    along = {"shared_along": np.array([0.0, 0.1, -0.2])}
     folder = with_measurement(
-        tmp_path / "plain", STORED, [(one.id, one.sections) for one in scanned.insertions]
+        tmp_path / "plain",
+        STORED,
+        [(one.id, replace(one.sections, **along)) for one in scanned.insertions],
     ).parent
     stated = load(folder / "sections/needle-1.toml", SectionsRecord)
     assert_allclose(stated.points_mm, scanned.insertions[0].sections.points, atol=1e-5)
     assert check(folder) == []
     dataset = read(folder)
     assert dataset.measurement == MeasurementRecord(operator="spline", sections="sections/{id}.toml")
+    assert_allclose(dataset.insertions[2].sections.shared_along, along["shared_along"])
     assert_allclose(dataset.insertions[2].sections.s, scanned.insertions[2].sections.s, atol=1e-5)
     before = dataset.digest
     file = folder / "sections/needle-3.toml"

@@ -17,11 +17,18 @@ from needlefit.geometry.curves import compare_curves
 from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import find_geometric_median
 from needlefit.inference.problem import make_problem
+from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.torsion import compute_roll_lag
+from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.schemas.study import FitRecord
 from needlefit.studies.held_out_predictions import _score_tip_in_space
+from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.simulated_data import simulate_measurement
 
 TURNED = {
@@ -128,7 +135,7 @@ def test_rolls_and_turns_that_contradict_are_faults(tmp_path, rows, row_changes,
 
 
 def test_the_data_decide_in_how_many_planes_needles_are_compared():
-    flat, half, quarter = turned(turns=()), turned(turns=((18.0, 180.0),)), turned()
+    flat, half, quarter = turned(turns=()), turned(35.0, ((18.0, 180.0),)), turned()
     assert [turns_out_of_plane(one) for one in (flat, half, quarter)] == [False, False, True]
     data = dataset([flat, half, quarter])
     for insertions, stated, planes in (
@@ -149,6 +156,13 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     assert not leaves_plane(bent, noise) and leaves_plane(replace(bent, roll_sd=math.radians(1.0)), noise)
     with pytest.raises(ConfigError):
         set_planes(replace(data, pose="free"), [flat], 2)
+    twisted = medium().model_copy(update={"torsional_friction_n": 0.1})
+    settings = Settings(inputs=Inputs(dataset=dataset([flat, half]), medium=twisted))
+    tune = {"insertions": [flat.id, half.id]}
+    record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
+    assert prepare("x", record, settings).dataset.planes == 2
+    with pytest.raises(ConfigError, match="planes"):
+        prepare("x", record.model_copy(update={"planes": 1}), settings)
 
 
 def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
@@ -162,6 +176,33 @@ def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
         residuals = in_space([seen]).compute_misfits(theta)
         squares.append(float(residuals @ residuals))
     assert np.mean(squares) == pytest.approx(len(residuals), abs=4 * math.sqrt(2 * len(residuals) / count))
+
+
+def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
+    """A needle turned over leaves its plane; fitted with its friction it gives back the truth."""
+    known = medium().model_copy(update={"torsional_friction_n": 0.5})
+    planned = replace(insertion(40.0, (12.0,), (1, 2)), turns=((18.0, 180.0),))
+    shape = predict(TRUTH, known, NEEDLE, planned)
+    lag = compute_roll_lag(NEEDLE, make_tissue(TRUTH, (1, 2), np.array([12.0]), known), 18.0)
+    behind = predict(TRUTH, medium(), NEEDLE, replace(planned, turns=((18.0, 180.0 - lag),)))
+    np.testing.assert_allclose(shape.w, behind.w, atol=1e-9)
+    assert lag > 5 and abs(shape.w[-1]) > 0.02
+    points = sample_inserted_points(shape, 101)
+    made = [planned.with_planar(points[:, :2], points[:, 2])]
+    data = replace(dataset(made), planes=2)
+    values = []
+    for one in (known, medium()):
+        p = make_problem(data, made, one, WeightsRecord(), FREE)
+        values.append(p.objective(p.parameters.theta(TRUTH)))
+    assert values[0] < 1e-4 < 0.01 < values[1]
+    theta = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1})
+    assert_one_density(make_problem(data, made, known, WeightsRecord(), FREE), theta)
+    scene = make_scene_record(TRUTH, known, data, made[0])
+    again = Scene.from_record(scene, in_space=True)
+    assert again.tissue.torsional_friction == 0.5
+    np.testing.assert_allclose(
+        simulate_steps(again.needle, again.tissue, again.steps, again.rules).w, shape.w
+    )
 
 
 SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4, 2e-5)])

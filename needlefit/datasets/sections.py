@@ -139,6 +139,7 @@ def from_record(record: SectionsRecord) -> SplineSections:
         knots=np.array(record.knots_mm),
         sigma=record.sigma_mm,
         shared_sd=record.shared_sd_mm,
+        shared_along=np.array(record.shared_along_mm or (0.0, 0.0, 0.0)),
     )
 
 
@@ -176,8 +177,9 @@ def format_sections(sections: SplineSections) -> str:
         knots_mm=_round(sections.knots),
         sigma_mm=round(sections.sigma, WEIGHT_DIGITS),
         shared_sd_mm=round(sections.shared_sd, WEIGHT_DIGITS),
+        shared_along_mm=_round(sections.shared_along) if sections.shared_along.any() else None,
     )
-    return dumps(record.model_dump(mode="json", by_alias=True))
+    return dumps(record.model_dump(mode="json", by_alias=True, exclude_none=True))
 
 
 def _round(values: np.ndarray, digits: int = LENGTH_DIGITS) -> tuple[float, ...]:

@@ -5,7 +5,7 @@ its coefficients are G y, with the least-squares matrix G of its knots and weigh
 weights are kept, a simulated shape can be smoothed in the same way before the two are compared.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -59,6 +59,9 @@ class SplineSections:
     # counted in it.
     sigma: float
     shared_sd: float  # standard deviation of what neighbouring cross-sections share without showing it, mm
+    # (3,); what they share along one direction alone, as slices hide it along their normal: that direction
+    # times its standard deviation, mm
+    shared_along: Floats = field(default_factory=lambda: np.zeros(3))
 
     def select(self, which: NDArray[np.bool_]) -> "SplineSections":
         """Return the cross-sections of a mask."""
@@ -67,7 +70,8 @@ class SplineSections:
 
     def seen_from(self, patient: Frame, begin: float) -> "SplineSections":
         """Return the same in the world, with arc lengths counted from `begin`, mm."""
-        return replace(self, s=self.s - begin, points=patient.to_world(self.points))
+        along = patient.rotation @ self.shared_along
+        return replace(self, s=self.s - begin, points=patient.to_world(self.points), shared_along=along)
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
 
 @dataclass(frozen=True)
 class DrawnSpline:
-    """The spline through sections: places (N, 3), slopes by q (N, 3), deviation in any direction (N,)."""
+    """The spline through sections: places (N, 3), slopes by q (N, 3), largest deviation across (N,)."""
 
     points: Floats
     slopes: Floats
@@ -144,5 +148,5 @@ def draw_spline(sections: SplineSections, q: Floats) -> DrawnSpline:
     return DrawnSpline(
         design @ coefficients,
         np.asarray(bases(q), dtype=np.float64)[:, fit.reached] @ coefficients,
-        np.hypot(own, sections.shared_sd),
+        np.hypot(own, np.hypot(sections.shared_sd, np.linalg.norm(sections.shared_along))),
     )

@@ -543,6 +543,7 @@ def make_tissue(
         thickness=np.array([medium.thickness_mm]),
         law=medium.law,
         max_mu=MAX_MU_MPA,
+        torsional_friction=medium.torsional_friction_n,
     )
 
 

@@ -49,6 +49,7 @@ def make_scene_record(
         title=title,
         depth_mm=None if moved or insertion.turns else insertion.depth,
         law=medium.law,
+        torsional_friction_n=medium.torsional_friction_n,
         needle=NeedleRecord(  # by its rigidity, whatever that was stated by
             name=f"needle of {dataset.name}",
             length_mm=dataset.needle.length,

@@ -127,6 +127,9 @@ class SectionsRecord(FileRecord):
     """Standard deviation of a cross-section of weight 1 in one direction across the needle."""
     shared_sd_mm: float = Field(default=0.0, ge=0, le=10)
     """Standard deviation of an error that neighbouring cross-sections share."""
+    shared_along_mm: tuple[float, float, float] | None = None
+    """What they share along one direction alone, as the normal of thick slices: that direction in the world,
+    times its standard deviation."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -93,6 +93,9 @@ class MediumRecord(FileRecord, AdvanceRecord):
     """Tissue law: ogden, two_term_ogden, neo_hookean, linear, fung, gent, or one of a plugin."""
     thickness_mm: float = Field(default=40.0, gt=0)
     """Thickness h of the tissue that supports the needle on each side."""
+    torsional_friction_n: float = Field(default=0.0, ge=0)
+    """Torque per length (N mm / mm) that a turning shaft overcomes: the tip's roll stays behind the hub's. It
+    is not fitted."""
     parameters: dict[str, ParameterRecord]
     """Parameters by name: `mu1_pa`, ... of each layer; shape parameters of the law, such as `alpha1`, free
     within their usual bounds if left out; `bevel_mm` (with `advance = "path_angle"`: `cut_angle_deg`);

@@ -296,7 +296,13 @@ def prepare(
     divided = make_folds(record, dataset)
     with add_key_context("planes"):
         everything = [one for fold in divided for one in (*fold.tune, *fold.validate)]
-        dataset = set_planes(dataset, everything, record.planes)
+        planes = record.planes
+        if medium.torsional_friction_n and any(one.turns for one in everything):
+            planes = 2  # while the tip follows the hub even a half turn bends it to the side
+            if record.planes == 1:
+                why = "torsional friction leads needles that were turned out of their planes"
+                raise ConfigError(why, expected="2, or no torsional_friction_n of the medium")
+        dataset = set_planes(dataset, everything, planes)
     divided = make_folds(record, dataset)
     if record.planes is None and dataset.planes == 2:
         settings.note(

@@ -164,11 +164,12 @@ def _measure_sections(
     """Return the insertion with cross-sections at `x` (K,) and `across` (K, planes), and the spline through
     them, with noise.
     """
-    stored, count = known.stored, len(x)
+    stored = known.stored
     sds = stored.sigma / np.sqrt(np.maximum(stored.weights, MIN_WEIGHT))
-    root = np.linalg.cholesky(known.shared + MIN_WEIGHT * np.eye(count))
-    noise = [sds * rng.standard_normal(count) + root @ rng.standard_normal(count) for _ in across.T]
-    seen = pad_planes(np.column_stack([x, across + scale * np.array(noise).T]), 2)
+    size = across.size
+    root = np.linalg.cholesky(known.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
+    noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
+    seen = pad_planes(np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T]), 2)
     q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
     points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
     measured = insertion.with_planar(points[:, :2], points[:, 2])

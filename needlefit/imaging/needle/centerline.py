@@ -364,7 +364,8 @@ def _sample_centerline(
         weights=axis.final_weights,
         knots=axis.spline.t,
         sigma=float(np.sqrt(axis.variance)),
-        shared_sd=float(np.linalg.norm([axis.shared_sd, SYSTEMATIC_SD_MM, hidden])),
+        shared_sd=float(np.hypot(axis.shared_sd, SYSTEMATIC_SD_MM)),
+        shared_along=np.sqrt(2) * hidden * volume.grid.normal,  # `hidden` is that in any one direction
     )
     return Centerline(
         points,

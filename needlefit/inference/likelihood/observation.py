@@ -63,9 +63,9 @@ class SectionData:
     s: Floats  #: (K,) their beam coordinates, mm; negative outside the tissue
     places: Floats  #: (K, 3) places in C, mm
     operator: Floats  #: (F, K) from their deflections to the F coefficients of the spline
-    #: (F, F) of these coefficients, by the spline itself and by what neighbours share, mm^2
+    #: (2 F, 2 F) of these coefficients along y and then z, by the spline and by what neighbours share, mm^2
     covariance: Floats
-    shared: Floats  #: (K, K) covariance of what neighbours share, mm^2
+    shared: Floats  #: (2 K, 2 K) covariance of what neighbours share along y and then z, mm^2
     slope: Floats  #: (K, 2) slopes of the spline there, dy/dx and dz/dx
     reached: Bools  #: (C,) which of the spline's coefficients the F are
     stored: SplineSections  #: as stored; those left out are not in it
@@ -83,8 +83,13 @@ def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
     s, stored = s[kept], stored.select(kept)
     places = insertion.frame.to_local(stored.points)
     fit = fit_matrices(stored.q, stored.weights, stored.knots)
-    shared = stored.shared_sd**2 * np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
-    covariance = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
+    fade = np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
+    along = insertion.frame.rotation.T @ stored.shared_along
+    further = np.outer(along[1:], along[1:])  # of y and z
+    shared = stored.shared_sd**2 * fade
+    own = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
+    covariance = block_diag(own, own) + np.kron(further, fit.operator @ fade @ fit.operator.T)
+    shared = block_diag(shared, shared) + np.kron(further, fade)
     by_q = fit.slope @ (fit.operator @ places)  # (K, 3)
     slope = by_q[:, 1:] / by_q[:, :1]
     return SectionData(s, places, fit.operator, covariance, shared, slope, fit.reached, stored)
@@ -441,11 +446,17 @@ def _observe_sections(
     model_error: Discrepancy | None,
 ) -> Observation:
     """Return the observation of an insertion by the spline through its cross-sections, of a known pose."""
-    operator, cov = known.operator, known.covariance
+    operator = block_diag(*[known.operator] * dataset.planes)
+    cov = known.covariance[: len(operator), : len(operator)]
     if model_error is not None:
-        cov = cov + operator @ model_error.covariance(known.s) @ operator.T
+        cov = cov + operator @ model_error.covariance_in(dataset.planes, known.s) @ operator.T
     if dataset.planes == 2:
-        measured, operator, cov = known.places, block_diag(operator, operator), block_diag(cov, cov)
+        measured = known.places
+        # the roll turns the needle, not what sections share; the modes turn both
+        quarter = operator @ np.kron(
+            [[0.0, -insertion.roll_sd], [insertion.roll_sd, 0.0]], np.eye(len(measured))
+        )
+        cov = cov + quarter @ known.shared @ quarter.T
         modes = pose_modes_in_space(measured, known.slope) * pose_sds_in_space(insertion, dataset.noise)
     else:
         measured = known.places[:, :2]

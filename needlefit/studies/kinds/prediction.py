@@ -132,7 +132,7 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
             expected="needle, depth, depths of layers, bevel side, controls",
             fix="leave it out; `needlefit simulate` takes all values from the scene",
         )
-    scene = Scene.from_record(record, where, in_space=not record.torsional_friction_n)
+    scene = Scene.from_record(record, where, in_space=True)
     options, stated = make_options(medium), record.rules
     if "element_mm" in stated.model_fields_set:
         options = replace(options, element=stated.element)
@@ -149,8 +149,9 @@ def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord)
         for key in _FITTED_RULES
         if key in rules.model_fields_set
     }
-    if "law" in record.model_fields_set:
-        stated["law"] = record.law, medium.law
+    for key in ("law", "torsional_friction_n"):
+        if key in record.model_fields_set:
+            stated[key] = getattr(record, key), getattr(medium, key)
     for n, layer in enumerate(record.layers, start=1):
         stated[f"layers.{n}.friction"] = layer.friction, 0.0
         if "thickness_mm" in layer.model_fields_set:
