@@ -143,8 +143,11 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         draws[one.name], posterior = drawn
         posteriors |= {} if posterior is None else {one.name: posterior}
         whole = restore_directions(one, dataset)
-        for frame, more in _predict_runs(name, whole, draws[one.name], placed_by, settings.jobs).items():
-            rows[frame] += more
+        for job in (one,) if whole is one else (one, whole):
+            found = _predict_runs(name, job, draws[one.name], placed_by, settings.jobs)
+            added = "yz" if job is one else "z"  # what was fitted is predicted as it was fitted
+            for frame, more in found.items():
+                rows[frame] += [row for row in more if str(row["direction"]) in added]
     directions = {row["direction"] for row in rows["runs"]}
     frames = {
         key: pd.DataFrame(
@@ -204,6 +207,8 @@ def _count_placed(track: Insertion, placed_by: float) -> int:
 
 def restore_directions(job: Job, dataset: Dataset) -> Job:
     """Return a job with its runs as the dataset has them, in space if all of them were tracked along z."""
+    if job.dataset.planes == 2:
+        return job
     whole, (fold,) = {one.id: one for one in dataset.insertions}, job.folds
     tune, validate = (tuple(whole[one.id] for one in part) for part in (fold.tune, fold.validate))
     if any(isinstance(one, TipTrack) and one.guide_z is None for one in (*tune, *validate)):
@@ -348,7 +353,7 @@ def describe(results: Run) -> dict[str, Any]:
         **{"rms_mm": errors["fitted"], "curve": curve, "curve_mm": errors[curve]},
         "fits": results.frames["runs"]["fit"].nunique(),
         "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
-        "runs": len(results.frames["runs"].query("method == 'fitted'")),
+        "runs": results.frames["runs"]["run"].nunique(),
         "notes": results.run["dataset"]["notes"],
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
