@@ -18,6 +18,7 @@ from typing import Any, TypedDict, Unpack, get_type_hints
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
@@ -196,6 +197,30 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
     if missing := set(media) - {one.medium for one in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
     return read(build_unscanned(Path(folder), seed, plan))
+
+
+def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:
+    """Return the points (N, 3) of a true needle of the shipped twin, world, mm: without any error.
+
+    Parameters
+    ----------
+    name : str
+        An insertion of the dataset `twin`, such as "phantom2-01".
+    from_tip : (N,) array_like
+        Arc lengths from the tip, mm.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such insertion.
+    """
+    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.insertion import TWIN_SEED, needle_points, simulate_insertion
+
+    (planned,) = select_planned_insertions([name])
+    made = simulate_insertion(planned, TWIN_SEED)
+    shape, frame = made.true_insertion.shape, made.true_insertion.frame
+    return needle_points(shape, frame, made.deviations, shape.depth - np.asarray(from_tip, dtype=np.float64))
 
 
 def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
