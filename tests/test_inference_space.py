@@ -13,7 +13,8 @@ from needlefit.datasets.planes import leaves_plane, set_planes, turns_out_of_pla
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.curves import compare_curves
+from needlefit.geometry.curves import compare_curves, integrate_curvature
+from needlefit.inference.baseline_fit import find_plane, fit_baselines
 from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -240,6 +241,26 @@ def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tm
     for line in ("b,5,1e-3,2e-3,1e-5", "a,0.5,1e-3,2e-3,1e-5", "a,60,0,0,1e-5", "a,5,0,0,0", "a,5,x,0,1e-5"):
         (tmp_path / "fbg.csv").write_text(f"{head}{line}\n")
         assert any("fbg.csv:2" in fault.where for fault in check(file))
+
+
+def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
+    """Turned over by a quarter at half the depth, a needle goes 3 parts toward y and 1 toward z."""
+    depths, s, angle = (40.0, 50.0), np.linspace(0.0, 1.0, 101), math.atan2(1.0, 3.0)
+    made = []
+    for n, depth in enumerate(depths):
+        bent = integrate_curvature(depth, [1 / 300], depth * s)
+        points = turn_about_x(np.pad((-1.0) ** n * bent, ((0, 0), (0, 1))), angle)
+        points[:, 0] = bent[:, 0]
+        one = replace(insertion(depth, (12.0,), (1, 2), (-1) ** n), turns=((depth / 2, 90.0),))
+        made.append(one.with_planar(points[:, :2], points[:, 2]))
+    assert [find_plane(one) for one in made] == pytest.approx([angle] * 2)
+    assert find_plane(turned(turns=())) == 0 and find_plane(turned(turns=((1.0, 180.0),))) == math.pi
+    found = fit_baselines("known", 0.0, made, 2)
+    assert found["constant_curvature"].coefficients == pytest.approx([1 / 300], rel=1e-6)
+    for name in ("constant_curvature", "mean_shape"):
+        for one in made:
+            tip = found[name].curve(one)(np.array([one.depth]))[0]
+            assert tip == pytest.approx([*one.planar[-1], one.out_of_plane[-1]], abs=0.02)
 
 
 def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():

@@ -1,4 +1,8 @@
-"""Fit baselines to insertions by least squares."""
+"""Fit baselines to insertions by least squares.
+
+In space the curve of each insertion lies in a plane of its own: that in which the tip of a curve of constant
+curvature would end whose direction follows the turns of the bevel.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +14,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
-from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, select_points
+from needlefit.inference.compared_points import (
+    ComparedPoints,
+    Curve,
+    align_points,
+    pad_planes,
+    select_points,
+    turn_about_x,
+)
 
 
 @dataclass(frozen=True)
@@ -19,21 +30,48 @@ class FittedBaseline:
 
     baseline: Baseline
     coefficients: tuple[float, ...]
+    planes: int = 1
 
     def curve(self, insertion: Insertion) -> Curve:
-        """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 2) in C, mm."""
+        """Return the curve of an insertion: arc lengths (K,) from the entry -> points in C, mm.
+
+        They are (K, 2), and (K, 3) of an insertion in space whose bevel was turned on the way.
+        """
         with BASELINES.plugin_error_context(self.baseline.name):
-            return self.baseline.curve(self.coefficients, insertion)
+            curve = self.baseline.curve(self.coefficients, insertion)
+        roll = find_plane(insertion) if self.planes == 2 else 0.0
+        return (lambda s: turn_about_x(pad_planes(curve(s), 2), roll)) if roll else curve
 
 
-def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insertion]) -> FittedBaseline:
+def find_plane(insertion: Insertion) -> float:
+    """Return the roll of the plane of an insertion's curves about x, rad, from the bevel's at contact."""
+    starts, rolls = np.array([(0.0, 0.0), *insertion.turns]).T
+    # how far a unit of curvature between two turns moves the tip
+    moved = -np.diff(0.5 * (insertion.depth - starts) ** 2, append=0.0)
+    return float(np.angle(moved @ np.exp(1j * np.radians(rolls))))
+
+
+def _turn_back(insertion: Insertion) -> Insertion:
+    """Return an insertion turned about x, so that the plane of its curves is z = 0."""
+    if not (roll := find_plane(insertion)):
+        return insertion
+    points = turn_about_x(np.column_stack([insertion.planar, insertion.out_of_plane]), -roll)
+    return insertion.with_planar(points[:, :2], points[:, 2])
+
+
+def fit_baseline(
+    name: str, pose: Pose, drop: float, insertions: Sequence[Insertion], planes: int = 1
+) -> FittedBaseline:
     """Return the baseline `name` that lies closest (least squares) to the scored points of `insertions`.
+
+    In two `planes` they are compared in the plane of each insertion's curve.
 
     Raises ConfigError if there is no such baseline, or no insertion, or one of a plugin fails.
     """
     baseline = BASELINES[name]
     if not insertions:
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
+    insertions = [_turn_back(one) for one in insertions] if planes == 2 else insertions
     pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
     with BASELINES.plugin_error_context(name):
         scales = np.array(baseline.scales)
@@ -47,11 +85,13 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
                 return _residuals(baseline, scales * scaled, pairs)
 
             found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-    return FittedBaseline(baseline, tuple(found.tolist()))
+    return FittedBaseline(baseline, tuple(found.tolist()), planes)
 
 
-def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
-    return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
+def fit_baselines(
+    pose: Pose, drop: float, insertions: Sequence[Insertion], planes: int = 1
+) -> Mapping[str, FittedBaseline]:
+    return {one.name: fit_baseline(one.name, pose, drop, insertions, planes) for one in list_baselines()}
 
 
 def _residuals(

@@ -72,7 +72,7 @@ def make_predictors(
         for name in MODEL_METHODS
         if name in values
     }
-    baselines = fit_baselines(dataset.pose, dataset.drop_proximal, problem.insertions)
+    baselines = fit_baselines(dataset.pose, dataset.drop_proximal, problem.insertions, dataset.planes)
     return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
 
 
