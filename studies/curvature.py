@@ -99,8 +99,9 @@ def main() -> None:
     print(rows.mean(numeric_only=True).to_string(float_format="%.3f"))
     figure, axes = plt.subplots(figsize=(5, 4))
     for medium, some in rows.groupby("medium"):
-        axes.plot(some["ipe_3d_mm"], some["te_3d_mm"], ".", label=medium)
-    axes.set(xlabel="mean error of the shape, mm", ylabel="tip error, mm")
+        axes.plot(some["te_integrated_mm"], some["te_3d_mm"], ".", label=medium)
+    axes.axline((0, 0), slope=1, color="0.5", lw=0.8)
+    axes.set(xlabel="tip error, mm: curvatures integrated", ylabel="fitted")
     axes.legend()
     options.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out, dpi=150, bbox_inches="tight")
