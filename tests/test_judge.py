@@ -210,5 +210,7 @@ def test_tracks_of_several_fits_are_judged_and_those_of_one_described():
     runs = pd.concat([ours, line])
     assert judge_tracks(runs.assign(fit=[*"1234"] * 2), 0.5, 1.0) == "generalises"
     assert judge_tracks(runs.assign(fit=[*"1234"] * 2, specimen="p"), 0.5, 1.0) == "not shown"
+    both = pd.concat([runs.assign(fit=[*"1234"] * 2, direction=axis) for axis in "yz"])  # 4 trials still
+    assert judge_tracks(both, 0.5, 1.0) == "generalises"
     assert judge_tracks(runs.assign(fit="all"), 0.5, 1.0) == "in part"
     assert judge_tracks(runs.assign(fit="all"), 0.5, 0.4) == "does not predict"

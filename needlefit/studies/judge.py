@@ -92,8 +92,9 @@ def judge_tracks(runs: pd.DataFrame, error_mm: float, curve_mm: float) -> Outcom
     """Judge predicted tip tracks by their table "runs"; describe one fit by its mean error and a curve's."""
     if runs["fit"].nunique() == 1:
         return describe_fit(error_mm, None, curve_mm)
-    named = {"fit": "fold", "run": "insertion", "rms_mm": TE, "crps_mm": CRPS}
-    return judge_fits(runs.rename(columns=named).assign(hole=runs["run"]), "fitted")
+    named = {"fit": "fold", "run": "hole", "rms_mm": TE, "crps_mm": CRPS}
+    each = runs["run"] + runs.get("direction", "")  # both directions of a run are one trial
+    return judge_fits(runs.rename(columns=named).assign(insertion=each), "fitted")
 
 
 def describe_fit(error_mm: float, noise_ratio: float | None, curve_mm: float | None) -> Outcome:

@@ -123,7 +123,7 @@ def tracks(readings: pd.DataFrame) -> Figure:
     `readings` has the columns of the frame `readings` of such a study.
     """
     along = readings.get("direction", pd.Series("", readings.index))
-    titles = readings["medium"].map(medium_name) + along.map(lambda axis: axis and f", along {axis}")
+    titles = readings["medium"].map(medium_name) + "\ntip" + along.map(lambda axis: axis and f" along {axis}")
     readings = readings.assign(panels=titles)
     panels = readings.groupby("panels", sort=False)
     media = {str(name): list(dict.fromkeys(some["run"])) for name, some in panels}
@@ -149,7 +149,7 @@ def tracks(readings: pd.DataFrame) -> Figure:
             guide.tick_params(labelbottom=n == down - 1, labelleft=k == 0)
             draw_grid(tip, "y")
             if k == 0:
-                tip.set_ylabel(f"{medium}\ntip (mm)")
+                tip.set_ylabel(f"{medium} (mm)")
                 guide.set_ylabel("guide\n(mm)")
             if n == down - 1:
                 guide.set_xlabel("depth (mm)")
