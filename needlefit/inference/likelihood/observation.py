@@ -449,7 +449,8 @@ def _observe_sections(
     operator = block_diag(*[known.operator] * dataset.planes)
     cov = known.covariance[: len(operator), : len(operator)]
     if model_error is not None:
-        cov = cov + operator @ model_error.covariance_in(dataset.planes, known.s) @ operator.T
+        misfit = block_diag(*[model_error.covariance(known.s)] * dataset.planes)
+        cov = cov + operator @ misfit @ operator.T
     if dataset.planes == 2:
         measured = known.places
         # the roll turns the needle, not what sections share; the modes turn both
