@@ -298,12 +298,16 @@ def resample_line(curve, points):
 
 
 def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path):
-    """Measured once, and exported again with scatter, without a point, or mirrored; and measured twice."""
+    """Measured once, and exported again with scatter, without points, or mirrored; and measured twice."""
     random = np.random.default_rng(11)
     once, twice = (CURVE + random.normal(0.0, 0.02, CURVE.shape) * [0, 1, 1] for _ in range(2))
     others = {
         "scatter": once + random.normal(0.0, 1e-3, CURVE.shape),
+        "rounded": once + random.normal(0.0, 4e-3, CURVE.shape),
         "dropped": np.delete(once, 40, axis=0),
+        "first dropped": once[1:],
+        "last dropped": once[:-1],
+        "every third": once[::3],
         "mirrored": once * [1, -1, 1],
         "sampled again": resample_line(once, 151),
         "twice": twice,

@@ -29,6 +29,7 @@ from needlefit.datasets.planes import (
     compute_deflection_sd,
     find_plane_warnings,
 )
+from needlefit.geometry.curves import arc_length
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
@@ -58,8 +59,9 @@ MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise
 # single one is limited to this.
 REVERSED_SD = 4.0
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
-# Standard deviations of a point by which two measurements differ at least, and the same in mm at most.
-MIN_LIKENESS_SD, MAX_LIKENESS_MM = 0.2, 0.01
+# Standard deviations of a point by which two measurements of one curve differ at least, in mm at most; by
+# chance those of fewer points than these differ by less, and a tenth of it is asked of them.
+MIN_LIKENESS_SD, MAX_LIKENESS_MM, MIN_LIKENESS_POINTS = 0.3, 0.05, 15
 MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
@@ -208,15 +210,18 @@ def measure_scatter(one: Insertion) -> float:
 def measure_likeness(one: Insertion, other: Insertion) -> float:
     """Return the median distance of points of one curve from the line through those of the other, mm.
 
-    Each curve lies in the frame of its own entry; one may be the mirror image of the other, or have other
-    points of the same line.
+    Each curve lies in the frame of its own entry, where one may be the mirror image of the other, or both in
+    the frame of one. They may have other points of the same line, of which ends may be cut.
     """
-    curves = [np.column_stack([curve.planar, curve.out_of_plane]) for curve in (one, other)]
-    gaps = []
-    for a, b in (curves, curves[::-1]):
-        line = np.column_stack([np.interp(a[:, 0], b[:, 0], axis) for axis in b[:, 1:].T])
-        gaps += [np.median(np.linalg.norm(a[:, 1:] * sign - line, axis=1)) for sign in MIRRORS]
-    return float(min(gaps))
+    curve, again = (np.column_stack([each.planar, each.out_of_plane]) for each in (one, other))
+    gaps = [math.inf]
+    for pair, signs in (((curve, again), MIRRORS), ((curve, one.frame.to_local(other.centerline)), MIRRORS[:1])):
+        for a, b in (pair, pair[::-1]):
+            a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0])]
+            if len(a) > 2:
+                line = np.column_stack([np.interp(a[:, 0], b[:, 0], axis) for axis in b[:, 1:].T])
+                gaps += [float(np.median(np.linalg.norm(a[:, 1:] * sign - line, axis=1))) for sign in signs]
+    return min(gaps)
 
 
 def find_insertion_warnings(
@@ -227,15 +232,17 @@ def find_insertion_warnings(
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
     yield from find_plane_warnings(listed, noise)
-    least = max(COPY_TOLERANCE_MM, min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM))
-    for n, later in enumerate(listed):
-        for one in insertions[:n]:
-            if abs(one.depth - later.insertion.depth) > max(noise.point_sd, COPY_TOLERANCE_MM):
-                continue
-            if (gap := measure_likeness(one, later.insertion)) <= least:
-                what = f"{later.insertion.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
+    gaps = [float(np.diff(arc_length(one.planar)).max()) for one in insertions]
+    for n, (later, place) in enumerate((one.insertion, one.where) for one in listed):
+        for k, one in enumerate(insertions[:n]):
+            if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
+                continue  # a copy of which a point is left out is shorter by a gap
+            is_long = min(len(one.planar), len(later.planar)) >= MIN_LIKENESS_POINTS
+            least = (1.0 if is_long else 0.1) * min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM)
+            if (gap := measure_likeness(one, later)) <= max(COPY_TOLERANCE_MM, least):
+                what = f"{later.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
                 fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
-                yield ResultWarning("copy", what, later.where, fix)
+                yield ResultWarning("copy", what, place, fix)
                 break
     yield from find_boundary_warnings(record, insertions, where)
     deepest = max((one.depth for one in insertions), default=math.inf)
