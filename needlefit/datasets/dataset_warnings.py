@@ -59,9 +59,9 @@ MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise
 # single one is limited to this.
 REVERSED_SD = 4.0
 COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
-# Standard deviations of a point by which two measurements of one curve differ at least, in mm at most; by
-# chance those of fewer points than these differ by less, and a tenth of it is asked of them.
-MIN_LIKENESS_SD, MAX_LIKENESS_MM, MIN_LIKENESS_POINTS = 0.3, 0.05, 15
+# Scatters of a point by which two measurements of one curve differ at least, if they have as many points as
+# this; those of fewer points, or that were smoothed, by more than this.
+MIN_LIKENESS, MIN_LIKENESS_POINTS, MIN_LIKENESS_MM = 0.3, 15, 0.003
 MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
@@ -214,8 +214,9 @@ def measure_likeness(one: Insertion, other: Insertion) -> float:
     the frame of one. They may have other points of the same line, of which ends may be cut.
     """
     curve, again = (np.column_stack([each.planar, each.out_of_plane]) for each in (one, other))
+    there = one.frame.to_local(other.centerline)
     gaps = [math.inf]
-    for pair, signs in (((curve, again), MIRRORS), ((curve, one.frame.to_local(other.centerline)), MIRRORS[:1])):
+    for pair, signs in (((curve, again), MIRRORS), ((curve, there), MIRRORS[:1])):
         for a, b in (pair, pair[::-1]):
             a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0])]
             if len(a) > 2:
@@ -233,12 +234,17 @@ def find_insertion_warnings(
     yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
     yield from find_plane_warnings(listed, noise)
     gaps = [float(np.diff(arc_length(one.planar)).max()) for one in insertions]
+    scatters = [
+        min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
+        for one in insertions
+    ]
     for n, (later, place) in enumerate((one.insertion, one.where) for one in listed):
         for k, one in enumerate(insertions[:n]):
             if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
                 continue  # a copy of which a point is left out is shorter by a gap
-            is_long = min(len(one.planar), len(later.planar)) >= MIN_LIKENESS_POINTS
-            least = (1.0 if is_long else 0.1) * min(MIN_LIKENESS_SD * noise.point_sd, MAX_LIKENESS_MM)
+            least = max(
+                MIN_LIKENESS * min(scatters[k], scatters[n]), min(MIN_LIKENESS_MM, noise.point_sd / 30)
+            )
             if (gap := measure_likeness(one, later)) <= max(COPY_TOLERANCE_MM, least):
                 what = f"{later.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
                 fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
