@@ -583,8 +583,10 @@ def test_boundaries_are_stated_as_depths(tmp_path):
     assert planned([file])[1]["boundaries"] == ("none", "assumption")
 
 
-@pytest.mark.parametrize(("stated", "doubted"), [("3", True), ("3,40", True), ("15", False), ("5,40", False)])
-def test_a_first_boundary_that_may_be_in_centimetres_is_an_assumption(tmp_path, stated, doubted):
+@pytest.mark.parametrize(
+    ("stated", "doubted"), [("3", 1), ("3,40", 1), ("2,3,50", 1), ("15", 0), ("5,40", 0)]
+)
+def test_a_boundary_that_may_be_in_centimetres_is_an_assumption(tmp_path, stated, doubted):
     _, made = planned([write_long(tmp_path, NEEDLES)], boundaries=stated)
     assert ("boundary unit" in made) == doubted
     assert not doubted or made["boundary unit"] == ("mm", "assumption")
@@ -651,6 +653,28 @@ def test_a_log_without_depth_or_a_depth_in_each_row_alone_is_asked_about(tmp_pat
     (tmp_path / "a.csv").write_text("\n".join(["time,x [mm],y [mm],z [mm]", *rows]))
     assert "--columns" in refusal(DataError, "", planned, [tmp_path], observable="tracks").expected
     assert planned([tmp_path], "depth=x [mm]", observable="tracks")[0].pose == "tracker"
+
+
+@pytest.mark.parametrize("sides", [(1, 1), (1, -1)])
+def test_the_bevel_of_logs_is_across_the_needle_and_asked_for_where_tips_bend_to_several_sides(
+    tmp_path, sides
+):
+    """As a tracker of NDI writes them: far from the origin, with a row without coordinates."""
+    depths, noise = np.arange(0.0, 75.0, 6.0), np.random.default_rng(5)
+    rows = []
+    for run_, side in enumerate(sides):
+        tips = np.column_stack([100 + depths, side * depths**2 / 520, -40 + 0 * depths])
+        tips += noise.normal(0.0, 0.1, tips.shape)
+        rows += [f"r{run_},{n},{x},{y},{z},1,{6 * n}" for n, (x, y, z) in enumerate(tips)]
+    rows[4] = "r0,4,MISSING,MISSING,MISSING,1,24.0"
+    (tmp_path / "log.csv").write_text("\n".join(["run,Frame,Tx,Ty,Tz,Q0,Depth [mm]", *rows]))
+    if sides[1] < 0:
+        refusal(DataError, "--bevel", planned, [tmp_path])
+        return
+    _, made = planned([tmp_path])
+    assert made["bevel side"] == ("1", "assumption") and len(unused_of(tmp_path)) == 3
+    for points in points_of([tmp_path], observable="tracks"):
+        assert np.ptp(points.values[:, 0]) == pytest.approx(depths[-1] ** 2 / 520, abs=0.4)
 
 
 @pytest.mark.parametrize(

@@ -381,7 +381,8 @@ class _TableReader:
             if keys := group.find("needle") if group.find(*ATTRIBUTES) else []:
                 break
         else:
-            names = ", ".join(dict.fromkeys(text for row in self.cells.rows[:6] for text in row if text))
+            texts = dict.fromkeys(text for row in self.cells.rows[:6] for text in row)
+            names = ", ".join(text for text in texts if text and self.cells.number(text) is None)
             what = f"no header names coordinates: {names[:MAX_LISTED_CHARS]}"
             expected = "columns called x, y, z, or depth and deflection"
             raise UnclearColumnsError(what, where=self.cells.where(0), expected=expected, fix=COLUMNS_FIX)

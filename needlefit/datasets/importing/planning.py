@@ -36,6 +36,7 @@ ASSUMED_MM, STATED_MM = (20.0, 1000.0), (1.0, 2000.0)
 MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
+MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coordinates are all in space
 MIN_SAME_SIDE = 0.9  # length of the mean of unit deflections from which on they have one direction
 SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
 
@@ -85,8 +86,9 @@ class Planner:
             boundary_sd = self.settle("boundary sd").to_number("boundary sd")
             rows = [replace(row, boundary_sd=boundary_sd) for row in rows]
         deepest = max(row.depth for row in rows)
-        if depths and (wider := 10 * depths[0]) <= (*depths[1:], deepest)[0]:
-            reason = f"a layer of {depths[0]:g} mm before {deepest:.3g} mm: in cm it would be {wider:g}"
+        ends = [*depths[1:], deepest][: len(depths)]
+        if narrow := [depth for depth, end in zip(depths, ends, strict=True) if 10 * depth <= end]:
+            reason = f"in cm, {join_names([f'{one:g} would be {10 * one:g} mm' for one in narrow])}"
             self.keep("boundary unit", "mm", reason, "assumption")
         rows = self.add_names(rows, is_track)
         needle = self.settle_needle(deepest)
@@ -366,25 +368,33 @@ class Planner:
     def make_tracks(self) -> list[InsertionRow]:
         """Return the runs; their readings are then in mm, and their points the deflections along y and z."""
         angles = self.settle_sides()
+        if angles is None:
+            self.keep("bevel side", "1", "not stated", "assumption")
         sides, turns = to_sides(angles or [0.0] * len(self.curves))
         if any(turns):
             what, fix = "bevels of tip tracks are at right angles", "import the runs of each plane"
             raise DataError(what, where=self.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
         self.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
-        bends, rows = np.zeros(3), []
+        bends, rows = list[Floats](), list[InsertionRow]()
         for one, side in zip(self.curves, sides, strict=True):
             assert one.readings is not None, "a track has readings"
             depth = UNITS_MM[one.readings.unit or one.unit] * one.readings.depth
             one.readings = replace(one.readings, depth=depth)
             if len(depth) > 2:
-                bends += side * np.polyfit(depth, one.line, 2)[0] * np.ptp(depth) ** 2
+                bend, slope, _ = np.polyfit(depth - depth[0], one.line, 2)
+                if np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
+                    along = snap_to_axis(normalize(slope))  # at the entry
+                    bend -= (bend @ along) * along
+                bends.append(side * np.ptp(depth) ** 2 * bend)
             rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
         bevel = np.array([0.0, 1.0, 0.0])
         if not all(one.readings and one.readings.is_deflection for one in self.curves):
-            answer = self.settle(
-                "bevel", "bend", "the mean direction in which the tips bend from their sides"
-            )
-            bevel = normalize(bends if answer.text == "bend" else answer.to_vector("bevel"))
+            mean = np.mean([normalize(one) for one in bends if one.any()] or [np.zeros(3)], axis=0)
+            guess, reason = "bend", "the mean direction in which the tips bend from their sides"
+            if np.linalg.norm(mean) <= MIN_SAME_SIDE:
+                guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
+            answer = self.settle("bevel", guess, reason)
+            bevel = normalize(np.sum(bends, axis=0) if answer.text == guess else answer.to_vector("bevel"))
         across = np.cross(sum(one.line[-1] - one.line[0] for one in self.curves), bevel)
         across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
         for one in self.curves:

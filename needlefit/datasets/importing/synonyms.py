@@ -13,6 +13,7 @@ UNITS_MM = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1e3, "um": 1e-3, "in": 25.4
 
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
+_TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
@@ -90,6 +91,7 @@ def read_header(text: str) -> Header:
     if meaning:  # lengths without a unit have that of the coordinates
         known = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known or ("" if usual in UNITS_MM else usual))
+    words = [_TRACKER_AXES.get(word, word) for word in words]
     axes = [word for word in words if word in [*"xyz"]]
     if len(axes) != 1:
         return Header(text, unit=unit)
