@@ -461,6 +461,19 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     assert planned([file], entry="first")[1]["entry"] == ("first", "option")
 
 
+def test_names_of_digits_stand_above_the_columns_of_their_needles(tmp_path):
+    rows = [",".join(map(str, (*a, *b))) for a, b in zip(NEEDLES[0], NEEDLES[1], strict=False)]
+    (tmp_path / "a.csv").write_text("\n".join(["1,,,22,,", "x,y,z,x,y,z", *rows]))
+    assert [row.id for row in planned([tmp_path])[0].rows] == ["1", "22"] and not unused_of(tmp_path)
+
+
+def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_one(tmp_path):
+    file = write_long(tmp_path, [one[:, [1, 2, 0]] * [1, 1, -1] for one in NEEDLES])
+    for wrong in ("0,0,1", "1,0,0", "1,1,-1"):
+        assert "0,0,-1" in refusal(DataError, "--pose", planned, [file], pose=wrong).expected
+    assert planned([file], pose="0,0,-1")[0].pose == "known"
+
+
 def test_files_that_state_no_system_are_taken_to_have_that_of_the_others(tmp_path):
     write_surfaces(tmp_path, "skin", "fat")
     import_cases.write_markups(tmp_path / "c.mrk.json", "c", with_shaft(NEEDLES[0]))

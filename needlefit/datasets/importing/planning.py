@@ -14,6 +14,7 @@ from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
 from needlefit.datasets.layers import (
+    MAX_HEADING_DEG,
     SAME_POINT_MM,
     find_hole,
     find_length_tolerance,
@@ -162,6 +163,10 @@ class Planner:
         pose = self.settle("pose", "" if self.surfaces else "free", reason)
         if pose.text == "free" and self.surfaces:
             raise pose.error("pose", f"{along} or shaft: surfaces stand in the world")
+        if pose.text not in ("free", "shaft"):
+            cosine = normalize(pose.to_vector("pose")) @ chord / (np.linalg.norm(chord) or 1.0)
+            if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
+                raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}")
         return pose
 
     def settle_entry_point(self, pose: Stated) -> Floats | None:
