@@ -1,6 +1,7 @@
 """The page of a report that computes its needles: its modules, its data, and what it shows in a browser."""
 
 import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from needlefit.studies.report import compose_run_report
 pytestmark = pytest.mark.skipif(
     not needle_page.kernel_exists(), reason="a system compiler has built no WebAssembly"
 )
+ROOT = Path(__file__).parents[1]
 PACKAGE = Path(needle_page.__file__).parents[1]
 MODULES = sorted((PACKAGE / "viewer/page").rglob("*.js"))
 IMPORTS = re.compile(r"""^import (?:([^"]*?) from )?"([^"]+)";$""", re.MULTILINE)
@@ -60,6 +62,11 @@ def test_every_name_that_a_module_imports_is_exported(module) -> None:
     for names, path in IMPORTS.findall(module.read_text("utf-8")):
         wanted = {one.split(" as ")[0].strip() for one in names.strip("{} \n").split(",")} - {"", "*"}
         assert wanted <= list_exports((module.parent / path).resolve())
+
+
+@pytest.mark.skipif(not (ROOT / "node_modules/.bin/tsc").exists(), reason="`npm ci` has installed no tsc")
+def test_the_bundle_is_that_of_the_modules_and_their_types_agree() -> None:
+    subprocess.run(["npm", "run", "--silent", "check"], cwd=ROOT, check=True, timeout=300)
 
 
 def test_the_page_holds_every_scored_insertion(page, result) -> None:
