@@ -124,8 +124,10 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
 def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
     """Return the dataset, or else the study or fit, that `name` means; ConfigError if there is none."""
     if name.lower().endswith(".csv"):
-        fix = f"needlefit check {Path(name).with_name('dataset.toml')}"
-        raise ConfigError("is a table of a dataset", where=name, expected="its dataset.toml", fix=fix)
+        near = [folder / "dataset.toml" for folder in Path(name).parents[:2]]
+        file = next(filter(is_file, near), None)
+        command = f"import {shlex.quote(name)}" if file is None else f"check {shlex.quote(str(file))}"
+        raise ConfigError("is a table", where=name, expected="a dataset.toml", fix=f"needlefit {command}")
     kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
     found = _find_sources(name, kinds)
     if not found:
