@@ -175,9 +175,9 @@ class _TableReader:
         rows = range(n - 1, max(n - 1 - MAX_LABEL_ROWS, -1), -1)
         above = next((m for m in rows if not self.find_pairs(m, self.cells.filled(m))), n)
         filled = self.cells.filled(above) if 0 <= above < n else []
-        numbered = len(filled) > 1 and self.cells.count_numbers(above) > 1  # names of needles, above each x
-        axes = {own[m].axis for m in filled}
-        if len(filled) < 2 or axes & {"y", "z"} or (numbered and axes != {"x"}):
+        letters = [own[m].axis for m in filled]
+        is_numbers = filled and self.cells.count_numbers(above) > 1  # names of needles, if above each x
+        if len(filled) < 2 or {"y", "z"} & {*letters} or (is_numbers and {*letters} != {"x"}):
             filled = []
         units, headers, label = self.find_units(n + 1), list[Header](), ""
         for m, one in enumerate(own):
