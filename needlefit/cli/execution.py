@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -185,15 +186,20 @@ def plan_studies(study: str) -> list[StudyTask]:
 
 
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
-    """Run, write and print every work; their checkpoints stay."""
+    """Run, write and print every work; their checkpoints stay. A dataset is read once for all."""
+    from needlefit.datasets.read import read
     from needlefit.project.toml import add_file_context
-    from needlefit.schemas.study import StudyRecord
+    from needlefit.schemas.study import FitRecord, StudyRecord
+    from needlefit.studies.job import Inputs, find_named
 
-    done = []
+    done, read_once = [], cache(read)
     for work in todo:
         # a fit by itself is sampled as by `tune`; folds of studies are not
         sample = not isinstance(work.record, StudyRecord)
         with add_file_context(work.file):
+            if isinstance(work.record, FitRecord | StudyRecord):
+                dataset = read_once(find_named("dataset", work.record.dataset))
+                execution = replace(execution, inputs=Inputs(dataset=dataset))
             result = execution.run(work.name, work.record, sample, work.file)
             if result.interrupted:
                 raise execution.interrupted()

@@ -73,9 +73,9 @@ from needlefit.studies.planned_draws import (
 from needlefit.studies.score import Row
 
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
-#: of these, one in so many predicts a needle that is held out, unless an end of the tip's 95 % interval then
-#: has a Monte Carlo error above this part of the interval's width
-DRAW_STRIDE, MAX_END_ERROR = 8, 0.1
+#: of these, one in so many predicts a needle that is held out; the next of these strides, and in the end all,
+#: where an end of the tip's 95 % interval has a Monte Carlo error above this part of the interval's width
+DRAW_STRIDES, MAX_END_ERROR = (8, 2), 0.1
 #: of one specimen by itself: where its posterior overlaps with the others', few of its draws lie
 SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
@@ -414,8 +414,8 @@ class _Predictor:
         """Return the prediction of an insertion; None where too few draws have a solution."""
         draws = self.known.draws_in(insertion)
         # the width after one more insertion is estimated from neighbouring draws, which takes all of them
-        if insertion.id not in self.representatives:
-            some = replace(draws, thetas=draws.thetas[::DRAW_STRIDE])
+        for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
+            some = replace(draws, thetas=draws.thetas[::stride])
             found = self._predict(insertion, some, MAX_END_ERROR)
             if found is not None:
                 return found
