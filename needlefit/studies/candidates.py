@@ -12,12 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+from scipy.interpolate import RBFInterpolator
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
 from needlefit.inference.identifiability.design_gain import PredictedData, nested_gain
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
+from needlefit.inference.likelihood.observation import append_pose_curves
 from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
@@ -25,7 +27,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.planned_draws import vary_bevels
+from needlefit.studies.planned_draws import Sets, choose_draws, make_coordinates, vary_bevels
 from needlefit.studies.simulated_data import simulate_design
 
 CANDIDATE_COLUMNS = (
@@ -85,7 +87,7 @@ def rank_candidates(
             continue
         (made,) = planned.insertions
         alone = replace(planned, centred_bevels=False)
-        (white,) = alone.density.whitened_residuals(sets, settings.jobs)
+        white = _whiten_draws(alone, sets, settings.jobs)
         solved: Bools = np.all(np.isfinite(white), axis=(1, 2))
         places = np.cumsum(solved) - 1  # new numbers of the draws that have a solution
         kept = [values for values, has in zip(sets, solved, strict=True) if has]
@@ -107,6 +109,24 @@ def rank_candidates(
         )
     frame = pd.DataFrame(rows, columns=list(CANDIDATE_COLUMNS))
     return frame.sort_values("nats", ascending=False, kind="stable", ignore_index=True)
+
+
+def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
+    """Return the whitened residuals (B, m + c, R) of one insertion for B sets of values.
+
+    All needles as measured are simulated; what moved depths and bevels add is simulated for some sets, and
+    interpolated between them: to 1e-3 of a standard deviation where the bevel adds 1.
+    """
+    density, coordinates = problem.density, make_coordinates(sets)
+    (one,), chosen = density.observations, choose_draws(coordinates)
+    (first,) = density.whitened_residuals(sets, jobs, as_measured=True)  # (B, 1, R)
+    (some,) = density.whitened_residuals([sets[n] for n in chosen], jobs)
+    moves = (some - first[chosen])[:, 1 : len(one.nodes.insertions)]  # (C, m - 1, R)
+    known = moves.reshape(len(chosen), -1)
+    solved = np.isfinite(known).all(axis=1)
+    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
+    moved = first + np.asarray(found, dtype=np.float64).reshape(len(sets), *moves.shape[1:])
+    return append_pose_curves(one, np.concatenate([first, moved], axis=1))
 
 
 def _thin_points(insertion: Insertion) -> Insertion:

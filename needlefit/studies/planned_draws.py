@@ -102,7 +102,7 @@ def simulate_planned(
     `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used.
     """
     stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), s])
-    some = [sets[n] for n in _choose_draws(_make_coordinates(sets))]
+    some = [sets[n] for n in choose_draws(make_coordinates(sets))]
 
     def simulate(which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
@@ -190,8 +190,8 @@ def _interpolate_depths(
 
     `reach` (n - 1,) are typical shifts, mm. None if too few of the sets that are chosen have a solution.
     """
-    coordinates = _make_coordinates(sets)
-    chosen = _choose_draws(coordinates)
+    coordinates = make_coordinates(sets)
+    chosen = choose_draws(coordinates)
     entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
     moves = [(row, 0.0) for row in np.diag(reach)]
     moves += [(np.full(len(reach), entry), entry)] if entry else []
@@ -213,7 +213,7 @@ def _interpolate_depths(
     return _Interpolation(points, np.asarray(found, dtype=np.float64).reshape(shape), units), valid
 
 
-def _make_coordinates(sets: Sets) -> Floats:
+def make_coordinates(sets: Sets) -> Floats:
     """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes."""
     table = np.array([list(values.values()) for values in sets])
     finite = np.isfinite(table).all(axis=1)
@@ -226,7 +226,7 @@ def _make_coordinates(sets: Sets) -> Floats:
     return (left * sizes)[:, sizes > SAME_DRAW * np.sqrt(len(table))]
 
 
-def _choose_draws(coordinates: Floats) -> Ints:
+def choose_draws(coordinates: Floats) -> Ints:
     """Return up to `NODE_DRAWS` draws that differ, (C,): evenly spaced in their order, then the farthest."""
     _, first = np.unique((coordinates / SAME_DRAW).round(), axis=0, return_index=True)
     different = np.sort(first)
