@@ -174,8 +174,14 @@ def _medium_record(
         )
         for one in group
     )
-    numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
-    names = [f"layers/{stem}.stl" for stem in (_file_stems(name, first) if shared else numbered)]
+    stems = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
+    if (
+        shared
+    ):  # each its own after the medium's, numbered where two are alike: not every system tells a from A
+        own = [make_id(surface.name.removeprefix(f"{name}_"), "surface") for surface in first]
+        alike = len({stem.lower() for stem in own}) < len(own)
+        stems = [f"{name}_{stem}" + f"_{n}" * alike for n, stem in enumerate(own, start=1)]
+    names = [f"layers/{stem}.stl" for stem in stems]
     listed = zip(names, first, strict=True)
     records = tuple(SurfaceRecord(file=file, kind=one.kind, into=one.into) for file, one in listed)
     files = {
@@ -184,14 +190,6 @@ def _medium_record(
         for file, surface in zip(names, one.layers.surfaces, strict=True)
     }
     return DatasetMediumRecord(surfaces=records, note=note), files
-
-
-def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
-    """Return a file name for each surface: its own after the medium's, numbered where two are alike."""
-    own = [make_id(surface.name.removeprefix(f"{medium}_"), "surface") for surface in surfaces]
-    if len({name.lower() for name in own}) < len(own):  # not every file system tells a from A
-        own = [f"{name}_{n}" for n, name in enumerate(own, start=1)]
-    return [f"{medium}_{name}" for name in own]
 
 
 def assemble_checked(

@@ -74,39 +74,17 @@ def extract_label_surfaces(
         inside = [np.flatnonzero(layers.any(axis=(axis - 1, axis - 2))) for axis in range(3)]
         low = np.array([where[0] for where in inside])  # the box around all labels
         layers = layers[tuple(slice(int(where[0]), int(where[-1]) + 1) for where in inside)]
-        numbers = range(1, len(labels.segments) + 1)
-        return tuple(_extract_surface(layers >= layer, low, layer, labels) for layer in numbers)
+        return tuple(
+            _extract_surface(layers >= layer, low, layer, labels)
+            for layer in range(1, len(labels.segments) + 1)
+        )
 
 
 def _extract_surface(mask: NDArray[np.bool_], low: NDArray[np.int64], layer: int, labels: Labels) -> Surface:
-    """Return the surface of a mask (K, J, I) that begins at voxel `low` (3,), k, j, i."""
-    kji, faces = extract_boundary(mask, labels.volume.spacing[::-1])
-    points = to_patient(labels.volume, (kji + low)[:, ::-1])
-    name, last = labels.segments[layer - 1].name, layer == len(labels.segments)
-    surface, loose = extract_solid(make_id(f"layer {layer} {name}".strip(), ""), points, faces, layer)
-    place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
-    if loose > MAX_LOOSE_FRACTION:
-        raise refusal(f"""{place} fall{"s" * last} apart: islands or cavities of {100 * loose:.0f} % of the
-                largest piece
-            expected: layers in one piece, one within or behind the other, in the order of the segments
-            fix: label bubbles and the needle as the tissue around them, remove islands, sort the segments""")
-    for fault in find_surface_faults(surface, Path()):
-        raise refusal(f"""the surface of {place} {fault.what}
-            expected: a closed boundary
-            fix: smooth the segmentation, and remove layers thinner than a voxel""")
-    return surface
-
-
-def extract_boundary(
-    mask: NDArray[np.bool_], spacing: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return vertices (V, 3), in fractional voxels k, j, i, and faces (F, 3) of the boundary of a mask (K, J,
-    I).
-
-    `spacing` (3,): of voxels along k, j, i, mm. The boundary closes around what touches the mask's edge.
-    """
+    """Return the surface of a mask (K, J, I) that begins at voxel `low` (3,), k, j, i, closed at its edge."""
     from skimage.measure import block_reduce, marching_cubes  # slow to load
 
+    spacing = labels.volume.spacing[::-1]
     block = np.maximum(np.rint(CELL_MM / spacing), 1).astype(np.int64)
     before = MARGIN_CELLS * block
     pads = [(b, int(b + (-size) % step)) for b, size, step in zip(before, mask.shape, block, strict=True)]
@@ -120,7 +98,23 @@ def extract_boundary(
     )
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     # a cell's centre lies (block - 1) / 2 voxels after its first voxel; the padding comes off
-    return vertices * block + (block - 1) / 2 - before, faces.astype(np.int64)
+    kji = vertices * block + (block - 1) / 2 - before + low
+    points = to_patient(labels.volume, kji[:, ::-1])
+    name, last = labels.segments[layer - 1].name, layer == len(labels.segments)
+    surface, loose = extract_solid(
+        make_id(f"layer {layer} {name}".strip(), ""), points, faces.astype(np.int64), layer
+    )
+    place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (not last)
+    if loose > MAX_LOOSE_FRACTION:
+        raise refusal(f"""{place} fall{"s" * last} apart: islands or cavities of {100 * loose:.0f} % of the
+                largest piece
+            expected: layers in one piece, one within or behind the other, in the order of the segments
+            fix: label bubbles and the needle as the tissue around them, remove islands, sort the segments""")
+    for fault in find_surface_faults(surface, Path()):
+        raise refusal(f"""the surface of {place} {fault.what}
+            expected: a closed boundary
+            fix: smooth the segmentation, and remove layers thinner than a voxel""")
+    return surface
 
 
 def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:

@@ -4,12 +4,11 @@ A ball that hangs together with its neighbour at one level stands alone at a hig
 shows at a low one.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
@@ -41,55 +40,34 @@ def find_blobs(
 ) -> list[Blob]:
     """Return the components above one of the levels (HU) that may be a ball, the most similar in size first.
 
-    `diameter`: of the ball, mm.
+    They have about the size of one of `diameter`, mm, and are about as long as wide.
+
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
     needle = np.empty((0, 3), dtype=np.int64) if exclude is None else exclude
     forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
-    found = [
-        blob
-        for level in levels
-        for blob in _find_blobs_at(volume, bright, level, diameter, forbidden)
-        if _is_round(volume, blob)
-    ]
-    return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
-
-
-def list_levels(volume: Volume) -> list[float]:
-    """Return the levels at which balls are looked for, HU, to the brightest voxel."""
-    start, top = median_tissue_hu(volume), float(volume.values.max())
-    count = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
-    return [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(count)]
-
-
-def _find_blobs_at(
-    volume: Volume, bright: BrightVoxels, level: float, diameter: float, forbidden: NDArray[np.bool_]
-) -> Iterator[Blob]:
-    """Yield what hangs together above `level`, has a ball's size and holds no forbidden voxel."""
-    at, labels = bright.label(level)
-    size = np.bincount(labels)
-    low, high = (
-        _voxel_count(volume, MIN_DIAMETER_RATIO * diameter),
-        _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM)),
-    )
-    fits = (size >= low) & (size <= high)
-    fits[labels[forbidden[at]]] = False
-    members = np.flatnonzero(fits[labels])
-    members = members[np.argsort(labels[members], kind="stable")]
-    for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
-        if len(group):
+    low = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
+    high = _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM))
+    steps, found = volume.direction * volume.spacing, list[Blob]()
+    for level in levels:
+        at, labels = bright.label(level)
+        size = np.bincount(labels)
+        fits = (size >= low) & (size <= high)
+        fits[labels[forbidden[at]]] = False
+        members = np.flatnonzero(fits[labels])
+        members = members[np.argsort(labels[members], kind="stable")]
+        for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
+            if not len(group):
+                continue
             # diameter of a ball of the same volume
             own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
-            yield Blob(bright.place(at[group]), level, own)
-
-
-def _is_round(volume: Volume, blob: Blob) -> bool:
-    """Whether a blob is about as long as wide."""
-    steps = volume.direction * volume.spacing
-    # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
-    moments = steps @ (np.cov(blob.voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
-    extents = np.sqrt(np.linalg.eigvalsh(moments))
-    return bool(extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM)
+            blob = Blob(bright.place(at[group]), level, own)
+            # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
+            moments = steps @ (np.cov(blob.voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
+            extents = np.sqrt(np.linalg.eigvalsh(moments))
+            if extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM:
+                found.append(blob)
+    return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 
 def _voxel_count(volume: Volume, diameter: float) -> float:
@@ -146,9 +124,12 @@ def find_markers(
     DataError if nothing in the volume is bright enough.
     """
     rules = recipe.markers
-    diameter, levels = rules.diameter_mm, list_levels(volume)
-    if rules.threshold_hu is not None:
-        levels = [rules.threshold_hu]
+    diameter, given = rules.diameter_mm, rules.threshold_hu
+    levels = [] if given is None else [given]
+    if not levels:  # levels up to the brightest voxel
+        start, top = median_tissue_hu(volume), float(volume.values.max())
+        number = int(np.log(max((top - start) / MIN_METAL_CONTRAST_HU, 1.0)) / np.log(LEVEL_RATIO)) + 1
+        levels = [start + MIN_METAL_CONTRAST_HU * LEVEL_RATIO**n for n in range(number)]
     listed = bright if bright and bright.level <= levels[0] else list_bright_voxels(volume, levels[0])
     while len(levels) > 1 and np.count_nonzero(listed.values > levels[0]) > MAX_BRIGHT_VOXELS:
         levels = levels[1:]

@@ -118,32 +118,23 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
     names: tuple[Kind, ...] = ("air", "soft", "metal")
     parts = [names[kinds[n]] for n in (0, *ends)]
     levels = [float(np.median(part)) for part in np.split(values, ends)]
-    bounds = [float(s[0]), *_locate_bounds(s, values, ends, (parts, levels)), float(s[-1])]
-    return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
-
-
-def _locate_bounds(
-    s: Floats, values: Floats, ends: NDArray[np.int_], runs: tuple[list[Kind], list[float]]
-) -> list[float]:
-    """Return where runs meet, mm: half way between their levels, of metal between two stations."""
-    parts, levels = runs
-    bounds = [float(s[at - 1] + s[at]) / 2 for at in ends]
+    # runs meet half way between their levels, of metal between two stations, mm
+    between = [float(s[at - 1] + s[at]) / 2 for at in ends]
     known = [AIR_HU if part == "air" else level for part, level in zip(parts, levels, strict=True)]
-    edges = [bounds[0] - EDGE_REACH_MM, *bounds, bounds[-1] + EDGE_REACH_MM] if bounds else []
-    for n, at in enumerate(bounds):
+    edges = [between[0] - EDGE_REACH_MM, *between, between[-1] + EDGE_REACH_MM] if between else []
+    for n, at in enumerate(between):
         if "metal" in parts[n : n + 2]:
             continue
-        low, high = (edges[n] + at) / 2, (at + edges[n + 2]) / 2
         half = (known[n] + known[n + 1]) / 2
         above = values > half
         crossed = np.flatnonzero(above[1:] != above[:-1])
-        places = s[crossed] + (half - values[crossed]) / (values[crossed + 1] - values[crossed]) * (
-            s[crossed + 1] - s[crossed]
-        )
-        places = places[(places > low) & (places < high)]
+        part = (half - values[crossed]) / (values[crossed + 1] - values[crossed])
+        places = s[crossed] + part * (s[crossed + 1] - s[crossed])
+        places = places[(places > (edges[n] + at) / 2) & (places < (at + edges[n + 2]) / 2)]
         if len(places):
-            bounds[n] = float(places[np.argmin(np.abs(places - at))])
-    return bounds
+            between[n] = float(places[np.argmin(np.abs(places - at))])
+    bounds = [float(s[0]), *between, float(s[-1])]
+    return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
 
 
 def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:

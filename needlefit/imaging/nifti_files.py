@@ -35,7 +35,6 @@ from needlefit.imaging.volume import (
 from needlefit.project.reader_process import Arrays, allow_memory
 
 _MILLIMETRES = {"meter": 1e3, "mm": 1.0, "micron": 1e-3}  # one unit of a header in mm
-_BLOCK_BYTES = 2**20
 
 
 def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> dict[str, Any]:
@@ -79,7 +78,8 @@ def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
         check_expansion(content, memory, stored)
         allow_memory(2 * (content + memory) + stored)  # the file's bytes, and a buffer to convert into
         try:
-            data = _read_bytes(file, proxy.offset + content)
+            data = file.read_bytes()
+            data = gzip.decompress(data) if file.suffix.lower() == ".gz" else data
         except (EOFError, OSError, zlib.error) as error:
             raise missing_voxels() from error
         if len(data) < proxy.offset + content:
@@ -143,15 +143,3 @@ def _choose_form(
             expected: one place of the scan in the patient
             fix: convert the scan from its DICOM series again, or set the code of the wrong one to 0""")
     return stated
-
-
-def _read_bytes(file: Path, enough: int) -> bytes:
-    """Return the unpacked content of a file, or so much of it that it holds `enough` bytes."""
-    if file.suffix.lower() != ".gz":
-        with file.open("rb") as plain:
-            return plain.read(enough)
-    content = bytearray()
-    with gzip.open(file) as packed:  # its end is read, too: there stands the checksum
-        while len(content) <= enough and (block := packed.read(_BLOCK_BYTES)):
-            content += block
-    return bytes(content)

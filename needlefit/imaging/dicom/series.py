@@ -110,16 +110,11 @@ def _group_slices(files: Sequence[Path]) -> dict[str, list[DicomSlice]]:
             groups.setdefault(headers[0].series, []).extend(headers)
         else:
             others.append(file)
-    slice_names = {_name_pattern(item.file) for slices in groups.values() for item in slices}
+    alike = {re.sub(r"\d+", "#", str(item.file)) for slices in groups.values() for item in slices}
     for file in others:
-        if _name_pattern(file) in slice_names and not begins_as_dicom(file):
+        if re.sub(r"\d+", "#", str(file)) in alike and not begins_as_dicom(file):
             raise damaged_file_error(file)
     return groups
-
-
-def _name_pattern(file: Path) -> tuple[Path, str]:
-    """Return a file's folder, and its name with every number replaced by the same sign."""
-    return file.parent, re.sub(r"\d+", "#", file.name)
 
 
 def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:

@@ -8,6 +8,7 @@ slices stand straight above each other: a series that was straightened keeps the
 that nothing is to be computed from it.
 """
 
+import math
 import os
 import sys
 import warnings
@@ -197,6 +198,14 @@ def _merge_groups(data: pydicom.Dataset, *groups: pydicom.Dataset) -> pydicom.Da
 def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
     kind = data.get("ImageType") or ()
     tilt = _parse_numbers(data, ("GantryDetectorTilt",), (1,))
+    stated = [n for n in ("PixelPaddingValue", "PixelPaddingRangeLimit") if data.get(n) is not None]
+    values = [_parse_whole_number(data, name, 0) for name in stated]
+    bits = _parse_whole_number(data, "BitsAllocated", 16)
+    if data.get("PixelRepresentation") == 1:  # some scanners write -2000 as 63536
+        values = [value - 2**bits if value >= 2 ** (bits - 1) else value for value in values]
+    padding = None
+    if "PixelPaddingValue" in stated:
+        padding = np.array([min(values), max(values)], dtype=np.float64)
     return DicomSlice(
         file=file,
         series=str(data.SeriesInstanceUID),
@@ -212,29 +221,17 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         columns=_parse_whole_number(data, "Columns", 0),
         frames=_parse_whole_number(data, "NumberOfFrames", 1),
         samples=_parse_whole_number(data, "SamplesPerPixel", 1),
-        bits=_parse_whole_number(data, "BitsAllocated", 16),
+        bits=bits,
         position=_parse_numbers(data, ("ImagePositionPatient",), (3,)),
         # six numbers: the direction of a row (growing column index), then of a column
         axes=_parse_numbers(data, ("ImageOrientationPatient",), (2, 3)),
         pixel=_parse_numbers(data, ("PixelSpacing",), (2,)),
         rescale=_parse_numbers(data, ("RescaleSlope", "RescaleIntercept"), (2,)),
-        padding=_parse_padding(data),
+        padding=padding,
         table="ModalityLUTSequence" in data,
         unit=_to_text(data.get("RescaleType")).upper(),
         inverted=_to_text(data.get("PhotometricInterpretation")).upper() == "MONOCHROME1",
     )
-
-
-def _parse_padding(data: pydicom.Dataset) -> Floats | None:
-    """Return the least and the greatest padding value as they are stored, with their sign."""
-    stated = [n for n in ("PixelPaddingValue", "PixelPaddingRangeLimit") if data.get(n) is not None]
-    values = [_parse_whole_number(data, name, 0) for name in stated]
-    if "PixelPaddingValue" not in stated:
-        return None
-    if data.get("PixelRepresentation") == 1:  # some scanners write -2000 as 63536
-        turn = 2 ** _parse_whole_number(data, "BitsAllocated", 16)
-        values = [value - turn if value >= turn // 2 else value for value in values]
-    return np.array([min(values), max(values)], dtype=np.float64)
 
 
 def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[int, ...]) -> Floats | None:
@@ -351,7 +348,17 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
             direction=np.column_stack([axes[0], axes[1], step / spacing]),
         )
         check_grid(grid)
-        _check_lengths(ordered)
+        frames = Counter(item.file for item in slices)
+        for item in ordered:  # unpacked files hold all voxels that they claim
+            needed = frames[item.file] * item.rows * item.columns * item.bits // 8
+            size = item.file.stat().st_size
+            if not item.syntax.is_compressed and not item.syntax.is_deflated and size < needed:
+                raise refusal(f"""claims {item.columns} x {item.rows} voxels, {needed} bytes, and has {size}
+                    expected: all its voxels
+                    fix: the file is cut short or damaged: copy it again, or export the series again
+                    where: {item.where}""")
+        voxels, voxel_bytes = math.prod(grid.size), max(item.bits for item in slices) // 8
+        check_expansion(voxels * voxel_bytes, 4 * voxels, sum(file.stat().st_size for file in frames))
     return ordered, grid
 
 
@@ -458,7 +465,19 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
                 expected: a stack without gaps
                 fix: copy the missing files; a series with two spacings must be resampled to one
                 where: {before.file.parent}""")
-    lean = _measure_lean(ordered, along, positions - positions[0] - along[:, None] * normal)
+    # how far slices have shifted in their own plane: a tilted gantry shifts all of them alike
+    across = positions - positions[0] - along[:, None] * normal
+    lean = across[-1] / along[-1]
+    if np.linalg.norm(across, axis=1).max() <= MAX_OFFSET_MM:
+        lean = np.zeros(3)
+    elif np.linalg.norm(across - np.outer(along, lean), axis=1).max() > MAX_OFFSET_MM:
+        beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
+        worst, count = int(beside.argmax()), int((beside > MAX_OFFSET_MM).sum())
+        more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
+        raise refusal(f"""stands {beside[worst]:.3g} mm beside most of the other slices{more}
+            expected: {EXPECTED_STACK}
+            fix: {_EXPORT_FIX}
+            where: {ordered[worst].where}""")
     # the mean step: rounding of single positions must not add up over the stack
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
@@ -470,39 +489,3 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
             fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
             where: {ordered[worst].where}""")
     return np.asarray(spacing * (normal + lean))
-
-
-def _measure_lean(ordered: Sequence[DicomSlice], along: Floats, across: Floats) -> Floats:
-    """Return by how much slices shift in their own plane (3,), in parts of the height that they rise.
-
-    `along` (K,) and `across` (K, 3): how high slices stand, and how far they have shifted, mm. A tilted
-    gantry shifts all of them alike.
-    """
-    if np.linalg.norm(across, axis=1).max() <= MAX_OFFSET_MM:
-        return np.zeros(3)
-    lean = across[-1] / along[-1]
-    if np.linalg.norm(across - np.outer(along, lean), axis=1).max() <= MAX_OFFSET_MM:
-        return np.asarray(lean)
-    beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
-    worst, count = int(beside.argmax()), int((beside > MAX_OFFSET_MM).sum())
-    more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
-    raise refusal(f"""stands {beside[worst]:.3g} mm beside most of the other slices{more}
-        expected: {EXPECTED_STACK}
-        fix: {_EXPORT_FIX}
-        where: {ordered[worst].where}""")
-
-
-def _check_lengths(slices: Sequence[DicomSlice]) -> None:
-    """See that every unpacked file is long enough for the voxels that it claims."""
-    frames = Counter(item.file for item in slices)
-    for item in slices:
-        needed = frames[item.file] * item.rows * item.columns * item.bits // 8
-        size = item.file.stat().st_size
-        if not item.syntax.is_compressed and not item.syntax.is_deflated and size < needed:
-            raise refusal(f"""claims {item.columns} x {item.rows} voxels, {needed} bytes, and has {size} bytes
-                expected: all its voxels
-                fix: the file is cut short or damaged: copy it again, or export the series again
-                where: {item.where}""")
-    first, packed = slices[0], sum(file.stat().st_size for file in frames)
-    voxels, voxel_bytes = first.columns * first.rows * len(slices), max(item.bits for item in slices) // 8
-    check_expansion(voxels * voxel_bytes, 4 * voxels, packed)

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import pinvh
-from scipy.special import chdtri, elliprg
+from scipy.special import chdtri
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
@@ -83,7 +83,13 @@ def make_marker_sets(
 
     DataError if a set has fewer than three markers, or the deviations of both are zero.
     """
-    places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
+    places = [np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known)]
+    for points, name in zip(places, (FOUND_SET, KNOWN_SET), strict=True):
+        if len(points) < MIN_MARKERS:
+            raise refusal(f"""{len(points)} markers are too few
+                expected: at least three markers that are not on a line
+                fix: {TOO_FEW_FIXES[name]}
+                where: {name}""")
     deviations = [
         np.broadcast_to(np.asarray(sd, dtype=np.float64), len(points))
         for sd, points in zip((found_sd, known_sd), places, strict=True)
@@ -102,16 +108,6 @@ def mirror(sets: MarkerSets) -> MarkerSets:
     return replace(sets, found=-sets.found)
 
 
-def _check_points(given: ArrayLike, name: str) -> Floats:
-    points = np.asarray(given, dtype=np.float64).reshape(-1, 3)
-    if len(points) < MIN_MARKERS:
-        raise refusal(f"""{len(points)} markers are too few
-            expected: at least three markers that are not on a line
-            fix: {TOO_FEW_FIXES[name]}
-            where: {name}""")
-    return points
-
-
 def motion_jacobian(arms: ArrayLike) -> Floats:
     """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
     a = np.asarray(arms, dtype=np.float64)
@@ -127,28 +123,6 @@ def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
     """Return sum J^T J / variance (6, 6) of markers at `arms` (P, 3); `variance` (P,), mm^2."""
     moved = motion_jacobian(arms)
     return np.asarray(np.einsum("nia,n,nib->ab", moved, 1 / variance, moved))
-
-
-def mean_error_length(covariance: Floats) -> Floats:
-    """Return the mean length (N,) of Gaussian errors of these covariances (N, 3, 3).
-
-    An error is a length of mean sqrt(8 / pi) times a direction; the mean over directions of the root of a
-    quadratic form is Carlson's R_G of its eigenvalues.
-    """
-    a, b, c = np.maximum(np.linalg.eigvalsh(covariance), 0.0).T
-    return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
-
-
-def worst_turn_sd(points: Floats, sd: float) -> float:
-    """Return the deviation of the turn about the least determined axis, rad; inf if markers lie on a line.
-
-    `points`: (N, 3), each known to `sd` in any direction, mm.
-    """
-    a = information_matrix(points - points.mean(axis=0), np.full(len(points), sd**2))
-    turn = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
-    least = float(np.linalg.eigvalsh(turn)[0])
-    # on a line, what is left is rounding
-    return 1 / np.sqrt(least) if least > 1e-12 * float(np.trace(a[:3, :3])) else float("inf")
 
 
 Pairs = NDArray[np.int64]  # (P, 2): number of the found marker, number of the known one
@@ -178,22 +152,6 @@ def fit_kabsch(moving: Floats, fixed: Floats, weights: Floats) -> Frame:
     proper = np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)])
     rotation = u @ proper @ vt
     return Frame(centre_f - rotation @ centre_m, rotation)
-
-
-def sum_squared_residuals(moving: Floats, fixed: Floats, weights: Floats) -> Floats:
-    """Return the residual sum w |residual|^2 (L,) of `fit_kabsch` for many pairings: (L, P, 3), weights (L,
-    P).
-
-    A weight of zero leaves a pair out.
-    """
-    share = weights / weights.sum(axis=1, keepdims=True)
-    a = moving - np.einsum("lp,lpi->li", share, moving)[:, None]
-    b = fixed - np.einsum("lp,lpi->li", share, fixed)[:, None]
-    product = np.einsum("lp,lpi,lpj->lij", weights, a, b)
-    values = np.linalg.svd(product, compute_uv=False)
-    values[:, 2] *= np.sign(np.linalg.det(product))
-    spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
-    return np.asarray(np.maximum(spread - 2 * values.sum(axis=1), 0.0))
 
 
 def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
@@ -248,11 +206,6 @@ class Pairing:
     wrong_pairing_probability: float  # that one of them is right instead
 
 
-def chi2_limit(count: int) -> float:
-    """Return the chi-squared that a correct pairing exceeds with `FALSE_ALARM_PROBABILITY`."""
-    return float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))
-
-
 def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
     """Return the candidates with the largest number of pairs at which one fits; empty if none does.
 
@@ -262,40 +215,34 @@ def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
     """
     least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * sets.smaller_count)))
     for count in (sets.smaller_count, *range(sets.smaller_count - 1, least - 1, -1)):
-        candidates = find_pairings(sets, count)
-        if candidates and candidates[0].alignment.chi2 <= chi2_limit(count):
-            return candidates
+        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
+        bound, candidates = limit + MIN_CHI2_GAP, list[MarkerPairingCandidate]()
+        for row in search_pairings(sets.found, sets.known, sets.variance, count, bound):
+            taken = np.flatnonzero(row >= 0)
+            pairs = np.column_stack([taken, row[taken]])
+            candidates.append(MarkerPairingCandidate(pairs, align_pairs(sets, pairs)))
+        within = [candidate for candidate in candidates if candidate.alignment.chi2 <= bound]
+        within.sort(key=lambda candidate: candidate.alignment.chi2)
+        if within and within[0].alignment.chi2 <= limit:
+            return within
     return []
 
 
-def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
-    """Return all pairings of `count` pairs up to `MIN_CHI2_GAP` beyond the limit, the likeliest first."""
-    bound = chi2_limit(count) + MIN_CHI2_GAP
-    rows = search_pairings(sets.found, sets.known, sets.variance, count, bound)
-    candidates = []
-    for row in rows:
-        taken = np.flatnonzero(row >= 0)
-        pairs = np.column_stack([taken, row[taken]])
-        candidates.append(MarkerPairingCandidate(pairs, align_pairs(sets, pairs)))
-    within = [candidate for candidate in candidates if candidate.alignment.chi2 <= bound]
-    return sorted(within, key=lambda candidate: candidate.alignment.chi2)
-
-
 def select_likeliest(candidates: list[MarkerPairingCandidate]) -> Pairing:
-    """Return the likeliest candidate, the alternatives that contradict it, and their probability."""
-    best = candidates[0]
-    alternatives = tuple(one for one in candidates[1:] if pairings_contradict(best.pairs, one.pairs))
-    share = sum(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2) for one in alternatives)
-    return Pairing(best, alternatives, float(share / (1 + share)))
+    """Return the likeliest candidate, the alternatives that contradict it, and their probability.
 
-
-def pairings_contradict(one: Pairs, other: Pairs) -> bool:
-    """Return whether two pairings give a marker, found or known, to different ones."""
-    return any(
-        dict(map(tuple, one[:, order])).get(key, value) != value
-        for order in ([0, 1], [1, 0])
-        for key, value in other[:, order].tolist()
-    )
+    Two contradict each other that give a marker, found or known, to different ones.
+    """
+    best, alternatives, share = candidates[0], list[MarkerPairingCandidate](), 0.0
+    for one in candidates[1:]:
+        if any(
+            dict(map(tuple, best.pairs[:, order])).get(key, value) != value
+            for order in ([0, 1], [1, 0])
+            for key, value in one.pairs[:, order].tolist()
+        ):
+            alternatives.append(one)
+            share += float(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2))
+    return Pairing(best, tuple(alternatives), share / (1 + share))
 
 
 def search_pairings(
@@ -366,6 +313,12 @@ def _rows_fit(
         return fits
     some = rows[enough]
     weights = np.where(some >= 0, 1 / variance[np.arange(some.shape[1]), some], 0.0)
-    moving = np.broadcast_to(found, (*some.shape, 3))
-    fits[enough] = sum_squared_residuals(moving, known[some], weights) <= bound
+    share = weights / weights.sum(axis=1, keepdims=True)  # as in `fit_kabsch`, of all at once
+    a = found - (share @ found)[:, None]
+    b = known[some] - np.einsum("lp,lpi->li", share, known[some])[:, None]
+    product = np.einsum("lp,lpi,lpj->lij", weights, a, b)
+    values = np.linalg.svd(product, compute_uv=False)
+    values[:, 2] *= np.sign(np.linalg.det(product))
+    spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
+    fits[enough] = spread - 2 * values.sum(axis=1) <= bound
     return fits

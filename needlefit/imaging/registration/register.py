@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
-from scipy.special import chdtrc
+from scipy.special import chdtrc, elliprg
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -31,12 +31,11 @@ from needlefit.imaging.registration.pairing import (
     align_pairs,
     expected_fre,
     find_largest_pairings,
+    information_matrix,
     make_marker_sets,
-    mean_error_length,
     mirror,
     motion_jacobian,
     select_likeliest,
-    worst_turn_sd,
 )
 
 # By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
@@ -198,12 +197,22 @@ def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
-    """Return the expected length (N,) of the error at scan `points` (N, 3), mm."""
-    return mean_error_length(target_covariance(registration, points))
+    """Return the expected length (N,) of the error at scan `points` (N, 3), mm.
+
+    A Gaussian error is a length of mean sqrt(8 / pi) times a direction; the mean over directions of the root
+    of a quadratic form is Carlson's R_G of its eigenvalues.
+    """
+    a, b, c = np.maximum(np.linalg.eigvalsh(target_covariance(registration, points)), 0.0).T
+    return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
 
 
 def _refuse_collinear(points: Floats, sd: float) -> None:
-    turn = worst_turn_sd(points, sd)
+    """Refuse points (N, 3), each known to `sd` (mm), that leave the turn about a line open."""
+    a = information_matrix(points - points.mean(axis=0), np.full(len(points), sd**2))
+    left = a[:3, :3] - a[:3, 3:] @ np.linalg.solve(a[3:, 3:], a[3:, :3])
+    least = float(np.linalg.eigvalsh(left)[0])
+    # on a line, what is left is rounding
+    turn = 1 / np.sqrt(least) if least > 1e-12 * float(np.trace(a[:3, :3])) else float("inf")
     if turn <= MAX_TURN_SD_RAD:
         return
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"
