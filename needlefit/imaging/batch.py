@@ -23,11 +23,11 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.corrections import describe_changes, make_control_points
 from needlefit.imaging.entry import list_candidates
-from needlefit.imaging.needle import segmentation
+from needlefit.imaging.needle.segmentation import list_needles
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
-from needlefit.imaging.volume import list_series_files
+from needlefit.imaging.volume import list_series_files, to_patient
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
@@ -133,10 +133,11 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
         tubes = search.find_tubes()
-        parts = segmentation.list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
-        points = segmentation.locate_needles(search.volume, parts)
-        if len(points) > 1:
-            ones = enumerate(points, start=1)
+        parts = list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
+        points = [to_patient(search.volume, part.voxels) for part in parts]
+        middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
+        if len(middles) > 1:
+            ones = enumerate(sorted(middles, key=lambda middle: float(middle[0])), start=1)
             return tuple(replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=True) for n, at in ones)
     return (scan,)
 

@@ -10,13 +10,8 @@ s from the entry (s < 0 outside), L the free length, d and g what the entry move
 pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), since a short shaft hardly
 separates them from the axis; the deviation of the pose includes this.
 
-Choose where the needle enters the tissue, among the places where air turns into soft material around it.
-
-A guide plate, a template or the wall of a box is soft material, too. In this order the entry is
-
-1. the face behind the guide of stated thickness (`[guide] thickness_mm`; 0: there is none, and the first
-   soft material is the tissue); where no air shows behind the guide, `guide_distance_mm` farther on;
-2. the only candidate. Of several, one may be a guide: its thickness is asked for.
+Where the tissue begins is chosen among the places where air turns into soft material around the needle
+(docs/reconstruction.md, "Where the tissue begins").
 """
 
 from dataclasses import dataclass, replace

@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
@@ -299,21 +298,6 @@ class Examination:
         return self.patient.to_world(self.axis.points)
 
 
-def register_scan(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
-    """Return the registration of the markers on those of the file `known`; its faults name it."""
-    places = read_markers(known)
-    try:
-        return register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
-    except DataError as error:
-        if error.where == FOUND_SET:
-            what, fix = (
-                f"{error.what}: {markers.candidates}",
-                f"{error.fix}; {CANDIDATE_FIX}",
-            )
-            raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
-        raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
-
-
 def _note_shifted_markers(
     markers: MarkerResult, fit: Registration, volume: Volume, recipe: ReconstructionRecord
 ) -> Iterator[str]:
@@ -335,16 +319,6 @@ def _note_shifted_markers(
                 f"by {np.linalg.norm(best[6:]):.2f} mm: table or specimen moved during the scan; scan again"
             )
             return
-
-
-def sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
-    """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
-    # over four stations: the last step alone is too noisy a direction
-    ahead = needle[-1] - needle[-5]
-    ahead /= np.linalg.norm(ahead)
-    beyond = needle[-1] + np.outer(np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5), ahead)
-    points = np.vstack([needle, beyond])
-    return sample_profile(volume, points, arc_length(points))
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
@@ -422,30 +396,16 @@ def estimate_first_contact(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryPose, EntryPose | None]:
     """Return the entry pose, and the pose of the shaft outside the tissue where it is visible."""
+    world, rules, stage = found.world, recipe.entry, None
     if scan.stage is None:
-        at, at_sd = _locate_tissue(found, scan, surfaces, recipe)
-        shaft = move_to_surface(
-            pose_from_shaft(_select_outside_shaft(found, scan, recipe, at), at_sd), surfaces
-        )
-        return shaft, shaft
-    (here,) = found.patient.to_local(scan.stage.entry[None])
-    stage = pose_from_stage(scan.stage, found.registration, here)
-    outside = _select_outside_shaft(found, scan, recipe, find_entry_arc_length(found.world, stage))
-    if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
-        return stage, None
-    other = pose_from_shaft(outside, stage.along_sd)
-    compare_poses(stage, other)
-    return stage, other
-
-
-def _select_outside_shaft(
-    found: Examination, scan: Scan, recipe: ReconstructionRecord, at: float
-) -> OutsideShaft:
-    """Return the needle before `at` (mm along it), where it enters the tissue."""
-    world, rules = found.world, recipe.entry
+        at, along_sd = _locate_tissue(found, scan, surfaces, recipe)
+    else:
+        (here,) = found.patient.to_local(scan.stage.entry[None])
+        stage = pose_from_stage(scan.stage, found.registration, here)
+        at, along_sd = find_entry_arc_length(world, stage), stage.along_sd
     s = arc_length(world)
     before, base = s < at, recipe.needle.length_mm - (s[-1] - at)
-    return OutsideShaft(
+    outside = OutsideShaft(
         points=world[before],
         sd=found.axis.sd[before],
         s=s[before] - at,
@@ -453,6 +413,14 @@ def _select_outside_shaft(
         bend=rules.entry_shift_sd_mm,
         turn=np.radians(rules.entry_tilt_sd_deg),
     )
+    if stage is None:
+        shaft = move_to_surface(pose_from_shaft(outside, along_sd), surfaces)
+        return shaft, shaft
+    if usable_length(outside) < MIN_SHAFT_LENGTH_MM:
+        return stage, None
+    other = pose_from_shaft(outside, along_sd)
+    compare_poses(stage, other)
+    return stage, other
 
 
 def _locate_tissue(
@@ -641,12 +609,24 @@ def examine(
             found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
     with found.step():
         if found.markers is not None and scan.markers is not None:
-            found.registration = register_scan(found.markers, scan.markers, recipe)
-            shifted = _note_shifted_markers(found.markers, found.registration, volume, recipe)
-            notes = (*shifted, *found.registration.warnings)
-            found.registration = replace(found.registration, warnings=notes)
+            places, markers = read_markers(scan.markers), found.markers
+            try:
+                fit = register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
+            except DataError as error:
+                if error.where == KNOWN_SET:
+                    raise error.at(str(scan.markers)) from None
+                seen = error.where == FOUND_SET
+                what = f"{error.what}: {markers.candidates}" if seen else error.what
+                fix = f"{error.fix}; {CANDIDATE_FIX}" if seen else error.fix
+                raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
+            shifted = _note_shifted_markers(markers, fit, volume, recipe)
+            found.registration = replace(fit, warnings=(*shifted, *fit.warnings))
     if found.needle_axis is not None:
-        found.profile = sample_needle_profile(volume, found.needle_axis.points)
+        needle = found.needle_axis.points
+        ahead = needle[-1] - needle[-5]  # over four stations: the last step alone is too noisy a direction
+        beyond = np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5)[:, None] * ahead / np.linalg.norm(ahead)
+        points = np.vstack([needle, needle[-1] + beyond])
+        found.profile = sample_profile(volume, points, arc_length(points))
     if found.error is not None:
         return found
     with found.step(), located(scan.volume):

@@ -406,29 +406,27 @@ def write_scan_table(scans: Sequence[Scan], path: Path, home: Path | None = None
 
     Paths are relative to its folder, or to `home`, where that will stand.
     """
-    rows = [_to_row(scan, home or path.parent) for scan in scans]
+    folder, rows = home or path.parent, list[dict[str, str]]()
+    for scan in scans:
+        row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
+        row |= {"specimen": scan.specimen, "series": scan.series or "", "acquisition": scan.acquisition or ""}
+        row |= {"surfaces_in": scan.surfaces_in, "bevel_side": str(scan.side), "origin": scan.origin}
+        row |= {name: _relative(file, folder) for name in FILES if (file := getattr(scan, name)) is not None}
+        row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
+        numbers: dict[tuple[str, ...], Any] = {VECTORS[name]: getattr(scan, name) for name in VECTORS}
+        numbers |= {(name,): getattr(scan, name) for name in COUNTS}
+        numbers["guide_distance_mm",] = scan.guide_distance
+        if (pose := scan.stage) is not None:
+            numbers[STAGE_COLUMNS] = [*pose.entry, *pose.direction, pose.shift_sd, np.degrees(pose.angle_sd)]
+        for names, values in numbers.items():
+            if values is not None:
+                row |= {name: f"{x:.10g}" for name, x in zip(names, np.atleast_1d(values), strict=True)}
+        rows.append(row)
     columns = [name for name in SCAN_COLUMNS if any(row.get(name) for row in rows)]
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
         table.writeheader()
         table.writerows(rows)
-
-
-def _to_row(scan: Scan, folder: Path) -> dict[str, str]:
-    row = {"id": scan.id, "scan": _relative(scan.volume, folder), "medium": scan.medium}
-    row |= {"specimen": scan.specimen, "series": scan.series or "", "acquisition": scan.acquisition or ""}
-    row |= {"surfaces_in": scan.surfaces_in, "bevel_side": str(scan.side), "origin": scan.origin}
-    row |= {name: _relative(path, folder) for name in FILES if (path := getattr(scan, name)) is not None}
-    row["surfaces"] = ";".join(layer.name_file(_relative(layer.path, folder)) for layer in scan.surfaces)
-    numbers: dict[tuple[str, ...], Any] = {columns: getattr(scan, name) for name, columns in VECTORS.items()}
-    numbers |= {(name,): getattr(scan, name) for name in COUNTS}
-    numbers["guide_distance_mm",] = scan.guide_distance
-    if (stage := scan.stage) is not None:
-        numbers[STAGE_COLUMNS] = [*stage.entry, *stage.direction, stage.shift_sd, np.degrees(stage.angle_sd)]
-    for names, values in numbers.items():
-        if values is not None:
-            row |= {name: f"{value:.10g}" for name, value in zip(names, np.atleast_1d(values), strict=True)}
-    return row
 
 
 def _relative(path: Path, folder: Path) -> str:

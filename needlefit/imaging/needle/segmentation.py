@@ -422,13 +422,6 @@ def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) ->
     return [part for part, miss in zip(alike, misses, strict=True) if miss < clear]
 
 
-def locate_needles(volume: Volume, needles: Sequence[Component]) -> list[Floats]:
-    """Return a point (3,) on each of some needles, LPS, mm; along L."""
-    points = [to_patient(volume, part.voxels) for part in needles]
-    middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
-    return sorted(middles, key=lambda middle: float(middle[0]))
-
-
 def _mean_hu(volume: Volume, part: Component) -> float:
     i, j, k = part.voxels.T
     return float(np.mean(volume.values[k, j, i]))
