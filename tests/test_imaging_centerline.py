@@ -1,6 +1,7 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import ct_cases as cases
@@ -15,7 +16,7 @@ from needlefit.imaging.needle import centerline, follow, tip
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Corrections, Scan
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume import Volume, to_index
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.render import Needle3D, SceneMarkers
@@ -90,10 +91,12 @@ def test_slices_of_a_tilted_gantry_show_the_same_needle():
 def test_a_step_between_slices_and_another_diameter_are_named():
     volume = cases.scan(cases.axis(curve=(1.0, 2.0)))
     assert found(volume).warnings == ()
-    values = volume.values.copy()
-    values[60:] = np.roll(values[60:], 2, axis=2)  # by 0.92 mm
-    (warning,) = found(Volume(values, volume.origin, volume.spacing, volume.direction)).warnings
-    assert "slices 59 and 60" in warning
+    last = round(to_index(volume, cases.axis(curve=(1.0, 2.0))[-1:])[0, 2])
+    for beyond in (60, last - 8):  # 3.7 mm before the tip
+        values = volume.values.copy()
+        values[beyond:] = np.roll(values[beyond:], 2, axis=2)  # by 0.92 mm
+        (warning,) = found(replace(volume, values=values)).warnings
+        assert f"slices {beyond - 1} and {beyond}" in warning
     (warning,) = found(volume, cases.recipe(needle={"diameter_mm": 2.1})).warnings
     assert "thinner than the 2.1 mm" in warning
 
@@ -119,6 +122,13 @@ def test_pieces_of_one_needle_are_joined():
     assert line.points[0, 2] < 8.0
     assert np.linalg.norm(line.tip - truth[-1]) < 0.12
     assert cases.off(line.points, truth).max() < 0.1
+
+
+@pytest.mark.parametrize("beside", [0.0, 0.5])
+def test_a_marker_at_the_end_is_refused(beside):
+    truth = cases.axis()
+    volume = cases.scan(truth, scene={"markers": SceneMarkers(truth[-1:] + np.array([beside, 0.0, 0.0]))})
+    refusal(DataError, "wider", found, volume)
 
 
 def test_what_is_no_needle_is_refused():

@@ -15,7 +15,9 @@ from needlefit.imaging.volume import Volume, to_index
 AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 REWEIGHTING_ROUNDS = 4  # rounds of reweighting
-MIN_SIDE_SECTIONS = 8  # cross-sections on either side of a step, at least
+# A step is looked for in cross-sections at this distance, mm, as bright as this part of the others; at least
+# so many on the side of the base, and on that of the tip.
+STEP_SPACING_MM, MIN_STEP_AMPLITUDE, MIN_BASE_SECTIONS, MIN_END_SECTIONS = 0.25, 0.3, 24, 2
 
 
 @dataclass(frozen=True)
@@ -143,32 +145,43 @@ def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
     return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
 
 
-def find_step(volume: Volume, axis: AxisSpline) -> tuple[int, float, float] | None:
-    """Return the most significant step of the axis between two slices; None where none can be tested.
+def find_step(
+    volume: Volume, axis: AxisSpline, stop: float, diameter: float, patch: float
+) -> tuple[int, float, float] | None:
+    """Return the most significant step of the needle between two slices; None where none can be tested.
 
     Where the table or the specimen moves, everything beyond is shifted. No needle is bent so sharply: a
     spline leaves the step in its residuals. Returned are the number of the slice before it, how far what lies
     beyond is shifted, and the deviation of that, mm.
+
+    `stop`: where the bevel begins, mm along the axis. `diameter`, `patch`: of the needle, and of what is
+    looked at around it, mm.
     """
-    root = np.sqrt(axis.weights)[:, None]
-    matrix = design_matrix(axis.s, axis.spline.t)
-    basis, _ = np.linalg.qr(matrix * root)
-    left = axis.points * root
-    left = left - basis @ (basis.T @ left)
-    heights = to_index(volume, axis.points)[:, 2]
+    s, plane = np.arange(0.0, stop, STEP_SPACING_MM), disc_points(patch)
+    where = axis_frames(axis, s)
+    values = sample_planes(volume, where, plane)
+    # their centroids, and not the sections that the axis was drawn through: those beside it were left out
+    found = find_centroids(values, plane, diameter)
+    shown = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
+    shown &= found.amplitude > MIN_STEP_AMPLITUDE * np.median(found.amplitude)
+    matrix = design_matrix(s[shown], axis.spline.t) @ free_end_basis(axis.spline.t)
+    basis, _ = np.linalg.qr(matrix)
+    left = found.shifts[shown] - basis @ (basis.T @ found.shifts[shown])
+    heights = to_index(volume, where.origins[shown])[:, 2]
     freedom = 2 * max(1, len(left) - matrix.shape[1] - 1)
-    found: list[tuple[int, float, float]] = []
+    steps: list[tuple[int, float, float]] = []
     for k in range(int(np.floor(heights.min())), int(np.ceil(heights.max()))):
         beyond = np.where(heights > k + 0.5, 1.0, 0.0)
-        if not MIN_SIDE_SECTIONS <= np.count_nonzero(beyond) <= len(beyond) - MIN_SIDE_SECTIONS:
+        if beyond[-1] == 0.0:  # the needle goes down the slices
+            beyond = 1.0 - beyond
+        if not MIN_END_SECTIONS <= np.count_nonzero(beyond) <= len(beyond) - MIN_BASE_SECTIONS:
             continue
-        own = beyond[:, None] * root
-        own = own - basis @ (basis.T @ own)  # what no spline follows
-        power = float(np.sum(own**2))
-        step = own.T @ left / power
-        sd = np.sqrt(np.sum((left - own * step) ** 2) / freedom / power)
-        found.append((k, float(np.linalg.norm(step)), float(sd)))
-    return max(found, key=lambda one: one[1] / one[2], default=None)
+        own = beyond - basis @ (basis.T @ beyond)  # what no spline follows
+        power = float(own @ own)
+        step = own @ left / power
+        sd = np.sqrt(np.sum((left - np.outer(own, step)) ** 2) / freedom / power)
+        steps.append((k, float(np.linalg.norm(step)), float(sd)))
+    return max(steps, key=lambda one: one[1] / one[2], default=None)
 
 
 PLANE_SPACING_MM = 0.3  # spacing of the points in a plane, mm
@@ -214,11 +227,6 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
     index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
     values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
     return np.asarray(values.reshape(points.shape[:2]))
-
-
-def in_volume(values: Floats) -> NDArray[np.bool_]:
-    """Return for each plane (S, P) whether nearly all of it lies in the volume."""
-    return np.asarray(np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME)
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:

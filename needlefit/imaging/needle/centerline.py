@@ -12,6 +12,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
+    MIN_FRACTION_IN_VOLUME,
     AxisSpline,
     CrossSections,
     axis_frames,
@@ -23,7 +24,6 @@ from needlefit.imaging.needle.axis_spline import (
     find_step,
     fit_axis,
     fit_sections,
-    in_volume,
     sample_planes,
     select_sections,
 )
@@ -58,10 +58,16 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-# A step between slices is spoken of from this size on, mm, and from so many of its deviations on. In scans of
-# `benchmarks/reconstruction.py` in which nothing moved the largest has 0.06 mm and 8 deviations, one of
-# 0.8 mm in the same scans has 20 to 100.
-MIN_STEP_MM, MIN_STEP_SD = 0.25, 8.0
+# A step between slices is spoken of from this size on, mm, and from so many of its deviations on. Steps of
+# 0.8 mm in scans of `benchmarks/reconstruction.py` show as 0.2 to 0.7 mm and 15 to 80 deviations, where
+# nothing moved as at most 0.06 mm and 14. Within 2.5 mm of the tip, about its bevel's length, none shows.
+MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
+# Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
+# axis exceeds the shaft's by more than this part of the shaft's own, over two sections; beside thick slices
+# the blur is not round. Needles alone: 0.01, in slices up to 0.55 in 39 of 40; with balls 0.66 to 0.92. How
+# far around the tip, behind and ahead, mm, and the rim's radius, mm.
+MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = 0.4, 0.6
+WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM = 0.5, 5.0, 3.0, 3.0
 # Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
 # what right ones show on the average. Of 24 scans of `benchmarks/reconstruction.py --seed 9001` with the
 # right one none does.
@@ -122,6 +128,7 @@ def trace_needle(
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = _place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
+        _refuse_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis, recipe)
@@ -141,7 +148,7 @@ def trace_needle(
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
     alone = axis.normal_sd is None
-    notes = _list_warnings(volume, axis, end, recipe.needle.diameter_mm) if alone else ()
+    notes = _list_warnings(volume, axis, end, recipe) if alone else ()
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
@@ -149,8 +156,34 @@ def trace_needle(
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
-def _list_warnings(volume: Volume, axis: AxisSpline, end: TipFit, diameter: float) -> Iterator[str]:
-    """Yield what contradicts the stated `diameter` (mm), or that nothing moved during the scan."""
+def _refuse_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: float) -> None:
+    """Refuse a tip (mm along the axis) whose surroundings are bright, as those of a marker at the end are."""
+    s = np.arange(0.0, tip + WIDE_AHEAD_MM, WIDE_STEP_MM)
+    turn = np.arange(16) * np.pi / 8
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    plane = np.vstack([np.zeros((1, 2)), diameter * circle, WIDE_RIM_MM * circle])
+    values = sample_planes(volume, axis_frames(axis, s), plane)
+    known = np.isfinite(values).all(axis=1)
+    s, values = s[known], values[known]
+    rim, shaft = np.median(values[:, 17:], axis=1), s < tip - WIDE_BEHIND_MM
+    if np.count_nonzero(shaft) < MIN_SECTIONS:
+        return
+    part = (values[:, 1:17].mean(axis=1) - rim) / np.median((values[:, 0] - rim)[shaft])
+    limit = MAX_WIDE_PART if volume.grid.slice_distance <= MIN_SLICE_MM else MAX_WIDE_PART_IN_SLICES
+    if np.count_nonzero(part[~shaft] - np.median(part[shaft]) > limit) > 1:
+        where = ", ".join(f"{x:.0f}" for x in axis.spline(tip))
+        raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle, as a
+                marker, or other metal in thick slices
+            expected: an end that is surrounded by tissue
+            fix: scan without it, or with thinner slices; or place the tip in 3D Slicer (--corrections)
+            where: L, P, S = {where} mm""")
+
+
+def _list_warnings(
+    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
+) -> Iterator[str]:
+    """Yield what contradicts the stated diameter, or that nothing moved during the scan."""
+    diameter = recipe.needle.diameter_mm
     if end.width is not None:
         misfit, sd = end.width[0] - MEAN_WIDTH_MISFIT, end.width[1]
         if abs(misfit) > max(MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD * sd):
@@ -158,7 +191,8 @@ def _list_warnings(volume: Volume, axis: AxisSpline, end: TipFit, diameter: floa
                 f"the needle looks {'wider' if misfit > 0 else 'thinner'} than the {diameter:g} mm stated "
                 f"({abs(misfit) / sd:.0f} deviations): check needle.diameter_mm; a wrong one moves the tip"
             )
-    step = find_step(volume, axis)
+    bevel = end.at - bevel_length(recipe.needle)
+    step = find_step(volume, axis, bevel, diameter, recipe.centerline.patch_width_mm)
     if step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
         yield (
             f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
@@ -217,7 +251,7 @@ def refine_axis(
     for round_ in range(AXIS_FIT_ROUNDS):
         s = np.arange(0.0, stop, rules.station_spacing_mm)
         values = sample_planes(volume, axis_frames(axis, s), plane)
-        valid = in_volume(values)
+        valid = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
         if valid.sum() < MIN_SECTIONS:
             raise _too_few_sections_error(int(valid.sum()))
         where, values = axis_frames(axis, s[valid]), values[valid]

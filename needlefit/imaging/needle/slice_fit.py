@@ -169,7 +169,8 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     ).reshape(-1, len(points), len(line))
     rim = np.abs(line) > RIM_MM
     over = (shown[..., ~rim].max(axis=-1) - np.median(shown[..., rim], axis=-1)).max(axis=0)
-    bright = np.flatnonzero(over > END_BRIGHT * np.median(over[:count]))
+    # in tissue a needle is less bright over its surroundings than in air
+    bright = np.flatnonzero(over > END_BRIGHT * np.median(over[max(0, count - 2 * END_STATIONS) : count]))
     gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
     last = bright[gaps[0]] if len(gaps) else bright.max(initial=0)
     return np.asarray(points[: max(int(last) + 2, min(count, END_STATIONS))])
