@@ -131,6 +131,12 @@ def test_a_marker_at_the_end_is_refused(beside):
     refusal(DataError, "wider", found, volume)
 
 
+def test_a_small_marker_at_the_end_is_named():
+    truth = cases.axis()
+    volume = cases.scan(truth, scene={"markers": SceneMarkers(truth[-1:], radius=1.0)})
+    assert any("marker" in warning for warning in found(volume).warnings)
+
+
 def test_what_is_no_needle_is_refused():
     refusal(DataError, "tissue", lambda: select_needle(cases.scan(cases.axis() + FAR), cases.RECIPE).needle)
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))

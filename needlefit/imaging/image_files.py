@@ -1,4 +1,4 @@
-"""Read NRRD and MetaImage files, and write these and NIfTI, by SimpleITK, which works in LPS."""
+"""Read NRRD and MetaImage files by SimpleITK, which works in LPS."""
 
 import math
 import re
@@ -11,25 +11,20 @@ import SimpleITK as sitk
 
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
-    Volume,
     VoxelGrid,
     check_expansion,
     check_grid,
     fill_unknown,
     grid_to_json,
-    is_tilted,
     missing_voxels,
     not_one_volume,
     orthogonalize,
     unreadable_header,
 )
-from needlefit.project.folders import replace_file
 from needlefit.project.reader_process import Arrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
-# zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent.
-_COMPRESSION_LEVEL = 1
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
 
@@ -92,25 +87,6 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
     grid = replace(grid, direction=orthogonalize(grid.direction))
     segments = {key: text for key, text in texts.items() if re.fullmatch(r"Segment\d{1,4}_\w+", key)}
     return {**grid_to_json(grid), "texts": segments, "warnings": notes}
-
-
-def write_image(volume: Volume, path: Path, description: str) -> None:
-    """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii; as int16 if that is exact."""
-    if is_tilted(volume.direction) and ".nii" in path.name.lower():  # SimpleITK straightens it
-        raise refusal(f"""the slices of the volume lean over one another, which NIfTI files lose
-            expected: .nrrd, .mha, or a folder
-            where: {path}""")
-    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
-        whole = volume.values.astype(np.int16)
-    key = "ITK_FileNotes" if ".nii" in path.name.lower() else "description"
-    image = sitk.GetImageFromArray(whole if np.array_equal(whole, volume.values) else volume.values)
-    image.SetOrigin(volume.origin.tolist())
-    image.SetSpacing(volume.spacing.tolist())
-    image.SetDirection(volume.direction.ravel().tolist())
-    if description:
-        image.SetMetaData(key, description)
-    with replace_file(path) as fresh:
-        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 
 
 def _last_line(error: Exception) -> str:

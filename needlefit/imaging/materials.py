@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import OptimizeResult, least_squares
+from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
@@ -214,13 +214,28 @@ def _fit_edge(
     ]
     # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
-    best = _fit_steps(s, values, noise, (at, levels, gaps))
+    # error functions of one width, with a slope behind the last edge for a hardened beam and further layers
+    count = len(at)
+
+    def residuals(theta: Floats) -> Floats:
+        edges, width, level, slope = theta[:count], np.exp(theta[count]), theta[count + 1 : -1], theta[-1]
+        last = slope * np.clip(s - edges[-1], 0, None)
+        steps = np.repeat(np.diff(level)[:, None], len(s), axis=1)
+        steps[-1] += last
+        shown = level[0] + np.sum(steps * ndtr((s - edges[:, None]) / width), axis=0)
+        known = (level[gaps] - AIR_HU) / AIR_SD_HU
+        return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
+
+    first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
+    first[count + 1 + np.array(gaps, dtype=int)] = AIR_HU
+    scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
+    best = least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
     # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
-    left, count = best.fun[: len(s)], 2 * len(at) + 3
-    spread = max(1.0, 2 * best.cost / max(1, len(s) - count)) * correlation_factor(left[:, None], count)
+    left, free = best.fun[: len(s)], 2 * count + 3
+    spread = max(1.0, 2 * best.cost / max(1, len(s) - free)) * correlation_factor(left[:, None], free)
     jacobian = np.asarray(best.jac, dtype=np.float64)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
-    width = float(np.exp(best.x[len(at)]))
+    width = float(np.exp(best.x[count]))
     # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
     between = max(float(np.median(np.diff(s))), 2 * width) / np.sqrt(12)
     scatter = min(np.sqrt(variance), between)
@@ -242,30 +257,3 @@ def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[in
     high = min([last, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= last)])
     low = max(first, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
     return near, low, min(last, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
-
-
-def _fit_steps(
-    s: Floats, values: Floats, noise: float, start: tuple[Floats, Floats, list[int]]
-) -> OptimizeResult:
-    """Fit error functions of one width between levels, with a slope behind the last edge.
-
-    The slope is for what a hardened beam and further layers do. Stations that stray count less.
-
-    `start`: edges (n,), mm; levels (n + 1,), HU; and which of these are air's for certain.
-    """
-    at, levels, gaps = start
-    count = len(at)
-
-    def residuals(theta: Floats) -> Floats:
-        edges, width, level, slope = theta[:count], np.exp(theta[count]), theta[count + 1 : -1], theta[-1]
-        last = slope * np.clip(s - edges[-1], 0, None)
-        steps = np.repeat(np.diff(level)[:, None], len(s), axis=1)
-        steps[-1] += last
-        shown = level[0] + np.sum(steps * ndtr((s - edges[:, None]) / width), axis=0)
-        known = (level[gaps] - AIR_HU) / AIR_SD_HU
-        return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
-
-    first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
-    first[count + 1 + np.array(gaps, dtype=int)] = AIR_HU
-    scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
-    return least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)

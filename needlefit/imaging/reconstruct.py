@@ -363,35 +363,6 @@ class VolumeSearch:
         return cast(T, found)
 
 
-def choose_needle(search: VolumeSearch, scan: Scan) -> NeedleSelection:
-    """Return the needle: along points on it or a mask, else among the tubes of the volume."""
-    recipe, points = search.recipe, None if scan.corrections is None else scan.corrections.axis
-    if points is None and scan.mask is not None:
-        listed = is_list_of_points(scan.mask)
-        points = read_markers(scan.mask) if listed else read_mask_points(search.volume, scan.mask)
-    if points is not None:
-        axis = follow_points(search.volume, points, recipe)
-        return NeedleSelection(select_rod(search.volume, axis, recipe), axis=axis)
-    return select_needle(search.volume, recipe, scan.needle_at, search.find_tubes())
-
-
-def find_scan_markers(search: VolumeSearch, needle: Ints | None, scan: Scan) -> MarkerResult | None:
-    """Return the markers, placed by hand or found beside the needle (N, 3); None: none are needed."""
-    places, where = None if scan.corrections is None else scan.corrections.balls, "balls of the corrections"
-    if places is None:
-        if scan.fiducials is None:
-            return None if scan.markers is None else search.find_markers(needle)
-        places, where = read_markers(scan.fiducials), str(scan.fiducials)
-    try:
-        balls = search.find_markers(needle)
-    except DataError:  # landmarks, not metal
-        balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
-    try:
-        return refine_fiducials(places, search.volume, search.recipe, balls)
-    except DataError as error:
-        raise error.at(where) from None
-
-
 def estimate_first_contact(
     found: Examination, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
 ) -> tuple[EntryPose, EntryPose | None]:
@@ -495,7 +466,23 @@ def derive_reconstruction(
     count = int(np.ceil((along[-1] - begin) / recipe.centerline.station_spacing_mm)) + 1
     stations = np.linspace(begin, along[-1], count)
     points, sd = interpolate_at_arc(found.world, stations), np.interp(stations, along, found.axis.sd)
-    frame, plane = _find_bending_frame(found, scan, pose, points, recipe)
+    if scan.bevel is None and scan.side < 0:
+        raise refusal(f"""bevel_side is -1, but no bevel direction is stated
+            expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
+            fix: state the bevel's direction, or leave bevel_side empty
+            where: scan {scan.id}""")
+    plane: PlaneSource = "shape"
+    bevel = found.patient.rotation @ found.axis.bevel
+    if scan.bevel is not None:
+        toward, plane = scan.bevel, "stated"
+    elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
+        toward, plane = bevel, "bevel"
+    else:
+        toward = find_bending_direction(points, pose.direction)
+    try:
+        frame = make_entry_frame(pose.origin, pose.direction, toward)
+    except DataError as error:
+        raise DataError(error.what, expected=error.expected, fix=BEVEL_FIX) from None
     errors = estimate_layer_errors(scan, recipe, sd, pose, found.registration)
     layers = find_crossed_layers(points, frame, surfaces, errors)
     drawn, registration = found.axis.sections, found.registration
@@ -528,29 +515,6 @@ def derive_reconstruction(
     )
     doubts = () if found.selection is None or found.scan.divided else found.selection.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
-
-
-def _find_bending_frame(
-    found: Examination, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
-) -> tuple[Frame, PlaneSource]:
-    """Return the constraint frame, and what fixes its plane."""
-    plane: PlaneSource
-    if scan.bevel is None and scan.side < 0:
-        raise refusal(f"""bevel_side is -1, but no bevel direction is stated
-            expected: bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went
-            fix: state the bevel's direction, or leave bevel_side empty
-            where: scan {scan.id}""")
-    bevel = found.patient.rotation @ found.axis.bevel
-    if scan.bevel is not None:
-        toward, plane = scan.bevel, "stated"
-    elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
-        toward, plane = bevel, "bevel"
-    else:
-        toward, plane = find_bending_direction(points, pose.direction), "shape"
-    try:
-        return make_entry_frame(pose.origin, pose.direction, toward), plane
-    except DataError as error:
-        raise DataError(error.what, expected=error.expected, fix=BEVEL_FIX) from None
 
 
 def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
@@ -596,12 +560,33 @@ def examine(
                     where: corrections, {name}""")
     with found.step():
         require_hounsfield(volume, str(scan.volume))
-    with found.step():
-        found.selection = choose_needle(search, scan)
+    with found.step():  # along points on it or a mask, else among the tubes of the volume
+        points = moved.axis
+        if points is None and scan.mask is not None:
+            listed = is_list_of_points(scan.mask)
+            points = read_markers(scan.mask) if listed else read_mask_points(volume, scan.mask)
+        if points is None:
+            found.selection = select_needle(volume, recipe, scan.needle_at, search.find_tubes())
+        else:
+            axis = follow_points(volume, points, recipe)
+            found.selection = NeedleSelection(select_rod(volume, axis, recipe), axis=axis)
     selection = found.selection
     with found.step():
         voxels = None if selection is None else selection.needle.voxels
-        found.markers = find_scan_markers(search, voxels, scan)
+        placed, where = moved.balls, "balls of the corrections"
+        if placed is None and scan.fiducials is not None:
+            placed, where = read_markers(scan.fiducials), str(scan.fiducials)
+        if placed is not None:
+            try:
+                balls = search.find_markers(voxels)
+            except DataError:  # landmarks, not metal
+                balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
+            try:
+                found.markers = refine_fiducials(placed, volume, recipe, balls)
+            except DataError as error:
+                raise error.at(where) from None
+        elif scan.markers is not None:
+            found.markers = search.find_markers(voxels)
     with found.step():
         if selection is not None:
             spread = None if found.markers is None else found.markers.spread

@@ -22,10 +22,12 @@ from needlefit.imaging.volume import (
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
+    is_tilted,
     list_series_files,
     max_voxels,
 )
 from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
+from needlefit.project.folders import replace_file
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
 from needlefit.project.reader_process import (
     MEMORY_VARIABLE,
@@ -221,7 +223,8 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    Values are kept to the bit. NIfTI stores its geometry in single precision (1e-5 mm), the others in double.
+    Values are kept to the bit, as int16 if that is exact, compressed unless it is .nii. NIfTI stores its
+    geometry in single precision (1e-5 mm), the others in double.
 
     DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
     or the packages that write scans are not installed.
@@ -234,10 +237,24 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
         raise refusal(f"""{path.suffix} is no kind of volume that is written
             expected: .nrrd, .nii, .nii.gz or .mha
             where: {path}""")
+    nifti = ".nii" in path.name.lower()
+    if is_tilted(volume.direction) and nifti:  # SimpleITK straightens it
+        raise refusal(f"""the slices of the volume lean over one another, which NIfTI files lose
+            expected: .nrrd or .mha
+            where: {path}""")
     with explain_missing_packages():
-        from needlefit.imaging.image_files import write_image
+        import SimpleITK as sitk
 
-        write_image(volume, path, description)
+    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
+        whole = volume.values.astype(np.int16)
+    image = sitk.GetImageFromArray(whole if np.array_equal(whole, volume.values) else volume.values)
+    image.SetOrigin(volume.origin.tolist())
+    image.SetSpacing(volume.spacing.tolist())
+    image.SetDirection(volume.direction.ravel().tolist())
+    if description:
+        image.SetMetaData("ITK_FileNotes" if nifti else "description", description)
+    with replace_file(path) as fresh:  # higher levels of zlib cost ten times the time for a few per cent
+        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=1)
 
 
 @contextmanager

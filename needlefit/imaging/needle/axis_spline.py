@@ -61,7 +61,14 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
     end has none: the last cross-sections lie some millimetres before it, and a cubic that goes on from them
     with its curvature there would bend too far.
     """
-    knots = _merge_empty_pieces(make_knots(s[0], s[-1] if tip is None else tip, knot), s)
+    even = make_knots(s[0], s[-1] if tip is None else tip, knot)
+    kept = list(even[: DEGREE + 1])
+    for one in even[DEGREE + 1 : -DEGREE - 1]:  # none ends a piece without cross-sections: nothing shapes it
+        if ((s >= kept[-1]) & (s < one)).any():
+            kept.append(one)
+    if len(kept) > DEGREE + 1 and not (s >= kept[-1]).any():
+        kept.pop()
+    knots = np.array([*kept, *even[-DEGREE - 1 :]])
     basis = np.eye(len(knots) - 4) if tip is None else free_end_basis(knots)  # (C, F)
     matrix = design_matrix(s, knots) @ basis
     robust = np.ones(len(s))
@@ -79,17 +86,6 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
     covariance = np.asarray(basis @ np.linalg.inv(normal) @ basis.T * variance, dtype=np.float64)
     spline = BSpline(knots, basis @ coefficients, 3)
     return AxisSpline(spline, float(s[-1]), variance, covariance, s, points, weights, w)
-
-
-def _merge_empty_pieces(knots: Floats, s: Floats) -> Floats:
-    """Return the knots without those that end a piece in which no cross-section lies: nothing shapes it."""
-    kept = list(knots[: DEGREE + 1])
-    for knot in knots[DEGREE + 1 : -DEGREE - 1]:
-        if ((s >= kept[-1]) & (s < knot)).any():
-            kept.append(knot)
-    if len(kept) > DEGREE + 1 and not (s >= kept[-1]).any():
-        kept.pop()
-    return np.array([*kept, *knots[-DEGREE - 1 :]])
 
 
 def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: float) -> AxisSpline:

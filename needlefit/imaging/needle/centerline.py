@@ -63,11 +63,12 @@ CLEAR_SOFT_RATIO = 2.0
 # nothing moved as at most 0.06 mm and 14. Within 2.5 mm of the tip, about its bevel's length, none shows.
 MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
 # Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
-# axis exceeds the shaft's by more than this part of the shaft's own, over two sections; beside thick slices
-# the blur is not round. Needles alone: 0.01, in slices up to 0.55 in 39 of 40; with balls 0.66 to 0.92. How
-# far around the tip, behind and ahead, mm, and the rim's radius, mm.
-MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = 0.4, 0.6
-WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM = 0.5, 5.0, 3.0, 3.0
+# axis exceeds that along the shaft, by parts of the shaft's own, over two sections: that are spoken of, and
+# that are refused, the latter also where the needle runs in thick slices. Of needles alone at most 0.02, in
+# slices 0.24 (once 0.63); with balls of 3 and 5 mm 0.15 to 0.8, of 2 mm 0.05. Air there is darker.
+MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.04, 0.15, 0.65
+# Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
+WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
 # Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
 # what right ones show on the average. Of 24 scans of `benchmarks/reconstruction.py --seed 9001` with the
 # right one none does.
@@ -121,14 +122,20 @@ def trace_needle(
     DataError if the needle's tip lies outside the volume or beside the needle, or its two ends look alike.
     """
     rough = component if isinstance(component, AxisSpline) else fit_rough_axis(volume, component, recipe)
-    axis, heel = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    axis, heel, dark, wide = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM, 0.0, 0.0
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
         end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = _place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
-        _refuse_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
+        dark, wide = _measure_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
+        if wide > (MAX_WIDE_PART if axis.normal_sd is None else MAX_WIDE_PART_IN_SLICES):
+            raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle,
+                    as a marker, or other metal in thick slices
+                expected: an end that is surrounded by tissue
+                fix: scan without it, or with thinner slices; or place the tip in 3D Slicer (--corrections)
+                where: L, P, S = {", ".join(f"{x:.0f}" for x in end.point)} mm""")
     else:
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis, recipe)
@@ -148,7 +155,7 @@ def trace_needle(
         end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
     alone = axis.normal_sd is None
-    notes = _list_warnings(volume, axis, end, recipe) if alone else ()
+    notes = _list_warnings(volume, axis, end, recipe, (dark, wide)) if alone else ()
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
@@ -156,33 +163,37 @@ def trace_needle(
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
-def _refuse_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: float) -> None:
-    """Refuse a tip (mm along the axis) whose surroundings are bright, as those of a marker at the end are."""
-    s = np.arange(0.0, tip + WIDE_AHEAD_MM, WIDE_STEP_MM)
+def _measure_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: float) -> tuple[float, float]:
+    """Return how much darker and brighter it is beside the tip (mm along) than beside the shaft.
+
+    In parts of the needle's own brightness, over two sections each.
+    """
+    where = axis_frames(axis, np.arange(0.0, tip + WIDE_AHEAD_MM, WIDE_STEP_MM))
     turn = np.arange(16) * np.pi / 8
     circle = np.column_stack([np.cos(turn), np.sin(turn)])
     plane = np.vstack([np.zeros((1, 2)), diameter * circle, WIDE_RIM_MM * circle])
-    values = sample_planes(volume, axis_frames(axis, s), plane)
-    known = np.isfinite(values).all(axis=1)
-    s, values = s[known], values[known]
-    rim, shaft = np.median(values[:, 17:], axis=1), s < tip - WIDE_BEHIND_MM
-    if np.count_nonzero(shaft) < MIN_SECTIONS:
-        return
-    part = (values[:, 1:17].mean(axis=1) - rim) / np.median((values[:, 0] - rim)[shaft])
-    limit = MAX_WIDE_PART if volume.grid.slice_distance <= MIN_SLICE_MM else MAX_WIDE_PART_IN_SLICES
-    if np.count_nonzero(part[~shaft] - np.median(part[shaft]) > limit) > 1:
-        where = ", ".join(f"{x:.0f}" for x in axis.spline(tip))
-        raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle, as a
-                marker, or other metal in thick slices
-            expected: an end that is surrounded by tissue
-            fix: scan without it, or with thinner slices; or place the tip in 3D Slicer (--corrections)
-            where: L, P, S = {where} mm""")
+    values = sample_planes(volume, where, plane)
+    # thick slices blur what lies beside the needle along their normal
+    steep = np.column_stack([where.u @ volume.grid.normal, where.v @ volume.grid.normal]) @ circle.T
+    ring = np.where(np.abs(steep) < MAX_RING_SINE, values[:, 1:17], np.nan)
+    known, s = np.isfinite(values).all(axis=1), np.arange(len(values)) * WIDE_STEP_MM - tip
+    rim, ring, core = np.median(values[known, 17:], axis=1), ring[known], values[known, 0]
+    shaft = s[known] < -WIDE_BEHIND_MM
+    if np.count_nonzero(shaft) < MIN_SECTIONS or np.count_nonzero(~shaft) < 2:
+        return 0.0, 0.0
+    part = (np.nanmean(ring, axis=1) - rim) / np.median((core - rim)[shaft])
+    ends = np.sort(part[~shaft])
+    usual = float(np.median(part[shaft]))
+    return float(ends[1]) - min(usual, 0.0), float(ends[-2]) - max(usual, 0.0)  # air may lie along the shaft
 
 
 def _list_warnings(
-    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
+    volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord, beside: tuple[float, float]
 ) -> Iterator[str]:
-    """Yield what contradicts the stated diameter, or that nothing moved during the scan."""
+    """Yield what contradicts the stated diameter, that nothing moved, or that the end is free.
+
+    `beside`: as of `_measure_wide_end`.
+    """
     diameter = recipe.needle.diameter_mm
     if end.width is not None:
         misfit, sd = end.width[0] - MEAN_WIDTH_MISFIT, end.width[1]
@@ -198,6 +209,12 @@ def _list_warnings(
             f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
             f"{step[1]:.2f} mm: table or specimen moved during the scan, and what lies beyond is shifted; "
             "scan again"
+        )
+    elif beside[1] > MIN_WIDE_PART or beside[0] < MAX_DARK_PART:
+        bright = beside[1] > MIN_WIDE_PART
+        yield (
+            f"beside the tip it is {'brighter' if bright else 'darker'} than beside the shaft: "
+            f"{'a marker or other metal' if bright else 'air'} there moves the tip; look at it"
         )
 
 
@@ -356,21 +373,6 @@ def _find_usable_sections(found: CrossSections, reach: float) -> NDArray[np.bool
     return shown
 
 
-def slice_sd(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> float:
-    """Return the deviation across of a needle that stays within a slice, in any one direction, mm.
-
-    The thicker the slice, the less shows where in it the needle lies; one that leaves it between two knots
-    shows that, and thin slices show the needle in several.
-    """
-    thick, wide = volume.grid.slice_distance, recipe.needle.diameter_mm
-    if thick <= MIN_SLICE_MM:
-        return 0.0
-    ends = axis.spline(np.array([0.0, axis.length]))
-    steep = float((ends[1] - ends[0]) @ volume.grid.normal) / float(np.linalg.norm(ends[1] - ends[0]))
-    left = recipe.centerline.knot_spacing_mm * steep / thick
-    return float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2))
-
-
 def _sample_centerline(
     volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord
 ) -> Centerline:
@@ -381,7 +383,15 @@ def _sample_centerline(
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
     # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
     if axis.normal_sd is None:
-        hidden = slice_sd(volume, axis, recipe)
+        # the thicker the slice, the less shows where in it the needle lies, unless it leaves it between knots
+        thick, wide, (first, last) = (
+            volume.grid.slice_distance,
+            recipe.needle.diameter_mm,
+            axis.spline(s[[0, -1]]),
+        )
+        steep = float((last - first) @ volume.grid.normal) / float(np.linalg.norm(last - first))
+        left = recipe.centerline.knot_spacing_mm * steep / thick
+        hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (thick > MIN_SLICE_MM)
         more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
     else:  # in the spline's own deviation already
         hidden, more = float(np.sqrt(np.mean(axis.normal_sd**2) / 2)), SYSTEMATIC_SD_MM

@@ -102,9 +102,14 @@ def find_tubes(
     for n, (low, high) in enumerate(levels):
         parts = cut_components(volume, find_components(volume, low, high, bright), recipe)
         # a holder, or the change from one slice to the next, may leave short pieces only
-        seeds = [part for part in parts if is_tube(part, recipe, SEED_PART)]
-        joined = [part for part in _join_tubes(volume, seeds, parts, recipe) if is_tube(part, recipe)]
+        left = [part for part in parts if is_tube(part, recipe, SEED_PART)]
+        left, joined = sorted(left, key=lambda part: part.length, reverse=True), list[Component]()
+        while left:  # without those that are pieces of a longer one
+            tube = _join_pieces(volume, left[0], [part for part in parts if part is not left[0]], recipe)
+            left = _drop_pieces(tube, left[1:])
+            joined += [tube] if is_tube(tube, recipe) else []
         if joined:
+            joined.sort(key=lambda part: part.length, reverse=True)
             _, dense = _sample_dense(volume)
             noise = 1.4826 * float(np.median(np.abs(dense - np.median(dense)))) if dense.size else 0.0
             floor = median_tissue_hu(volume) + MIN_GROWTH_NOISE_SD * noise
@@ -168,19 +173,6 @@ def cut_components(
         else:
             found += [measure_component(volume, one) for one in pieces if len(one) >= MIN_COMPONENT_VOXELS]
     return found
-
-
-def _join_tubes(
-    volume: Volume, tubes: Sequence[Component], parts: Sequence[Component], recipe: ReconstructionRecord
-) -> list[Component]:
-    """Return the tubes, longest first, without those that are pieces of a longer one."""
-    left = sorted(tubes, key=lambda part: part.length, reverse=True)
-    found = []
-    while left:
-        tube = _join_pieces(volume, left[0], [part for part in parts if part is not left[0]], recipe)
-        left = _drop_pieces(tube, left[1:])
-        found.append(tube)
-    return sorted(found, key=lambda part: part.length, reverse=True)
 
 
 def _drop_pieces(tube: Component, parts: Sequence[Component]) -> list[Component]:

@@ -21,6 +21,7 @@ from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, correlation_factor
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.point_spread import PointSpread, expected_spread
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 
@@ -30,6 +31,9 @@ MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed betwe
 LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
 # Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
 END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
+MAX_SHORT_STATIONS = (
+    4  # an end so much before the one that a threshold sees is not believed; others: 1 at most
+)
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
 SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
@@ -45,8 +49,9 @@ BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
 BEAM_SDS, PROFILE_SDS = np.array([0.25, 0.35, 0.6, 0.3]), (0.4, 0.4, 0.5, 1.0, 1.5)
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
-# Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, and how often.
-HOPS, ROLL_HOPS, TRIED_HOPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 4, 4
+# Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, by so many steps
+# of a fit each, and how often.
+HOPS, ROLL_HOPS, TRIED_HOPS, HOP_STEPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 8, 2, 8
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
@@ -115,10 +120,17 @@ def fit_slices(
 ) -> SliceFit | None:
     """Fit the axis of the needle, with knots every `knot` mm; `tip` is about where it ends, mm along `axis`.
 
-    None where too little of the needle shows.
+    None where too little of the needle shows. DataError if it ends long before a threshold sees it end.
     """
     points, normal = axis.spline(np.arange(0.0, tip, STATION_MM)), volume.grid.normal
-    points = _find_end(volume, points)
+    rough, points = points, _find_end(volume, points)
+    if len(points) < len(rough) - MAX_SHORT_STATIONS:
+        faint = (len(rough) - len(points)) * STATION_MM
+        raise refusal(f"""the needle grows faint {faint:.0f} mm before the end that a threshold sees: where it
+                ends does not show in such thick slices
+            expected: a needle that slices show as far as its tip
+            fix: scan it across the slices, or with thinner ones; or place the tip in Slicer (--corrections)
+            where: tip of the needle""")
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])
@@ -328,24 +340,20 @@ class _SliceProblem:
 
     def solve(self) -> tuple[Floats, Floats, float]:
         """Return parameters, their covariance and the model's relative error."""
-        theta, *_ = self.descend(self.find_start(), self.first_scale, ROBUST_SD[0])
-        return self.fit(theta)
-
-    def find_start(self) -> Floats:
-        """Return a start with the scan as expected, or less metal, its course along the normal moved."""
         start = np.concatenate([*self.start.T, [0.0, 0.0], self.means])
-        weak = start.copy()
+        weak = start.copy()  # or with less metal
         weak[2 * len(self.start) + 2] += WEAK_START
         best = min(start, weak, key=self.first_misfit)
         lowest = self.first_misfit(best)
-        for step in START_STEPS:
+        for step in START_STEPS:  # its course along the normal moved
             improved = True
             while improved:
                 improved = False
                 for theta in self.move(best, step):
                     if (cost := self.first_misfit(theta)) < lowest:
                         best, lowest, improved = theta, cost, True
-        return self.turn(best, START_ENDS_MM)
+        theta, *_ = self.descend(self.turn(best, START_ENDS_MM), self.first_scale, ROBUST_SD[0])
+        return self.fit(theta)
 
     def move(self, theta: Floats, step: float) -> list[Floats]:
         """Return the parameters with the course shifted, tilted or bent along the normal by `step` slices."""
@@ -361,17 +369,23 @@ class _SliceProblem:
         return moved
 
     def hop(self, theta: Floats) -> Floats:
-        """Return the parameters of the smallest of the minima next to `theta`."""
+        """Return the parameters of the smallest minimum found next to `theta`."""
         theta, *_ = self.descend(theta, self.first_scale, ROBUST_SD[1])
-        lowest = self.first_misfit(theta)
+        lowest, count = self.first_misfit(theta), len(self.start)
         for _ in range(MAX_HOPS):
             near = [one for step in HOPS for one in self.move(theta, step)]
             near += self.roll(theta, (0.0,), ROLL_HOPS)
-            near.sort(key=self.first_misfit)
-            for one in near[:TRIED_HOPS]:
-                there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1])
-                if (cost := self.first_misfit(there)) < lowest - CONVERGED:
-                    theta, lowest = there, cost
+            near = sorted(near, key=self.first_misfit)[:TRIED_HOPS]
+            # slices show nearly the same of a needle and of its mirror image about a slice, or between two
+            middle = float(np.mean(self.at @ theta[count : 2 * count])) / self.rod.thick
+            for plane in (np.rint(middle), np.floor(middle) + 0.5):
+                near.insert(0, theta.copy())
+                near[0][count : 2 * count] = 2 * plane * self.rod.thick - theta[count : 2 * count]
+            for one in near:
+                there, *_ = self.descend(one, self.first_scale, ROBUST_SD[1], HOP_STEPS)
+                if self.first_misfit(there) < lowest - CONVERGED:
+                    theta, *_ = self.descend(there, self.first_scale, ROBUST_SD[1])
+                    lowest = self.first_misfit(theta)
                     break
             else:
                 break
@@ -406,14 +420,16 @@ class _SliceProblem:
         cost = robust**2 * np.sum(np.log1p((left / robust) ** 2)) / CORRELATED
         return float(cost + np.sum(self.known(theta) ** 2))
 
-    def descend(self, theta: Floats, scale: Floats, robust: float) -> tuple[Floats, Floats, Floats]:
+    def descend(
+        self, theta: Floats, scale: Floats, robust: float, steps: int = STEPS
+    ) -> tuple[Floats, Floats, Floats]:
         """Return parameters where what is minimized is small, what slices show there, and its curvature."""
         seen = self.seen[..., None]
         known = np.stack([self.known(one) - self.known(0 * one) for one in np.eye(len(theta))], axis=1)
         metal = self.project(theta)
         image = self.image(metal, theta)
         cost, damping, slopes = self.misfit(image, theta, scale, robust), 1e-3, None
-        for _ in range(STEPS):
+        for _ in range(steps):
             fresh = slopes is None
             if slopes is None:
                 slopes = self.slopes(theta, metal, image)

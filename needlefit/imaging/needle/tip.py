@@ -274,7 +274,16 @@ class TipProblem:
         first = np.zeros(12)
         first[TIP], first[LEVEL] = self.guess, self.level
         first[HELD] = self.means
-        best = self._minimize(self._find_start(first), ROUGH_STEPS)
+
+        def misfit(start: Floats) -> float:
+            return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
+
+        # as near as the eye can tell along the axis, and the likeliest roll
+        one = np.eye(12)
+        begin = min((first + g * one[TIP] for g in START_OFFSETS_MM), key=misfit)
+        rolls = np.arange(6) * np.pi / 3 if self.rolled else [0.0]
+        starts = [begin + g * one[TIP] + roll * one[ROLL] for roll in rolls for g in FINE_OFFSETS_MM]
+        best = self._minimize(min(starts, key=misfit), ROUGH_STEPS)
         if rough:
             return best
         # the voxels' deviations become what a fit leaves, and voxels in one blur count as one
@@ -284,19 +293,6 @@ class TipProblem:
         turned = best.x + np.pi * np.eye(12)[ROLL]
         starts = [best.x, turned] if self.rolled else [best.x]
         return min((self._minimize(start, STEPS) for start in starts), key=lambda one: one.cost)
-
-    def _find_start(self, first: Floats) -> Floats:
-        """Return where to begin: as near as the eye can tell along the axis, and the likeliest roll."""
-
-        def misfit(start: Floats) -> float:
-            return float(np.sum(np.minimum(np.abs(self.residuals(start)), 20)))
-
-        one = np.eye(12)
-        begin = min((first + g * one[TIP] for g in START_OFFSETS_MM), key=misfit)
-        rolls = np.arange(6) * np.pi / 3 if self.rolled else [0.0]
-        return min(
-            (begin + g * one[TIP] + roll * one[ROLL] for roll in rolls for g in FINE_OFFSETS_MM), key=misfit
-        )
 
     def _minimize(self, start: Floats, steps: int) -> OptimizeResult:
         return least_squares(

@@ -15,12 +15,8 @@ inverse variances, give
 
     cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T.
 
-With equal deviations, and p measured from the markers' principal axes k, the trace of the second is
-3 sigma^2 / N (1 + 1/3 sum_k d_k^2 / f_k^2): d_k is the target's distance from axis k, f_k the root mean
-square of the markers'.
-
-J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in rigid-body point-based registration, IEEE
-Trans. Med. Imaging 17 (1998) 694-702, eq. 46.
+With equal deviations that is eq. 46 of J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in
+rigid-body point-based registration, IEEE Trans. Med. Imaging 17 (1998) 694-702.
 """
 
 from dataclasses import dataclass, replace
@@ -261,11 +257,35 @@ def search_pairings(
         gap = distance[order].min(axis=0)
         gap[order] = -1
         order.append(int(np.argmax(gap)))
-    rows = np.empty((1, 0), dtype=np.int64)
+    rows, spare = np.empty((1, 0), dtype=np.int64), len(found) - count
     for depth in range(1, len(found) + 1):
-        rows = _extend_rows(rows, len(known), len(found) - count, count)
-        rows = rows[_distances_agree(rows, found[order], known, variance[order], bound)]
-        rows = rows[_rows_fit(rows, found[order[:depth]], known, variance[order[:depth]], bound)]
+        # every partner, or none, for the next marker
+        size, partners = len(rows), np.arange(-1, len(known))
+        rows = np.column_stack([np.repeat(rows, len(partners), axis=0), np.tile(partners, size)])
+        before, last, alone = rows[:, :-1], rows[:, -1], (rows < 0).sum(axis=1)
+        twice = ((before == last[:, None]) & (last[:, None] >= 0)).any(axis=1)
+        rows = rows[~twice & (alone <= spare) & (depth - alone <= count)]
+        # its last pair keeps the distances to all others
+        before, last, places = rows[:, :-1], rows[:, -1], found[order[:depth]]
+        here = np.linalg.norm(places[:-1] - places[-1], axis=1)  # (n - 1,)
+        there = np.linalg.norm(known[before] - known[last][:, None], axis=2)  # (L, n - 1)
+        both = variance[order[: depth - 1], before] + variance[order[depth - 1], last][:, None]
+        kept = (there - here) ** 2 <= bound * both
+        rows = rows[(kept | (before < 0)).all(axis=1) | (last < 0)]
+        # its own best motion leaves less than `bound`
+        enough = np.flatnonzero(((rows >= 0).sum(axis=1) >= MIN_MARKERS) & (rows[:, -1] >= 0))
+        some, fits = rows[enough], np.ones(len(rows), dtype=np.bool_)
+        if len(some):
+            weights = np.where(some >= 0, 1 / variance[order[:depth], some], 0.0)
+            share = weights / weights.sum(axis=1, keepdims=True)  # as in `fit_kabsch`, of all at once
+            a = places - (share @ places)[:, None]
+            b = known[some] - np.einsum("lp,lpi->li", share, known[some])[:, None]
+            product = np.einsum("lp,lpi,lpj->lij", weights, a, b)
+            values = np.linalg.svd(product, compute_uv=False)
+            values[:, 2] *= np.sign(np.linalg.det(product))
+            spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
+            fits[enough] = spread - 2 * values.sum(axis=1) <= bound
+        rows = rows[fits]
         if len(rows) > MAX_PARTIAL_PAIRINGS:
             raise refusal(f"""more than {MAX_PARTIAL_PAIRINGS} partial pairings of {len(found)} and
                     {len(known)} markers fit
@@ -275,50 +295,3 @@ def search_pairings(
     pairing = np.empty_like(rows)
     pairing[:, order] = rows
     return pairing
-
-
-def _extend_rows(rows: NDArray[np.int64], known: int, spare: int, count: int) -> NDArray[np.int64]:
-    """Return `rows` (L, n) with every partner, or none, for the next marker: (L', n + 1)."""
-    size, depth = rows.shape
-    options = np.arange(-1, known)
-    wide = np.concatenate(
-        [np.repeat(rows, known + 1, axis=0), np.tile(options, size)[:, None]], axis=1
-    )  # (L (N + 1), n + 1)
-    last = wide[:, -1:]
-    twice = ((wide[:, :-1] == last) & (last >= 0)).any(axis=1)
-    alone = (wide < 0).sum(axis=1)
-    return np.asarray(wide[~twice & (alone <= spare) & (depth + 1 - alone <= count)])
-
-
-def _distances_agree(
-    rows: NDArray[np.int64], found: Floats, known: Floats, variance: Floats, bound: float
-) -> NDArray[np.bool_]:
-    """Say of each row (L, n) whether its last pair keeps the distances to all others."""
-    last = rows.shape[1] - 1
-    partner, others = rows[:, -1], rows[:, :-1]
-    here = np.linalg.norm(found[:last] - found[last], axis=1)  # (n - 1,)
-    there = np.linalg.norm(known[others] - known[partner][:, None], axis=2)  # (L, n - 1)
-    both = variance[np.arange(last), others] + variance[last, partner][:, None]
-    kept = (there - here) ** 2 <= bound * both
-    return np.asarray((kept | (others < 0)).all(axis=1) | (partner < 0))
-
-
-def _rows_fit(
-    rows: NDArray[np.int64], found: Floats, known: Floats, variance: Floats, bound: float
-) -> NDArray[np.bool_]:
-    """Say of each partial pairing (L, n) whether its own best motion leaves less than `bound`."""
-    fits = np.ones(len(rows), dtype=np.bool_)
-    enough = np.flatnonzero(((rows >= 0).sum(axis=1) >= MIN_MARKERS) & (rows[:, -1] >= 0))
-    if enough.size == 0:
-        return fits
-    some = rows[enough]
-    weights = np.where(some >= 0, 1 / variance[np.arange(some.shape[1]), some], 0.0)
-    share = weights / weights.sum(axis=1, keepdims=True)  # as in `fit_kabsch`, of all at once
-    a = found - (share @ found)[:, None]
-    b = known[some] - np.einsum("lp,lpi->li", share, known[some])[:, None]
-    product = np.einsum("lp,lpi,lpj->lij", weights, a, b)
-    values = np.linalg.svd(product, compute_uv=False)
-    values[:, 2] *= np.sign(np.linalg.det(product))
-    spread = np.einsum("lp,lpi->l", weights, a**2 + b**2)
-    fits[enough] = spread - 2 * values.sum(axis=1) <= bound
-    return fits
