@@ -204,7 +204,7 @@ def test_the_crps_of_predicted_tips_is_judged_too():
 
 
 def test_tracks_of_several_fits_are_judged_and_those_of_one_described():
-    about = {"run": list("abcd"), "specimen": list("pqrs")}
+    about = {"run": list("abcd"), "specimen": list("pqrs"), "direction": "y"}
     ours = pd.DataFrame({**about, "method": "fitted", "rms_mm": [0.5, 0.6, 0.5, 0.4], "crps_mm": 0.3})
     line = pd.DataFrame({**about, "method": "straight", "rms_mm": 1.0, "crps_mm": 0.8})
     runs = pd.concat([ours, line])

@@ -93,7 +93,7 @@ def judge_tracks(runs: pd.DataFrame, error_mm: float, curve_mm: float) -> Outcom
     if runs["fit"].nunique() == 1:
         return describe_fit(error_mm, None, curve_mm)
     named = {"fit": "fold", "run": "hole", "rms_mm": TE, "crps_mm": CRPS}
-    each = runs["run"] + runs.get("direction", "")  # both directions of a run are one trial
+    each = runs["run"] + runs["direction"]  # both directions of a run are one trial
     return judge_fits(runs.rename(columns=named).assign(insertion=each), "fitted")
 
 

@@ -122,8 +122,9 @@ def tracks(readings: pd.DataFrame) -> Figure:
 
     `readings` has the columns of the frame `readings` of such a study.
     """
-    along = readings.get("direction", pd.Series("", readings.index))
-    titles = readings["medium"].map(medium_name) + "\ntip" + along.map(lambda axis: axis and f" along {axis}")
+    titles = readings["medium"].map(medium_name) + "\ntip"
+    if readings["direction"].nunique() > 1:
+        titles += " along " + readings["direction"]
     readings = readings.assign(panels=titles)
     panels = readings.groupby("panels", sort=False)
     media = {str(name): list(dict.fromkeys(some["run"])) for name, some in panels}

@@ -54,7 +54,7 @@ KIND = StudyKind("tracks", TrackStudyRecord, __name__)
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading. The
-    # direction, y or z, is stated where runs were tracked in both.
+    # direction is y, or z of runs that were tracked in both.
     "readings": (
         *("fit", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
         *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
@@ -148,13 +148,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
             added = "yz" if job is one else "z"  # what was fitted is predicted as it was fitted
             for frame, more in found.items():
                 rows[frame] += [row for row in more if str(row["direction"]) in added]
-    directions = {row["direction"] for row in rows["runs"]}
-    frames = {
-        key: pd.DataFrame(
-            each, columns=[name for name in FRAMES[key] if name != "direction" or "z" in directions]
-        )
-        for key, each in rows.items()
-    }
+    frames = {key: pd.DataFrame(each, columns=FRAMES[key]) for key, each in rows.items()}
     faults = tuple(
         RunFault(find_fault_kind(one), f"{fit}: {why}") for fit, one in draws.items() for why in one.faults
     )
@@ -325,8 +319,7 @@ def _score_run(track: TipTrack, placed: int, predicted: Floats, certified: bool)
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
     """Compare every method with the fitted model on the same predicted runs: the frame "methods"."""
     rows = []
-    keys = [key for key in ("medium", "direction") if key in runs]
-    for place, group in runs.groupby(keys, sort=False):
+    for place, group in runs.groupby(["medium", "direction"], sort=False):
         wide = group.pivot_table(index="run", columns="method", values="rms_mm", sort=False)
         for method in wide:
             gap = (wide[method] - wide["fitted"]).to_numpy(dtype=np.float64)
@@ -336,8 +329,7 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
             difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
             known = (math.nan,) * len(difference) if method == "fitted" else difference
             rows.append((*place, method, n, wide[method].mean(), *known))
-    columns = [name for name in FRAMES["methods"] if name != "direction" or name in keys]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=FRAMES["methods"])
 
 
 # ---- the report
@@ -385,7 +377,8 @@ def tabulate(results: Run) -> list[Table]:
     """Return the errors of every method on the same runs."""
     named = {"fitted": MEDIAN_METHOD}  # the model predicts by all its draws
     rows = to_records(results.frames["methods"].replace({"method": named}))
-    keys = [key for key in ("medium", "direction") if key in results.frames["methods"]]
+    in_space = results.frames["methods"]["direction"].nunique() > 1
+    keys = ["medium", "direction"] if in_space else ["medium"]
     columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
     return [Table("scores", rows, columns, groups=tuple(keys), heads=1 + len(keys), strong="groups")]
 
