@@ -10,7 +10,7 @@ Student's, of the scatter over folds and the Monte Carlo errors of the evidences
 phantom 2. "stereo": measured shapes in gel (data/README.md). "control": needles of Ogden's law in thin gel
 whose base moves, where the stretch is large: no difference elsewhere means something if one is found there.
 
-What came out with --quick (docs/studies.md): in the control both other laws are significantly behind.
+What came out with --data control: docs/studies.md.
 """
 
 import argparse

@@ -149,7 +149,8 @@ def test_parameter_sets_are_outside_where_any_of_their_needles_is():
     thetas = [problem.parameters.theta({**TRUTH, "bevel_mm": b}) for b in (0.02, 0.08, 0.5, 0.9)]
     found = find_outside_validity(problem, thetas)
     for theta, beyond in zip(thetas, found, strict=True):
-        shapes = problem.shapes(theta)
+        values, needle = problem.values(theta), problem.dataset.needle
+        shapes = [predict(values, problem.medium, needle, one) for one in problem.insertions]
         assert beyond == any(shape.converged and not shape.valid for shape in shapes)
     assert not found[0] and found[-1]
     assert find_outside_validity(problem, []).shape == (0,)

@@ -4,10 +4,8 @@ Pose known: both curves lie in C and are sampled at equal fractions of their own
 
 Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the tip,
 over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on the measured
-ones by the rigid motion that fits them best, so the errors are those `aligned`. Both are shown in the axes of
-the measured entry side: x along the least-squares line through the first fifth of the scored points, from the
-first of them. Errors do not depend on that choice; the deflection, by which EDP divides, does: it is the
-tip's distance from the continuation of that line.
+ones by the rigid motion that fits them best. Both are shown in the axes of the measured entry side: x along
+the least-squares line through the first fifth of the scored points, from which deflections are measured.
 
 Tip tracks (known up to a shift and a slope of the tracker's frame): one insertion is simulated with the guide
 moved as recorded. The readings are compared with its tips at their depths, after the shift and slope that fit

@@ -3,7 +3,6 @@
 nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
 that are not finite. So nothing that it returns is used: every evaluation goes through an
 `EvaluationRecorder`, which keeps the best point, counts, and ends the search; nlopt only gets finite numbers.
-It works in the unit cube, where one step size and one tolerance suit all parameters.
 
 A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. Where the
 objective is a sum of squares the exact Jacobian J distinguishes them: the best step s within the bounds of
@@ -421,20 +420,6 @@ def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
     return chosen
 
 
-def continue_start(end: Start, continued: Start) -> Start:
-    """Return the whole search of a start: its approach `end`, then that of its group's leader."""
-    alone = continued.index == end.index
-    return replace(
-        continued,
-        index=end.index,
-        theta0=end.theta0,
-        evaluations=end.evaluations + (continued.evaluations if alone else 0),
-        gradients=end.gradients + (continued.gradients if alone else 0),
-        failures=end.failures + (continued.failures if alone else 0),
-        joined=None if alone else continued.index,
-    )
-
-
 @one_thread
 def minimize(
     problem: Problem, recipe: RecipeRecord, rng: np.random.Generator, callbacks: Callbacks | None = None
@@ -542,7 +527,14 @@ def _search_by_approach(
             ended = chosen or found.stopped == INTERRUPTED
             continued = found if ended else replace(found, stopped=BEHIND)
             for index in (k for k in leader if leader[k] == continued.index and k not in done):
-                _add_start(continue_start(ends[index], continued), done, callbacks)
+                counts = {
+                    name: getattr(ends[index], name) for name in ("evaluations", "gradients", "failures")
+                }
+                if index == continued.index:
+                    counts = {name: count + getattr(continued, name) for name, count in counts.items()}
+                joined = None if index == continued.index else continued.index
+                about = {"index": index, "theta0": ends[index].theta0, "joined": joined, **counts}
+                _add_start(replace(continued, **about), done, callbacks)
 
 
 def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:

@@ -259,14 +259,9 @@ def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = (
             j = names.index(alpha_of(name))
             correlations[j, k] = correlations[k, j] = one.correlation
     peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
-    return add_ties(make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds)), ties)
-
-
-def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
-    """Return a Gaussian prior with `mean` (Q,) and `covariance` (Q, Q) in theta's coordinates of `names`."""
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    whitening = np.linalg.inv(np.linalg.cholesky(correlations * np.outer(sds, sds)))
     rows = tuple(tuple(row) for row in whitening.tolist())
-    return Prior(tuple(names), rows, tuple((whitening @ mean).tolist()))
+    return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist())), ties)
 
 
 def alpha_of(mu: str) -> str:

@@ -9,8 +9,7 @@ this mixture have closed forms: with weights 1 / B, means m_b and one deviation 
 
 (E. P. Grimit, T. Gneiting, V. J. Berrocal, N. A. Johnson, Q. J. R. Meteorol. Soc. 132 (2006) 2925, eq. 5).
 
-Proportions have Wilson's interval of as many trials as there are groups of repeats, as if the repeats of a
-group always agreed: rather too wide where they do not.
+Proportions have Wilson's interval of as many trials as there are groups of repeats.
 """
 
 import math

@@ -62,7 +62,6 @@ from needlefit.inference.parameters import (
 )
 from needlefit.inference.side_by_side import evaluate
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
@@ -403,15 +402,13 @@ class Problem:
         sets = map(self.values, thetas.reshape(-1, len(self.names)))
         return np.array([[one[name] for name in self.names] for one in sets]).reshape(thetas.shape)
 
-    def shapes(self, theta: Theta) -> tuple[NeedleShape, ...]:
-        """Return the simulated needle of each insertion."""
-        values = self.values(theta)
-        return tuple(predict(values, self.medium, self.dataset.needle, i) for i in self.insertions)
-
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 3) compared in each insertion, mm."""
-        trios = zip(self.insertions, self.compared_points, self.shapes(theta), strict=True)
-        return tuple(align_points(goal, SimulatedCurve(shape, one)) for one, goal, shape in trios)
+        values, found = self.values(theta), []
+        for one, goal in zip(self.insertions, self.compared_points, strict=True):
+            shape = predict(values, self.medium, self.dataset.needle, one)
+            found.append(align_points(goal, SimulatedCurve(shape, one)))
+        return tuple(found)
 
     def objective(self, theta: Theta) -> float:
         """Return the mean of `metric_misfit` over insertions, mm; infinite if any solve fails."""

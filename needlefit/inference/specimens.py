@@ -14,9 +14,7 @@ Stage one draws from the posterior of every specimen by itself. Stage two has th
 in which each draw stands for a Gaussian, shrunk toward the specimen's mean so that mean and covariance of
 all stay what they are (J. Liu, M. West, in: Sequential Monte Carlo Methods in Practice, Springer 2001, 197):
 draws alone fail where T is narrower than the distance between them. What the medium states of a parameter is
-a prior of m: draws are chosen by its inverse, so that it counts once. One specimen does not determine T:
-then T is drawn from its prior, and as m = theta_1 + N( 0, T ), a new specimen lies about theta_1 with
-covariance 2 T.
+a prior of m: draws are chosen by its inverse, so that it counts once.
 """
 
 import math

@@ -8,10 +8,9 @@ have the errors of the likelihood, of which the fitted runs determine what all r
 with columns x_j by slope and by the response to the guide. Conditioned on the first readings of a run this is
 Gaussian again; what the run does further on enters nowhere.
 
-Baselines are curves without tissue or guide, fitted to the same runs: a straight line has nothing but each
-run's shift and slope, a parabola one curvature for all runs. The slope of a further run has the mean of those
-of k fitted runs and the variance s^2 (1 + 1/k) f / (f - 2) of Student's t; s^2 is their scatter, of f degrees
-of freedom, k - 1 where all runs are taken. Their predictions are the mean given the first readings.
+Baselines are curves without tissue or guide, fitted to the same runs. The slope of a further run has the mean
+of those of k fitted runs and the variance s^2 (1 + 1/k) f / (f - 2) of Student's t; s^2 is their scatter, of
+f degrees of freedom. Their predictions are the mean given the first readings.
 """
 
 from collections.abc import Sequence

@@ -61,10 +61,16 @@ def principal_directions(
         # not change
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
         prior_sd = math.inf if before is None else math.sqrt(vector @ before @ vector)
-        scaled_sd, logarithm = _scale_sd(sd, vector, names)
-        known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
-        precision_words = describe_precision(scaled_sd, logarithm)
-        words = f"{describe_combination(vector, names)} {known} {precision_words}"
+        size = np.abs(vector) / np.max(np.abs(vector))
+        kept = (name for name, weight in zip(names, size, strict=True) if weight >= MIN_RELATIVE_WEIGHT)
+        # of the combination whose largest weight is 1, and whether that is a logarithm
+        scaled_sd, logarithm = sd / float(np.max(np.abs(vector))), all(map(is_logarithmic, kept))
+        free = scaled_sd >= NEARLY_FREE_SD
+        known = f"to {format_sd(scaled_sd, logarithm)}"
+        if logarithm and free:
+            known = f"within a factor of {_print_factor(scaled_sd)} only"
+        nearly = "is nearly free: known" if free else "is known"
+        words = f"{describe_combination(vector, names)} {nearly} {known}"
         one = Direction(sd, tuple(vector.tolist()), words, prior_sd)
         found.append(one if one.is_informed else replace(one, words=f"{words}{KNOWN_BY_PRIOR}"))
     return tuple(found)
@@ -101,20 +107,6 @@ def format_sd(sd: float, logarithm: bool) -> str:
     if not logarithm:
         return f"{sd:.2g}"
     return f"{100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"factor {_print_factor(sd)}"
-
-
-def describe_precision(sd: float, logarithm: bool) -> str:
-    """Return in words how well a quantity is known, given the deviation of its value or logarithm."""
-    if logarithm and sd >= NEARLY_FREE_SD:
-        return f"within a factor of {_print_factor(sd)} only"
-    return f"to {format_sd(sd, logarithm)}"
-
-
-def _scale_sd(sd: float, weights: Floats, names: Sequence[str]) -> tuple[float, bool]:
-    """Return the deviation of a combination whose largest weight is 1, and whether it is of a logarithm."""
-    scaled = np.abs(weights) / np.max(np.abs(weights))
-    kept = (name for name, weight in zip(names, scaled, strict=True) if weight >= MIN_RELATIVE_WEIGHT)
-    return sd / float(np.max(np.abs(weights))), all(map(is_logarithmic, kept))
 
 
 def _print_factor(sd: float) -> str:

@@ -5,9 +5,8 @@ starts from an extrapolation of the one before. Its derivative is exact (the oth
 the held parameter moves it): it sets the steps, and between points the curve is the cubic through values and
 derivatives.
 
-Minima of a sum of squares are found by Gauss-Newton steps, within bounds, with one parameter held if wanted.
-Each step is a small linear least-squares problem with bounds (the box, and a radius about the last point), so
-parameters may come to rest at their bounds.
+Minima of a sum of squares are found by Gauss-Newton steps within bounds (the box, and a radius about the last
+point), with one parameter held if wanted.
 """
 
 import math

@@ -1,8 +1,6 @@
 """The conditions under which one insertion is simulated: as measured, and with each uncertain one moved.
 
-Uncertain are the depths of boundaries, the entry, and the bevel of this insertion. A boundary's error has a
-part of its own and one that its surface gives to every insertion of the specimen; an error of the entry moves
-the tip and all boundaries alike. The effects of two errors add up almost exactly, so that
+Uncertain are depths and the bevel (docs/inference.md, sections 4 and 6). Effects of two errors add up, so that
 
     r(t) = r(0) + sum_j ( r(t_j along axis j) - r(0) ),      t in standard deviations, d of them
 

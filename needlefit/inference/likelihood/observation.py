@@ -1,17 +1,11 @@
 """Turn an insertion into an observation: measured points, and the whitening that makes residuals independent.
 
 Residuals are differences of deflection between the simulated and the measured curve at the same beam
-coordinates. Points are the measured ones (thinned, never interpolated), so that no error is counted twice.
-A reconstruction that draws a smoothing spline rounds every rapid change of curvature, as a layer's boundary
-makes it, alike in all insertions. What it does is known, and is done to the simulation, too: residuals are
-then differences of spline coefficients, with the spline's own covariance.
-
-A known pose enters the covariance with its prior; a free one is projected off, as the limit of a prior that
-is flat. A tip track is the same: its points are the tips at some depths, and a shift and a slope of the
-tracker's frame are projected off. Equations: docs/inference.md, sections 1 to 3 and "Tip tracks".
-
-In space the residuals along y stand before those along z. Both have the same errors; the pose adds a shift
-and a turn out of the plane, and the bevel's roll turns the whole needle about the entry axis.
+coordinates, or, where a reconstruction drew a smoothing spline, of spline coefficients. In space those along
+y stand before those along z. A known pose enters the covariance with its prior; a free one is projected off,
+as the limit of a prior that is flat. A tip track is the same: its points are the tips at some depths, and a
+shift and a slope of the tracker's frame are projected off. Equations: docs/inference.md, sections 1 to 3 and
+"Tip tracks".
 """
 
 import math

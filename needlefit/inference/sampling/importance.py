@@ -21,7 +21,7 @@ data is the ratio of two evidences: the mean of their likelihood over draws woul
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -450,13 +450,8 @@ def find_modes(fit: Fit, width: Floats) -> Floats:
     """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) of the bounds."""
     starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
     plausible = [start for start in starts if start.objective <= fit.objective + MAX_LOG_DENSITY_GAP]
-    return select_distinct((np.array(start.theta) for start in plausible), width)
-
-
-def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
-    """Return the points (P,) that differ from all before them: (M, P)."""
     found: list[Floats] = []
-    for end in ends:
+    for end in (np.array(start.theta) for start in plausible):
         if all(np.max(np.abs(end - other) / width) > MIN_MODE_DISTANCE for other in found):
             found.append(end)
     return np.array(found)
