@@ -125,11 +125,12 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
         if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
             shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
+        names, fits = (join_names(one, MAX_NAMED_INSERTIONS) for one in ([*tips], shown))
         what = (
-            f"{join_names([*tips], MAX_NAMED_INSERTIONS)} leave the planes of their bevels, by up to "
-            f"{worst:.1f} mm at the tip, more than {SIGNIFICANT_SD:g} standard deviations of points and pose"
+            f"tips are out of the planes of their bevels, by up to {worst:.1f} mm, more than "
+            f"{SIGNIFICANT_SD:g} standard deviations of points and pose: {names}"
         )
-        fix = f"check the bevel direction and the frame; what fits: {join_names(shown, MAX_NAMED_INSERTIONS)}"
+        fix = f"check the bevel direction and the frame; the direction {fits} fits"
         fix += "; state turns of the bevel by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, places[0], fix)
         return
