@@ -125,10 +125,10 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
         if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
             shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
-        names, fits = (join_names(one, MAX_NAMED_INSERTIONS) for one in ([*tips], shown))
+        out, fits = (join_names(one, MAX_NAMED_INSERTIONS) for one in ([*tips], shown))
         what = (
             f"tips are out of the planes of their bevels, by up to {worst:.1f} mm, more than "
-            f"{SIGNIFICANT_SD:g} standard deviations of points and pose: {names}"
+            f"{SIGNIFICANT_SD:g} standard deviations of points and pose: {out}"
         )
         fix = f"check the bevel direction and the frame; the direction {fits} fits"
         fix += "; state turns of the bevel by `insertions.turns`"
