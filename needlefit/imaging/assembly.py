@@ -73,10 +73,32 @@ def assemble_dataset(
                 fix: rename the medium, or the file of the surface
                 where: medium {name}""")
         surfaces |= files
+    rows = [
+        InsertionRow(
+            id=one.scan.id,
+            medium=one.scan.medium,
+            specimen=one.scan.specimen,
+            layers=len(one.layers.sequence) if one.scan.layers is None else one.scan.layers,
+            layers_alternative=one.scan.layers_alternative,
+            depth=one.depth,
+            side=one.scan.side,
+            entry=one.pose.origin,
+            direction=one.pose.direction,
+            bevel={"stated": one.scan.bevel, "bevel": one.frame.rotation[:, 1], "shape": None}[one.plane],
+            pose_source=one.pose.source,
+            pose_shift_sd=one.pose.shift_sd,
+            pose_angle_sd=one.pose.angle_sd,
+            boundary_sd=float(np.sqrt(np.mean(one.layers.sd**2))) if len(one.layers.sd) else 0.0,
+            depth_sd=one.depth_sd,
+            guide_distance=one.scan.guide_distance or None,
+            patient=one.patient,
+        )
+        for one in reconstructions
+    ]
     return write_dataset(
         folder,
         _dataset_record(reconstructions, recipe, description, records),
-        [_insertion_row(one) for one in reconstructions],
+        rows,
         {one.scan.id: np.column_stack([one.points, one.sd]) for one in reconstructions},
         surfaces,
         sections={one.scan.id: one.sections for one in reconstructions if one.sections is not None},
@@ -129,30 +151,6 @@ def _dataset_record(
         # centrelines are splines through stored cross-sections, if all of them are
         measurement=MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN) if drawn else None,
         media=media,
-    )
-
-
-def _insertion_row(one: Reconstruction) -> InsertionRow:
-    scan, met = one.scan, len(one.layers.sequence)
-    sd = one.layers.sd
-    return InsertionRow(
-        id=scan.id,
-        medium=scan.medium,
-        specimen=scan.specimen,
-        layers=met if scan.layers is None else scan.layers,
-        layers_alternative=scan.layers_alternative,
-        depth=one.depth,
-        side=scan.side,
-        entry=one.pose.origin,
-        direction=one.pose.direction,
-        bevel={"stated": scan.bevel, "bevel": one.frame.rotation[:, 1], "shape": None}[one.plane],
-        pose_source=one.pose.source,
-        pose_shift_sd=one.pose.shift_sd,
-        pose_angle_sd=one.pose.angle_sd,
-        boundary_sd=float(np.sqrt(np.mean(sd**2))) if len(sd) else 0.0,
-        depth_sd=one.depth_sd,
-        guide_distance=scan.guide_distance or None,
-        patient=one.patient,
     )
 
 

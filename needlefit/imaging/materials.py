@@ -197,7 +197,16 @@ def _fit_edge(
     All edges within reach are fitted together.
     """
     guess = runs[target].begin
-    near, low, high = _choose_window(runs, guess)
+    # no edge stands at the rim of the window: it is fitted, too, or its blur is left out; metal ends it
+    reach = EDGE_REACH_MM + EDGE_MARGIN_MM
+    metal = [run for run in runs if run.kind == "metal"]
+    start = max([guess - reach, *(run.end for run in metal if run.end <= guess)])
+    stop = min([guess + reach, *(run.begin for run in metal if run.begin >= guess)])
+    near = [n for n in range(1, len(runs)) if start < runs[n].begin < stop]
+    low = max([start, *(run.begin + EDGE_MARGIN_MM for run in runs[1:] if run.begin <= start)])
+    high = min([stop, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= stop)])
+    low = max(start, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
+    high = min(stop, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
     s, values = _known_stations(profile)
     inside = (s >= low) & (s <= high)
     s, values = s[inside], values[inside]
@@ -241,19 +250,3 @@ def _fit_edge(
     scatter = min(np.sqrt(variance), between)
     deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
     return float(best.x[this]), float(deviation)
-
-
-def _choose_window(runs: tuple[MaterialRun, ...], guess: float) -> tuple[list[int], float, float]:
-    """Return the runs that begin near `guess`, and from where to where their edges are fitted, mm.
-
-    No edge stands at the rim of the window: it is fitted, too, or its blur is left out. Metal ends it.
-    """
-    reach = EDGE_REACH_MM + EDGE_MARGIN_MM
-    metal = [run for run in runs if run.kind == "metal"]
-    first = max([guess - reach, *(run.end for run in metal if run.end <= guess)])
-    last = min([guess + reach, *(run.begin for run in metal if run.begin >= guess)])
-    near = [n for n in range(1, len(runs)) if first < runs[n].begin < last]
-    low = max([first, *(run.begin + EDGE_MARGIN_MM for run in runs[1:] if run.begin <= first)])
-    high = min([last, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= last)])
-    low = max(first, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
-    return near, low, min(last, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))

@@ -65,7 +65,18 @@ def read_structures(arrays: Arrays, path: str, names: Sequence[str] = ()) -> dic
                 expected: closed planar contours
                 fix: leave it out, or export it again as closed contours""")
     points = [list(map(_parse_points, contours)) for _, contours in regions]
-    normal = _find_normal([one for contours in points for one in contours])
+    # the unit normal of the largest contour, to which all others are flat and parallel
+    every = [one for contours in points for one in contours]
+    areas = [np.cross(one - one[0], np.roll(one, -1, axis=0) - one[0]).sum(axis=0) / 2 for one in every]
+    largest = max(areas, key=lambda area: float(np.linalg.norm(area)))
+    normal: Floats = largest / (np.linalg.norm(largest) or 1.0)
+    main = int(np.argmax(np.abs(normal)))
+    normal = normal if normal[main] > 0 else -normal
+    if normal[main] > AXIS_COSINE:
+        normal = np.eye(3)[main]
+    thickness = max(float(np.ptp(one @ normal)) for one in every)
+    if not normal.any() or thickness > 2 * PLANE_TOLERANCE_MM:
+        raise _contour_error("has contours that are not flat, or not parallel to each other")
     first = np.array([1.0, 0.0, 0.0]) if normal[2] == 1.0 else make_normal(normal)
     axes = np.column_stack([first, np.cross(normal, first), normal])
     turned = [[one @ axes for one in contours] for contours in points]
@@ -112,21 +123,6 @@ def _parse_points(contour: pydicom.Dataset) -> Floats:
     if len(points) < 3 or not np.isfinite(points).all() or np.abs(points).max() > 1e5:
         raise _contour_error("has a contour with fewer than three points, or one that is not finite")
     return points
-
-
-def _find_normal(contours: Sequence[Floats]) -> Floats:
-    """Return the unit normal of the contour that is largest; see that all others are flat and parallel."""
-    areas = [np.cross(one - one[0], np.roll(one, -1, axis=0) - one[0]).sum(axis=0) / 2 for one in contours]
-    largest = max(areas, key=lambda area: float(np.linalg.norm(area)))
-    normal: Floats = largest / (np.linalg.norm(largest) or 1.0)
-    main = int(np.argmax(np.abs(normal)))
-    normal = normal if normal[main] > 0 else -normal
-    if normal[main] > AXIS_COSINE:
-        normal = np.eye(3)[main]
-    thickness = max(float(np.ptp(one @ normal)) for one in contours)
-    if not normal.any() or thickness > 2 * PLANE_TOLERANCE_MM:
-        raise _contour_error("has contours that are not flat, or not parallel to each other")
-    return normal
 
 
 def _make_grid(turned: Sequence[Sequence[Floats]], axes: Floats) -> VoxelGrid:

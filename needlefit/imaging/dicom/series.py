@@ -29,7 +29,6 @@ from needlefit.imaging.dicom.stack import (
 )
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import (
-    VoxelGrid,
     begins_as_dicom,
     grid_to_json,
     is_dicomdir,
@@ -152,7 +151,34 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     if len(kept) < len(found):
         left = len(found) - len(kept)
         notes.append(f"{left} localizer(s) in the series were left out: they are no slices")
-    slices, grid = _stack_acquisition(_drop_copies(kept, notes), acquisition)
+    slices = _drop_copies(kept, notes)
+    parts: dict[str, list[DicomSlice]] = {}
+    for item in slices:
+        parts.setdefault(item.acquisition, []).append(item)
+    listed = ", ".join(f"number {name or '(none)'} of {len(one)} slices" for name, one in parts.items())
+    where = slices[0].file.parent
+    if acquisition is not None:
+        if (chosen := parts.get(acquisition.strip())) is None:
+            raise refusal(f"""no acquisition of the series has the number {acquisition}; it holds {listed}
+                expected: the number of one of them
+                fix: give one of the numbers listed
+                where: {where}""")
+        slices = chosen
+    try:
+        slices, grid = stack_slices(slices)
+    except DataError as error:
+        sound = []
+        for name, one in parts.items():
+            with suppress(DataError):
+                stack_slices(one)
+                sound += [name] if name else []
+        if acquisition is not None or len(parts) == 1 or not sound:
+            raise
+        raise refusal(f"""its slices are no single stack, but those of {len(parts)} acquisitions: {listed}
+            expected: one acquisition
+            fix: name the one that is meant with --acquisition, or under `acquisition` in a table of scans:
+                {" or ".join(sound)}
+            where: {where}""") from error
     notes += describe_headers(slices, grid)
     allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
     allow_memory(4 * math.prod(grid.size))
@@ -212,42 +238,6 @@ def _drop_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]
     if len(kept) < len(slices):
         notes.append(f"{len(slices) - len(kept)} slice(s) with the place and voxels of another were left out")
     return kept
-
-
-def _stack_acquisition(
-    slices: list[DicomSlice], acquisition: str | None
-) -> tuple[list[DicomSlice], VoxelGrid]:
-    """Return the stack of the acquisition of a number, or of all slices where they are one stack.
-
-    DataError if the slices are no stack; of several acquisitions those are named that are one by themselves.
-    """
-    parts: dict[str, list[DicomSlice]] = {}
-    for item in slices:
-        parts.setdefault(item.acquisition, []).append(item)
-    listed = ", ".join(f"number {name or '(none)'} of {len(one)} slices" for name, one in parts.items())
-    where = slices[0].file.parent
-    if acquisition is not None:
-        if (chosen := parts.get(acquisition.strip())) is None:
-            raise refusal(f"""no acquisition of the series has the number {acquisition}; it holds {listed}
-                expected: the number of one of them
-                fix: give one of the numbers listed
-                where: {where}""")
-        return stack_slices(chosen)
-    try:
-        return stack_slices(slices)
-    except DataError as error:
-        sound = []
-        for name, one in parts.items():
-            with suppress(DataError):
-                stack_slices(one)
-                sound += [name] if name else []
-        if len(parts) == 1 or not sound:
-            raise
-        raise refusal(f"""its slices are no single stack, but those of {len(parts)} acquisitions: {listed}
-            expected: one acquisition
-            fix: name the one that is meant with --acquisition, or under `acquisition` in a table of scans:
-                {" or ".join(sound)}
-            where: {where}""") from error
 
 
 def _read_frames(frames: Sequence[DicomSlice]) -> Iterator[NDArray[np.float64]]:
