@@ -5,11 +5,9 @@ another, so that no gap opens between neighbours, and, listed in order, the last
 point's layer.
 
 The voxels are averaged in cells of `CELL_MM`, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
-average is turned into a distance along which marching cubes may interpolate: beside a plane the average is
-the normal distribution function of the distance, so that its inverse is that distance, up to a factor. A
-plane stays where it was whatever its tilt. A boundary with radii R1, R2 moves toward its hollow side by
-s^2 / 2 (1 / R1 + 1 / R2), s about 0.7 mm: 0.03 mm at a cylinder of radius 10 mm. Sharp corners are rounded: a
-right-angled edge loses about 0.5 mm along its bisector, the corner of a box about 1 mm.
+average is turned into a distance along which marching cubes may interpolate: beside a plane it is the normal
+distribution function of the distance. A plane stays where it was; a cylinder of radius 10 mm shrinks by
+0.03 mm, a right-angled edge loses about 0.5 mm along its bisector, the corner of a box about 1 mm.
 """
 
 from collections.abc import Sequence

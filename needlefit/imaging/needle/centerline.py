@@ -125,7 +125,14 @@ def trace_needle(
     axis, heel, dark, wide = rough, bevel_length(recipe.needle) + BEVEL_MARGIN_MM, 0.0, 0.0
     if tip is None:
         axis = refine_axis(volume, orient_axis(volume, axis, recipe), recipe, heel)
-        end = _find_tip(volume, axis, recipe, axis.length + heel, spread)
+        # a rough tip near the axis' end, or near where a threshold sees the needle end
+        guess = axis.length + heel
+        ends = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
+        while len(ends) < MAX_TIPS and MAX_DISAGREEMENT_MM < abs(ends[-1].disagreement) < np.inf:
+            at, away = ends[-1].at, ends[-1].disagreement
+            guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
+            ends.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
+        end = min(ends, key=lambda one: abs(one.disagreement))
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = _place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
@@ -149,10 +156,10 @@ def trace_needle(
                 expected: a point on the needle, LPS, mm
                 fix: place it on the needle, or place points along the needle; RAS turns the signs of x, y
                 where: tip of the corrections""")
-        at = np.array([place])
-        sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, at)[0])])
-        point, unknown = axis_frames(axis, at).origins[0], np.full(3, np.nan)
-        end = TipFit(float(at[0]), point, sd, unknown, float("nan"), 0.0, "hand")
+        here = np.array([place])
+        sd = np.array([recipe.centerline.placed_tip_sd_mm, float(axis_sd(axis, here)[0])])
+        point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
+        end = TipFit(place, point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
     alone = axis.normal_sd is None
     notes = _list_warnings(volume, axis, end, recipe, (dark, wide)) if alone else ()
@@ -216,18 +223,6 @@ def _list_warnings(
             f"beside the tip it is {'brighter' if bright else 'darker'} than beside the shaft: "
             f"{'a marker or other metal' if bright else 'air'} there moves the tip; look at it"
         )
-
-
-def _find_tip(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, guess: float, spread: PointSpread | None
-) -> TipFit:
-    """Return a rough tip near `guess` (mm along the axis), or near where a threshold sees the needle end."""
-    found = [fit_tip(volume, axis, recipe.needle, guess, spread, rough=True)]
-    while len(found) < MAX_TIPS and MAX_DISAGREEMENT_MM < abs(found[-1].disagreement) < np.inf:
-        at, away = found[-1].at, found[-1].disagreement
-        guess = (max(guess, at) if away > 0 else at) + away  # a threshold sees 4 mm ahead only
-        found.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
-    return min(found, key=lambda one: abs(one.disagreement))
 
 
 def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
