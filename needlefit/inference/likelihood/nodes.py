@@ -1,7 +1,6 @@
 """The conditions under which one insertion is simulated: as measured, and with each uncertain one moved.
 
-Uncertain are depths and the bevel (docs/inference.md, sections 4 and 6). Effects of two errors add up, so
-that
+Uncertain are depths and the bevel (docs/inference.md, sections 4 and 6). Effects of two errors add up:
 
     r(t) = r(0) + sum_j ( r(t_j along axis j) - r(0) ),      t in standard deviations, d of them
 
