@@ -98,32 +98,6 @@ def write_markups(path: Path, name, points, kind="Curve", system="LPS"):
     path.write_text(json.dumps({"@schema": schema, "markups": [markups(name, points, kind, system)]}))
 
 
-def vtk_sheet(x, size=60.0, system="LPS"):
-    """A square across x as a legacy VTK file, text."""
-    corners = np.array([[x, -size, -size], [x, size, -size], [x, size, size], [x, -size, size]])
-    if system == "RAS":
-        corners = corners * [-1, -1, 1]
-    points = " ".join(f"{value:g}" for value in corners.ravel())
-    return (
-        f"# vtk DataFile Version 4.2\n3D Slicer output. SPACE={system}\nASCII\nDATASET POLYDATA\n"
-        f"POINTS 4 float\n{points}\nPOLYGONS 2 8\n3 0 1 2\n3 0 2 3\n"
-    ).encode()
-
-
-def vtk_binary_sheet(x, size=60.0):
-    """The same, binary, version 5.1, RAS."""
-    corners = np.array([[x, -size, -size], [x, size, -size], [x, size, size], [x, -size, size]]) * [-1, -1, 1]
-    return b"".join(
-        (
-            b"# vtk DataFile Version 5.1\n3D Slicer output. SPACE=RAS\nBINARY\nDATASET POLYDATA\n",
-            b"POINTS 4 float\n",
-            corners.astype(">f4").tobytes(),
-            b"\nPOLYGONS 3 6\nOFFSETS vtktypeint64\n" + np.array([0, 3, 6], ">i8").tobytes(),
-            b"\nCONNECTIVITY vtktypeint64\n" + np.array([0, 1, 2, 0, 2, 3], ">i8").tobytes() + b"\n",
-        )
-    )
-
-
 def plan_import(paths, answers, columns=""):
     content = read_content(paths, columns)
     return content, Planner(content, answers).make_plan()

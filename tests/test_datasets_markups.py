@@ -12,9 +12,7 @@ from test_datasets import CURVE, SURFACES, record, row
 
 from needlefit.datasets.columns import SCAN_COLUMNS
 from needlefit.datasets.formats import find_format
-from needlefit.datasets.formats.fcsv import read_fcsv
-from needlefit.datasets.formats.mrk_json import CurveStyle, read_mrk_json, write_mrk_json
-from needlefit.datasets.markups import Markups, pick_list
+from needlefit.datasets.formats.markups import CurveStyle, Markups, pick_list, read_markups, write_mrk_json
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
@@ -43,12 +41,8 @@ def save(path, *lists, version=3, **changes):
     return path
 
 
-def read_lists(path):
-    return read_mrk_json(path) if path.suffix == ".json" else (read_fcsv(path),)
-
-
-def read_markups(path):
-    return pick_list(read_lists(path), path)
+def read_one(path):
+    return pick_list(read_markups(path), path)
 
 
 def read_curves(path):
@@ -64,20 +58,20 @@ def file(tmp_path):
     return tmp_path / "F.mrk.json"
 
 
-def refused(path, reader=read_markups):
+def refused(path, reader=read_one):
     error = refused_file(reader, path)
     return f"{error.where}: {error.what}"
 
 
 def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
     # Right becomes left, anterior posterior; up stays up.
-    for system, sign in [("LPS", 1), ("1", 1), ("RAS", -1), ("0", -1)]:
-        found = read_markups(save(file, markup(system=system)))
+    for system, sign in [("LPS", 1), ("RAS", -1)]:
+        found = read_one(save(file, markup(system=system)))
         assert found.points.tolist() == [[sign, 2 * sign, 3], [4 * sign, 5 * sign, 6]]
         assert (found.labels, found.name, found.kind) == (("F-1", "F-2"), "F", "Fiducial")
         assert found.system == ("LPS" if sign > 0 else "RAS")
     for units, factor in [("mm", 1), (None, 1), ("um", 1e-3), ("cm", 10), (["mm", "UCUM", "millimeter"], 1)]:
-        found = read_markups(save(file, markup(coordinateUnits=units)))
+        found = read_one(save(file, markup(coordinateUnits=units)))
         np.testing.assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
     points = [
         point(1, "", positionStatus="undefined"),
@@ -85,7 +79,7 @@ def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
         point(3, [7, 8, 9], positionStatus="defined", locked=True, visibility=False, selected=False),
         point(4, [0, 0, 0], positionStatus="missing"),
     ]
-    found = read_markups(save(file, markup(points=points)))
+    found = read_one(save(file, markup(points=points)))
     assert found.points.tolist() == [[7, 8, 9]]
     assert (found.labels, found.unset) == (("F-3",), ("F-1", "F-2", "F-4"))
 
@@ -94,7 +88,7 @@ def test_points_are_read_in_lps_and_millimetres_and_unset_ones_left_out(file):
 def test_every_kind_of_list_and_version_is_read(file, version):
     kinds = ("Fiducial", "Curve", "ClosedCurve", "Line", "Angle")
     lists = [markup(kind, name=kind.lower()) for kind in kinds]
-    found = read_lists(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=version))
+    found = read_markups(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=version))
     assert [(one.kind, one.name) for one in found] == [(kind, kind.lower()) for kind in kinds]
     assert "holds 5 lists" in refused(file) and "`angle`" in refused(file)
 
@@ -103,13 +97,12 @@ UNSET = [point(1, ""), point(2, "")]
 FAULTY = [  # what a file holds, and what is said of it
     *(('{"markups": [', "JSON"), ("[" * 100_000, "JSON"), ('{"nodes": []}', "has no `markups`")),
     *(([], "holds no list"), ([markup("Plane")], "Plane")),
-    *(([markup(system=None)], "list 1 `F`: "), ([markup(system=None)], "coordinate system")),
-    *(([markup(system="XYZ")], "'XYZ'"), ([markup(system="IJK")], "voxels")),
-    ([markup(coordinateUnits="inch")], "coordinateUnits is inch"),
+    *(([markup(system=system)], "list 1, key `coordinateSystem`") for system in (None, "IJK", 1)),
+    ([markup(coordinateUnits="inch")], "key `coordinateUnits`"),
     *(([markup(points=[])], "is empty"), ([markup(points=UNSET)], "2 points")),
-    ([markup(points=[point(1, [1, 2, 3], positionStatus="there")])], "positionStatus is 'there'"),
+    ([markup(points=[point(1, [1, 2, 3], positionStatus="there")])], "key `controlPoints.1.positionStatus`"),
     *(
-        ([markup(points=[(0, 0, 0), point(2, position)])], "list 1 `F`, point 2 (F-2): ")
+        ([markup(points=[(0, 0, 0), point(2, position)])], "list 1, key `controlPoints.2.position`")
         for position in ([1, float("nan"), 3], [1, 2, float("inf")], [1, 2], [1, 2, 3, 4], ["1", 2, 3],
                          [1, 2, True], "1 2 3", [1, 2, 10**400], {"x": 1}, 7)
     ),
@@ -132,23 +125,25 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
     tail = ",2,0" if version == "5.2" else ""
     rows = f'0,1,2.5,3,0,0,0,1,1,1,0,F-1,,{tail}\n\n1,4,5,6,0,0,0,1,0,0,1,"a, b",note,{tail}\n'
     path.write_text(HEADER.format(version, system) + COLUMNS + rows)
-    found = read_markups(path)
+    found = read_one(path)
     assert found.points.tolist() == [[sign * 1, sign * 2.5, 3], [sign * 4, sign * 5, 6]]
-    assert found.labels == ("F-1", "a, b")
-    assert found.lines.tolist() == [4, 6]
+    assert (found.labels, found.descriptions) == (("F-1", "a, b"), ("", "note"))
 
 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("# Markups fiducial file version = 4.11\n" + COLUMNS + BODY, "coordinate system"),
-        ("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n", "coordinate system"),
-        (HEADER.format("4.4", "2") + COLUMNS + BODY, "'2': voxels"),
-        (HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY, ":4: the position is"),
+        ("# Markups fiducial file version = 4.11\n" + COLUMNS + BODY, "key `coordinateSystem`"),
+        ("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n", "key `coordinateSystem`"),
+        (HEADER.format("4.4", "2") + COLUMNS + BODY, "key `coordinateSystem`"),
+        (
+            HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + BODY,
+            "key `controlPoints.1.position`",
+        ),
         *(
             (
                 HEADER.format("4.11", "LPS") + COLUMNS + BODY + BODY.replace("2", cell, 1),
-                ":5: the position is",
+                "key `controlPoints.2.position`",
             )
             for cell in ("nan", "", "1;2", "1e400")
         ),
@@ -159,7 +154,7 @@ def test_fcsv_of_every_version(tmp_path, version, system, sign):
 )
 def test_fcsv_faults(tmp_path, content, words):
     path = tmp_path / "F.fcsv"
-    refusal(DataError, "no such file", read_markups, path)
+    refusal(DataError, "no such file", read_one, path)
     path.write_bytes(content.encode(errors="surrogateescape"))
     assert words in refused(path)
 
@@ -172,7 +167,7 @@ def test_what_is_written_is_read_back(tmp_path, points, label):
     labels = (label, *["p"] * (len(points) - 1))
     lists = [Markups(path, name, "Curve", labels, array) for name in ("fit", "95 % band")]
     write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in lists])
-    first, second = read_lists(path)
+    first, second = read_markups(path)
     np.testing.assert_allclose(first.points, array, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(second.points, array)
     assert (first.labels, first.name, first.kind, first.system) == (labels, "fit", "Curve", "LPS")

@@ -7,7 +7,6 @@ from refusals import refusal
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.scans import (
-    SCANS_DOCUMENT,
     LayerSource,
     Scan,
     make_scans,
@@ -115,7 +114,6 @@ def test_faults_of_a_table_are_named_with_line_and_column(folder):
     assert all(f"`{name}`" in message for name in ("marker", "markers", "speciman", "specimen"))
     assert f"{folder / 'scans.csv'}:1" in message
     assert "`scan`" in refused(folder, "id,medium", "a,gel")
-    assert SCANS_DOCUMENT in refused(folder, "")
     message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
     path = folder / "scans.csv"
     assert message.startswith(f"{path}:3: ") and " id one," in message and f"{path}:2 " in message

@@ -25,8 +25,8 @@ from needlefit.datasets.importing.tables import (
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.read import check_all, read
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.surfaces import make_sheet, read_surface, write_surface
-from needlefit.project.toml import read_toml
+from needlefit.geometry.surfaces import make_sheet, write_surface
+from needlefit.project.locate import read_toml
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
@@ -387,21 +387,6 @@ def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version)
     assert {name: stated(one)["bevel side"] for name, one in found.items()} == SIDES
     forces = {f"variable needles_{n}_force" for n in (1, 2, 3)}
     assert {what for what, _ in content.unused} == {"field rate", "field layers", *forces}
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        import_cases.vtk_sheet(20.0),
-        import_cases.vtk_sheet(-20.0, system="RAS"),
-        import_cases.vtk_binary_sheet(-20.0),
-    ],
-)
-def test_vtk_surfaces(tmp_path, data):
-    (tmp_path / "a.vtk").write_bytes(data)
-    mesh = read_surface(tmp_path / "a.vtk", "sheet", 2).mesh
-    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
-    np.testing.assert_allclose(mesh.vertices[:, 0], 20.0)
 
 
 # ---- hostile files

@@ -8,13 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.fit import Start, keep_start, read_starts
@@ -24,10 +21,8 @@ from needlefit.project.checkpoint import (
     remove_checkpoint,
     require_own_checkpoint,
 )
-from needlefit.project.encode import decode, encode
 from needlefit.project.folders import (
     MANIFEST,
-    create_folder,
     find_changes,
     find_foreign,
     replace_file,
@@ -156,14 +151,6 @@ def test_arrays_are_read_back(tmp_path):
         checkpoint.keep_row("a", ROW, {"a": np.array([{}])})
 
 
-@pytest.mark.parametrize("stored", [1, None, "a", "MTIzNA==", "UEsDBA==", ["a"], {}])
-def test_what_is_no_array_is_no_row(tmp_path, stored):
-    lines: list[str] = []
-    checkpoint = open_checkpoint(tmp_path, False, {"n": 1}, lines.append)
-    checkpoint.keep_row("a", {ARRAYS_KEY: {"a": stored}})
-    assert checkpoint.rows("a") == [] and len(lines) == 1
-
-
 class Bomb:
     def __reduce__(self) -> tuple[object, ...]:
         return (Path.touch, (Path("was_run"),))
@@ -175,49 +162,6 @@ def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
     file = kept(tmp_path / "c")
     file.write_bytes(data)
     assert resumed(tmp_path / "c")[0] == [] and not (tmp_path / "was_run").exists()
-
-
-@dataclass(frozen=True)
-class Inner:
-    points: NDArray[np.float64]
-    kind: Literal["sheet", "solid"]
-
-
-@dataclass(frozen=True)
-class Outer:
-    name: str
-    parts: tuple[Inner, ...]
-    pair: tuple[int, float]
-    path: Path
-    maybe: Inner | None = None
-
-
-ONE = Outer("µ", (Inner(np.ones((2, 3)), "solid"),), (1, 0.5), Path("a/b"))
-
-
-def test_a_dataclass_round_trips():
-    arrays = {}
-    plain = json.loads(json.dumps(encode(dataclasses.replace(ONE, maybe=ONE.parts[0]), {}, arrays)))
-    again = decode(Outer, plain, {}, arrays)
-    assert (again.name, again.pair, again.path) == (ONE.name, ONE.pair, ONE.path)
-    np.testing.assert_array_equal(again.parts[0].points, np.ones((2, 3)))
-    assert again.maybe.kind == "solid"
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *({"name": 1}, {"name": None}, {"pair": [1]}, {"pair": ["1", 2]}, {"pair": 1}, {"path": 7}),
-        *({"parts": {}}, {"parts": [{"points": ".parts.0.points", "kind": "other"}]}),
-        *({"parts": [{"points": "none", "kind": "solid"}]}, {"parts": [{"points": ["x"], "kind": "solid"}]}),
-        *({"maybe": []}, {"more": 1}, {"pair": [True, 2.0]}),
-    ],
-)
-def test_values_of_undeclared_types_are_refused(change):
-    arrays = {}
-    plain = encode(ONE, {}, arrays)
-    with pytest.raises(ValueError):
-        decode(Outer, {**plain, **change}, {}, arrays)
 
 
 def write(folder, text="one"):
@@ -334,10 +278,13 @@ def test_what_cannot_be_put_in_place_leaves_the_result_before(tmp_path, monkeypa
 
 def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):
     (tmp_path / "empty").mkdir()
-    with create_folder(tmp_path / "empty") as fresh:
+    with replace_folder(tmp_path / "empty", is_result=False) as fresh:
         (fresh / "dataset.toml").write_text("")
     assert [path.name for path in (tmp_path / "empty").iterdir()] == ["dataset.toml"]
-    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "late") as fresh:
+    with (
+        pytest.raises(ConfigError, match="exists already"),
+        replace_folder(tmp_path / "late", is_result=False) as fresh,
+    ):
         (fresh / "dataset.toml").write_text("")
         (tmp_path / "late").mkdir()
         (tmp_path / "late" / "mine").write_text("mine")

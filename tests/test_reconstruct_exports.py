@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from test_cli import run
 
-from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.datasets.formats.markups import read_markups
 from needlefit.datasets.read import read
 from needlefit.imaging.volume_files import read_volume
 
@@ -61,6 +61,6 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     np.testing.assert_array_equal(again.values, scan.values)
     np.testing.assert_allclose(again.origin, scan.origin, atol=1e-9)
     (insertion,) = read(exported / "one").insertions
-    lists = [one for file in (tmp_path / "sample/Data").glob("*.mrk.json") for one in read_mrk_json(file)]
+    lists = [one for file in (tmp_path / "sample/Data").glob("*.mrk.json") for one in read_markups(file)]
     (curve,) = [one for one in lists if " inserted" in one.name]
     np.testing.assert_allclose(curve.points, insertion.patient.to_local(insertion.centerline), atol=1e-3)

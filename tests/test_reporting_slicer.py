@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_validation_run import made, project, study
 
-from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.datasets.formats.markups import read_markups
 from needlefit.datasets.read import read
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube
@@ -133,12 +133,12 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     names = sorted(path.name for path in out.iterdir())
     assert names == sorted(f"needle-{n}.{e}" for n in range(1, 5) for e in ("mrk.json", "needle.ply"))
     assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
-    measured, predicted, _, low, high = read_mrk_json(out / "needle-3.mrk.json")
+    measured, predicted, _, low, high = read_markups(out / "needle-3.mrk.json")
     assert [one.name for one in (measured, predicted)] == [
         "needle-3 measured (synthetic)", "needle-3 predicted (synthetic)"
     ]  # fmt: skip
     assert "95 % band, low" in low.name and "95 % band, high" in high.name
-    assert read_mrk_json(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
+    assert read_markups(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
     assert (measured.labels[0], measured.labels[-1]) == ("entry", "tip")
     for curve, there in ((measured, world["needle-3"].measured), (predicted, world["needle-3"].fitted)):
         np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,31 +57,6 @@ def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
     again = list(run_tasks(_pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})))
     assert second == ["c", "d"]
     assert json.dumps(again) == json.dumps(whole)
-
-
-class _BackwardPool:
-    """Finishes the last task first; stops after so many."""
-
-    remote = False
-
-    def __init__(self, count: int) -> None:
-        self._count = count
-
-    def run(self, work, items, stop):
-        for n in reversed(range(len(items))[-self._count :]):
-            yield n, work(items[n])
-
-
-@pytest.mark.parametrize(("count", "of"), [(4, "abcd"), (2, "cd")])
-def test_rows_come_in_the_order_of_tasks_that_finish_in_another(count, of):
-    parts = run_tasks(_pieces([]), "x", Settings(pool=_BackwardPool(count)), open_checkpoint(None, False, {}))
-    assert [part["errors"][0]["of"] for part in parts] == list(of)
-
-
-def test_a_task_row_keeps_no_value_that_json_would_change():
-    tasks = {"a": lambda: {"x": [{"at": Path()}]}}
-    with pytest.raises(TypeError, match="Path"):
-        list(run_tasks(tasks, "x", Settings(), open_checkpoint(None, False, {})))
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):

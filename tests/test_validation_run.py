@@ -175,11 +175,6 @@ def test_scored_simulations_are_counted_and_named():
     assert words.startswith("1 ")
 
 
-BASE = {"schema": 1, "layers": 1, "parameters": {}}
-
-
-__all__ = ["project"]  # a fixture
-
 WRONG = {**TRUTH, "bevel_mm": 0.25, "mu1_pa": 1e6}
 FLOOR = {"median_err_mm": 0.1, "ipe_mean_mm": 0.11, "ipe_max_mm": 0.3, "te_mm": 0.25}
 ONE_EVALUATION = "schema = 1\nstarts = 3\nevaluations = 1\n[likelihood]\nbevel_spread = 0.0\n"
@@ -251,38 +246,6 @@ def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged
         {}, straight(bend, side), curve_predictor(along_x)
     )
     assert row["edp_flagged"] is False
-
-
-@pytest.mark.parametrize("side", [1, -1])
-def test_a_row_by_hand(side: int) -> None:
-    """The measured needle leaves in a straight line, 6 mm aside in 10; the simulated one stays at y = 1.
-
-    IPE_j = |(2 f, 1 - 6 f)| at fractions f of the length (8 mm against 10 along x).
-    """
-    flat = curve_predictor(lambda scored: lambda s: np.column_stack([s, np.full_like(s, side * 1.0)]))
-    place = {"fold": "all", "role": "validate", "method": "fitted"}
-    (row,), points = scorer().score(place, straight(6.0, side), flat)
-    f = np.linspace(0, 1, 101)
-    ipe = np.hypot(2 * f, 1 - 6 * f)
-    assert row["te_mm"] == pytest.approx(math.sqrt(29))
-    assert row["edp_percent"] == pytest.approx(100 * math.sqrt(29) / 6)
-    assert row["ipe_mean_mm"] == pytest.approx(ipe.mean())
-    assert row["ipe_std_mm"] == pytest.approx(ipe.std())
-    assert row["ipe_max_mm"] == pytest.approx(math.sqrt(29))
-    assert row["median_err_mm"] == pytest.approx(np.median(ipe))
-    assert (row["deflection_mm"], row["predicted_deflection_mm"]) == (pytest.approx(6.0), 0.0)
-    assert (row["floor_te_mm"], row["floor_ipe_max_mm"], row["converged"]) == (0.25, 0.3, True)
-    assert (row["insertion"], row["boundaries"], row["depth_mm"], row["layers"]) == (
-        "at10",
-        "measured",
-        10,
-        1,
-    )
-    assert [p["j"] for p in points] == list(range(101))
-    assert points[-1]["measured_x_mm"] == pytest.approx(8.0)
-    assert points[-1]["simulated_x_mm"] == pytest.approx(10.0)
-    assert points[-1]["measured_y_mm"] == pytest.approx(6.0 * side)
-    assert points[-1]["simulated_y_mm"] == side
 
 
 def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:

@@ -22,8 +22,8 @@ from toml_reference import (
     list_files,
 )
 
-from needlefit.project.locate import shipped_folder
-from needlefit.project.toml import dumps, read_toml
+from needlefit.project.locate import read_toml, shipped_folder
+from needlefit.project.toml import dumps
 from needlefit.studies.kind import list_records
 
 PAGE = "reference/toml.md"

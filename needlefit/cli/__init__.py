@@ -48,7 +48,7 @@ def _run(invocation: Invocation) -> int:
     try:
         # an option of all commands, wherever it stands
         words = sorted(invocation.words, key=lambda word: word not in ("-v", "--verbose"))
-        app = build(next((word for word in words if not word.startswith("-")), ""))
+        app = build()
         # not standalone: it raises errors, and returns the code of an early exit
         code = app(args=words, prog_name="needlefit", obj=invocation, standalone_mode=False)
     except Exception as error:

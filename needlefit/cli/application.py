@@ -44,19 +44,17 @@ _EPILOG = (
 )
 
 
-def build(first: str = "") -> typer.Typer:
-    """Return the application; if `first` begins a command, it has such commands alone, and starts sooner."""
+def build() -> typer.Typer:
+    """Return the application."""
     app = typer.Typer(pretty_exceptions_enable=False, epilog=_EPILOG, **_STYLE)
     app.callback()(_needlefit)
     groups = {name: typer.Typer(name=name, help=text, **_STYLE) for name, text in _GROUPS.items()}
-    begun = tuple(one for one in _COMMANDS if one[0].split()[0] == first)
-    for name, function, example in begun or _COMMANDS:
+    for name, function, example in _COMMANDS:
         *group, word = name.split()
         holder = groups[group[0]] if group else app
         holder.command(word, epilog=f"Example: needlefit {name} {example}".rstrip())(function)
     for one in groups.values():
-        if one.registered_commands:
-            app.add_typer(one)
+        app.add_typer(one)
     return app
 
 

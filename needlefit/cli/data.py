@@ -4,7 +4,7 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -23,9 +23,6 @@ from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
-
-if TYPE_CHECKING:
-    from needlefit.datasets.insertion import Dataset
 
 
 def new_project(
@@ -65,10 +62,10 @@ def copy_project(folder: Path) -> list[Path]:
 
     ConfigError if it is neither.
     """
-    from needlefit.project.folders import create_folder
+    from needlefit.project.folders import replace_folder
 
     ignored = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
-    with create_folder(folder) as fresh:
+    with replace_folder(folder, is_result=False) as fresh:
         for part in PROJECT_FOLDERS:
             shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
     return [folder / part for part in PROJECT_FOLDERS]
@@ -88,7 +85,7 @@ def import_data(
         argument(
             "FILE_OR_FOLDER",
             "Tables (.csv .tsv .txt .xlsx .xls .ods), .mat, RT structure sets (.dcm), Slicer markups "
-            "(.mrk.json .fcsv), surfaces (.stl .ply .obj .vtk).",
+            "(.mrk.json .fcsv), surfaces (.stl .ply .obj).",
         ),
     ],
     out: Out = None,
@@ -243,6 +240,8 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
+    import pandas as pd
+
     from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
@@ -274,33 +273,17 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             screen.print_line(str(fault))
     screen.print_warnings(invocation, found.warnings, in_full=True)
     if dataset is not None and not invocation.json:
-        _show(dataset, measured, holes)
+        origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
+        screen.print_text(f"{origin}: {dataset.title}. Measurement: {measured}.")
+        rows = [(one.medium, one.layers, one.depth, one.deflection) for one in dataset.insertions]
+        table = pd.DataFrame(rows, columns=["medium", "layers", "depth, mm", "tip deflection, mm"])
+        groups = table.groupby(["medium", "layers"], sort=False)
+        least, most = (one.map("{:.2f}".format) for one in (groups.min(), groups.max()))
+        ranges = least + " to " + most
+        screen.show_frame(ranges.assign(insertions=groups.size()).reset_index(), "")
+        if holes:
+            screen.print_text(f"Holes: {holes}.")
         if away := [f"{name} {mm:.2f} ({sds:.1f})" for name, mm, sds in planes]:
             screen.print_text(f"Out of the plane at the tip, mm (SD): {join_names(away, 8)}.")
     if faults:
         raise typer.Exit(DataError.exit_code)
-
-
-def _show(dataset: "Dataset", measured: str, holes: str) -> None:
-    """Print a row per medium and number of layers: insertions, specimens, depths and deflections."""
-    import pandas as pd
-
-    from needlefit.reporting.table import Table
-    from needlefit.reporting.table_files import to_records
-
-    names = ("medium", "layers", "specimen", "depth", "deflection")
-    frame = pd.DataFrame([{name: getattr(one, name) for name in names} for one in dataset.insertions])
-    rows = frame.groupby(["medium", "layers"], sort=False, as_index=False).agg(
-        insertions=("depth", "size"),
-        specimen_count=("specimen", "nunique"),
-        **{f"{name}_{end}_mm": (name, end) for name in ("depth", "deflection") for end in ("min", "max")},
-    )
-    columns = ("medium", "layers", "insertions", "specimen_count", "depth_range_mm", "deflection_range_mm")
-    table = Table("dataset", to_records(rows), columns, caption="Insertions.").lay_out()
-    origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
-    screen.print_line()
-    screen.print_text(f"{origin}: {dataset.title}")
-    screen.show_display(table, notes=False)
-    screen.print_text(f"Measurement: {measured}.")
-    if holes:
-        screen.print_text(f"Holes: {holes}.")

@@ -24,7 +24,6 @@ from needlefit.datasets.dataset_warnings import (
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import (
-    MISSING_COLUMN_FIX,
     CsvTable,
     note_missing_columns,
     parse_numbers,
@@ -53,19 +52,15 @@ from needlefit.datasets.layers import (
     reduce_insertion,
 )
 from needlefit.datasets.points import Points
-from needlefit.datasets.sections import (
-    find_centerline_faults,
-    find_operator_faults,
-    find_sections,
-    locate_sections,
-)
+from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
+from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import load, locate_key, read_toml
+from needlefit.project.toml import load, locate_key
 from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import (
     MIN_SD_MM,
@@ -260,11 +255,9 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
                 reading.warnings += find_column_warnings(record, points.columns, points.path, True)
             headers.add(points.columns)
             faults += find_curve_faults(points, row, record, where)
-        sections, more = find_sections(row, root, record)
-        faults += more
-        if sections is not None and points is not None and not faults:
-            place = str(locate_sections(row.id, root, record))
-            faults += find_centerline_faults(sections, points.values, place)
+        sections = None
+        if points is not None and not faults:
+            sections, faults = find_sections(row, points.values, root, record)
         found += faults
         medium = make_medium(row, record, root, shared, found)
         # All faults of a row are collected before it is skipped, so that one run lists them all.
@@ -424,7 +417,7 @@ def _parse_track_columns(
     for name in unknown:
         what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
         found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
-    if note_missing_columns(table, list(dict.fromkeys(wanted)), found, MISSING_COLUMN_FIX) or unknown:
+    if note_missing_columns(table, list(dict.fromkeys(wanted)), found) or unknown:
         return nothing
     before = len(found)
     values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}

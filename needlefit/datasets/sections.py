@@ -12,12 +12,12 @@ from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.insertion import Dataset, select_compared_places
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import (
+    DEGREE,
     SplineSections,
-    draw_spline,
+    compute_tip,
     find_empty_pieces,
-    find_least_spacing,
+    make_knots,
 )
 from needlefit.project.toml import dumps, load, locate_key
 from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
@@ -25,28 +25,24 @@ from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 SECTIONS_PATTERN = "sections/{id}.toml"
 
 MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, mm, from the inserted depth
-# How far the spline through the cross-sections may be off the centreline: this many of its standard
-# deviations, plus this, mm. Those of the synthetic dataset are 0.001 mm apart at most; a spline sampled
-# coarsely or stored with few digits stays below the second.
-MAX_DISTANCE_SDS, MAX_DISTANCE_MM = 5.0, 0.05
+# How far the tip of the spline through the sections may be from that of the centreline: this many of its
+# standard deviations, plus this, mm, for points stored with few digits.
+MAX_TIP_SDS, MAX_TIP_MM = 5.0, 0.05
 # Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
 LENGTH_DIGITS, WEIGHT_DIGITS = 5, 6
 
 
-def locate_sections(id_: str, folder: Path, record: DatasetRecord) -> Path:
-    """Return the file of an insertion's cross-sections; the dataset must state one."""
-    assert record.measurement is not None and record.measurement.sections is not None
-    return folder / record.measurement.sections.replace("{id}", id_)
-
-
 def find_sections(
-    row: InsertionRow, folder: Path, record: DatasetRecord
+    row: InsertionRow, centerline: Floats, folder: Path, record: DatasetRecord
 ) -> tuple[SplineSections | None, list[Fault]]:
-    """Return an insertion's cross-sections (world), None where the dataset has none, and their faults."""
+    """Return an insertion's cross-sections (world), None where the dataset has none, and their faults.
+
+    The spline through them must end where the `centerline` (N, 3), world, ends.
+    """
     if record.measurement is None or record.measurement.sections is None:
         return None, []
-    path = locate_sections(row.id, folder, record)
+    path = folder / record.measurement.sections.replace("{id}", row.id)
     try:
         sections = from_record(load(path, SectionsRecord))
     except (ConfigError, DataError) as error:
@@ -55,43 +51,22 @@ def find_sections(
         what = f"the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is {row.depth:.2f}"
         expected = "arc lengths from first contact, mm, the tip last"
         return None, [Fault(str(path), what, expected, "count s_mm from the entry, or correct depth_mm")]
-    empty = find_empty_pieces(sections.q, sections.weights, sections.knots)
-    if len(empty):
-        more = f" (nor in {len(empty) - 1} more intervals)" if len(empty) > 1 else ""
-        what = f"no section between the knots {empty[0, 0]:g} and {empty[0, 1]:g} has a weight above 0{more}"
+    if len(find_empty_pieces(sections.q, sections.weights, sections.knots)):
+        what, fix = "the sections do not determine the spline", "leave out knots without sections"
         expected = "a section of positive weight in every interval of knots_mm that q_mm reaches"
-        fix = "leave out the sections before the first or behind the last that counts, with their knots"
         return None, [Fault(locate_key(path, "weights"), what, expected, fix)]
-    return sections, []
-
-
-def find_centerline_faults(sections: SplineSections, centerline: Floats, place: str) -> Iterator[Fault]:
-    """Yield a fault if the spline through the cross-sections is not the centreline (N, 3), both world.
-
-    They are compared across the needle, at equal arc lengths from the tip, and the tips in every direction.
-    """
-    along = arc_length(centerline)
-    s = along + (sections.s[-1] - along[-1])
-    reached = s >= sections.s[0]
     try:
-        drawn = draw_spline(sections, np.interp(s[reached], sections.s, sections.q))
+        tip, sd = compute_tip(sections)
     except np.linalg.LinAlgError:
-        what = "weights of sections differ so much that no spline can be drawn through them"
-        yield Fault(place, what, "weights of about 1, less for sections of doubt", "correct weights")
-        return
-    off = centerline[reached] - drawn.points
-    tangents = drawn.slopes / np.linalg.norm(drawn.slopes, axis=1, keepdims=True)
-    off[:-1] -= np.einsum("nd,nd->n", off, tangents)[:-1, None] * tangents[:-1]
-    distances, limits = np.linalg.norm(off, axis=1), MAX_DISTANCE_SDS * drawn.sd + MAX_DISTANCE_MM
-    worst = int(np.argmax(np.nan_to_num(distances / limits, nan=np.inf)))
-    if not distances[worst] <= limits[worst]:
-        yield Fault(
-            place,
-            f"the spline through the sections is {distances[worst]:.3g} mm off the centreline "
-            f"{s[reached][worst]:.1f} mm from the entry",
-            f"the centreline's own sections, in world coordinates: within {limits[worst]:.2g} mm there",
-            "correct points_mm, q_mm, s_mm or knots_mm, or store the centreline that was drawn through them",
-        )
+        what, expected = "weights of sections differ too much to draw a spline", "weights of about 1, or less"
+        return None, [Fault(str(path), what, expected, "correct weights")]
+    off, most = float(np.linalg.norm(tip - centerline[-1])), MAX_TIP_SDS * sd + MAX_TIP_MM
+    if not off <= most:
+        what = f"the spline through the sections ends {off:.3g} mm from the end of the centreline"
+        expected = f"the centreline's own sections, in world coordinates: within {most:.2g} mm there"
+        fix = "correct points_mm, or store the centreline that was drawn through them"
+        return None, [Fault(str(path), what, expected, fix)]
+    return sections, []
 
 
 def find_operator_faults(
@@ -102,23 +77,18 @@ def find_operator_faults(
     if stated is None:
         return
     compared = {one.insertion.id: _select_arc_lengths(record, one) for one in listed}
-    least, sparsest, key = stated.knot_spacing_mm, "", "measurement.knot_spacing_mm"
-    while least is not None:  # what suits one curve need not suit the next
-        found = ((find_least_spacing(s, least), name) for name, s in compared.items())
-        more = next((pair for pair in found if pair[0] is None or pair[0] > least), None)
-        if more is None:
-            break
-        least, sparsest = more
-    if sparsest:
-        what = f"{key} is {stated.knot_spacing_mm:g}: the points of {sparsest} are too sparse for it"
-        expected = "at least 4 points compared" if least is None else f"at least {least + 0.005:.2f}"
-        yield Fault(locate_key(file, key), what, expected, "store the points more densely")
-    lengths = {name: float(np.ptp(s)) for name, s in compared.items()}
-    shortest = min(lengths, key=lambda name: lengths[name])
-    most, key = math.floor(100 * MAX_WIDTH_FRACTION * lengths[shortest]) / 100, "measurement.width_mm"
+    spacing = stated.knot_spacing_mm
+    for name, s in () if spacing is None else compared.items():
+        knots = make_knots(s[0], s[-1], spacing or 0.0)
+        if len(s) < len(knots) - DEGREE - 1 or len(find_empty_pieces(s, np.ones(len(s)), knots)):
+            key, fix = "measurement.knot_spacing_mm", "enlarge it, or store the points more densely"
+            what = f"{key} is {spacing:g}: the points of {name} are too sparse for it"
+            yield Fault(locate_key(file, key), what, "a point between all neighbouring knots", fix)
+            return
+    length, name = min((float(np.ptp(s)), name) for name, s in compared.items())
+    most, key = math.floor(100 * MAX_WIDTH_FRACTION * length) / 100, "measurement.width_mm"
     if stated.width_mm is not None and stated.width_mm > most:
-        length = f"{lengths[shortest]:.3g} mm compared of {shortest}"
-        what = f"{key} is {stated.width_mm:g}: too wide for the {length}"
+        what = f"{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared of {name}"
         fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
         yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
 

@@ -1,17 +1,15 @@
-"""Find the files and scans of a dataset, and verify their checksums."""
+"""Find the files of a dataset, and verify their checksums."""
 
-import csv
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.project.folders import sha256
 from needlefit.project.input_files import is_dir, is_file
-from needlefit.project.toml import read_toml
+from needlefit.project.locate import read_toml
 from needlefit.schemas.dataset import SourceRecord
 
 
@@ -101,39 +99,3 @@ def digest_folders(path: Path) -> str:
         files = (file for file in folder.rglob("*") if is_file(file) and file != path)
         total.update(compute_digest(path, (folder,), files).encode())
     return total.hexdigest()
-
-
-VOLUMES_FILE = "volumes.csv"
-VOLUME_COLUMNS = ("id", "volume", "series", "acquisition")
-
-
-@dataclass(frozen=True)
-class ScanVolume:
-    """The scan of an insertion: a file or folder, and which of several DICOM series and acquisitions."""
-
-    path: Path
-    series: str | None = None
-    acquisition: str | None = None
-
-
-def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | None = None) -> Path:
-    """Write the path of each insertion's scan by insertion id, relative to the folder of the dataset.
-
-    `home` is that folder where it is not yet in its place; dataset and scans may be moved together.
-    """
-    base_folder = (home or folder).resolve()
-    rows = [
-        (id_, _relative_path(base_folder, one.path), one.series or "", one.acquisition or "")
-        for id_, one in volumes.items()
-    ]
-    path = folder / VOLUMES_FILE
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([VOLUME_COLUMNS, *rows])
-    return path
-
-
-def _relative_path(home: Path, path: Path) -> str:
-    try:
-        return Path(os.path.relpath(path.resolve(), home)).as_posix()
-    except ValueError:  # Windows: another drive
-        return str(path.resolve())

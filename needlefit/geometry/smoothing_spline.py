@@ -96,21 +96,6 @@ def find_empty_pieces(q: Floats, weights: Floats, knots: Floats) -> Floats:
     return found
 
 
-def find_least_spacing(q: Floats, spacing: float) -> float | None:
-    """Return the least knot spacing, from `spacing` on, of a determined fit to places `q` (S,); or None.
-
-    Knots as `make_knots` has them, weights equal.
-    """
-    length, ones = float(q[-1] - q[0]), np.ones(len(q))
-    stated = max(1, round(length / spacing))
-    for pieces in range(min(stated, len(q) - DEGREE), 0, -1):
-        least = spacing if pieces == stated else length / pieces
-        knots = make_knots(float(q[0]), float(q[-1]), least)
-        if len(q) >= len(knots) - DEGREE - 1 and not len(find_empty_pieces(q, ones, knots)):
-            return least
-    return None
-
-
 def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
     """Return the matrices of the fit to values at `q` (S,) with `weights` (S,).
 
@@ -126,27 +111,13 @@ def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:
     return SplineFit(slope, np.asarray(spread @ weighted.T), np.asarray(spread), reached)
 
 
-@dataclass(frozen=True)
-class DrawnSpline:
-    """The spline through sections: places (N, 3), slopes by q (N, 3), largest deviation across (N,)."""
-
-    points: Floats
-    slopes: Floats
-    sd: Floats
-
-
-def draw_spline(sections: SplineSections, q: Floats) -> DrawnSpline:
-    """Return the spline through cross-sections at `q` (N,), mm.
+def compute_tip(sections: SplineSections) -> tuple[Floats, float]:
+    """Return the end (3,) of the spline through cross-sections, and its deviation in any direction, mm.
 
     numpy.linalg.LinAlgError if the sections do not determine it.
     """
     fit = fit_matrices(sections.q, sections.weights, sections.knots)
-    design = design_matrix(q, sections.knots)[:, fit.reached]
-    bases = scipy.interpolate.BSpline(sections.knots, np.eye(len(fit.reached)), DEGREE).derivative()
-    coefficients = fit.operator @ sections.points  # (F, 3)
-    own = sections.sigma * np.sqrt(np.einsum("nf,fg,ng->n", design, fit.spread, design))
-    return DrawnSpline(
-        design @ coefficients,
-        np.asarray(bases(q), dtype=np.float64)[:, fit.reached] @ coefficients,
-        np.hypot(own, np.hypot(sections.shared_sd, np.linalg.norm(sections.shared_along))),
-    )
+    (design,) = design_matrix(sections.q[-1:], sections.knots)[:, fit.reached]
+    own = sections.sigma * np.sqrt(design @ fit.spread @ design)
+    shared = np.hypot(sections.shared_sd, np.linalg.norm(sections.shared_along))
+    return design @ (fit.operator @ sections.points), float(np.hypot(own, shared))

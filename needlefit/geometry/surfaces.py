@@ -1,12 +1,11 @@
 """Layer boundaries as triangulated surfaces: read, write, build and check them."""
 
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import scipy
@@ -21,115 +20,6 @@ from needlefit.project.input_files import open_regular, read_bytes
 if TYPE_CHECKING:
     import trimesh
 
-MAX_POLYGON_VERTICES = 100  # of one polygon; models are made of triangles
-_BINARY_TYPES = {
-    **{"float": ">f4", "double": ">f8", "int": ">i4", "unsigned_int": ">u4", "long": ">i8"},
-    **{"vtktypeint64": ">i8", "vtkidtype": ">i4", "short": ">i2", "unsigned_long": ">u8"},
-    **{"char": ">i1", "unsigned_char": ">u1"},
-}
-_NEXT_SECTION = re.compile(rb"\n[ \t]*[A-Z_]{4}")
-_SECTION = re.compile(rb"\s*(POLYGONS|TRIANGLE_STRIPS)\s+(\d{1,12})\s+(\d{1,12})[ \t\r]*\n")
-_POINTS = re.compile(rb"\n\s*POINTS\s+(\d{1,12})\s+(\w+)[ \t\r]*\n")
-_ARRAY = re.compile(rb"\s*(?:OFFSETS|CONNECTIVITY)\s+(\w+)[ \t\r]*\n")
-
-
-@dataclass
-class _Body:
-    """The bytes of a file, and how far they are read."""
-
-    data: bytes
-    binary: bool
-    place: int = 0
-
-    def read(self, count: int, kind: str) -> NDArray[Any]:
-        """Return the next `count` numbers; ValueError if there are fewer."""
-        stored = np.dtype(_BINARY_TYPES[kind.lower()])
-        if self.binary:
-            end = self.place + count * stored.itemsize
-            values = np.frombuffer(self.data, stored, count, self.place)  # ValueError where it is cut short
-        else:
-            following = _NEXT_SECTION.search(self.data, self.place)
-            end = following.start() if following else len(self.data)
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # of text that is no number
-                values = np.fromstring(self.data[self.place : end], stored.newbyteorder("="), sep=" ")[:count]
-        if len(values) < count:
-            raise ValueError("cut short")
-        self.place = end
-        return values
-
-    def read_indices(self, count: int, kind: str) -> NDArray[np.int64]:
-        """Return `read` of whole numbers; ValueError of another kind."""
-        values = self.read(count, kind)
-        if values.dtype.kind not in "iu":
-            raise ValueError("indices that are no whole numbers")
-        return values.astype(np.int64)
-
-    def match(self, pattern: re.Pattern[bytes]) -> re.Match[bytes]:
-        """Step over a line of the given form; ValueError if another one stands there."""
-        found = pattern.match(self.data, self.place)
-        if found is None:
-            raise ValueError("another line was expected")
-        self.place = found.end()
-        return found
-
-
-def read_polydata(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the vertices (V, 3) and triangles (F, 3) of a legacy VTK file; polygons are cut into triangles.
-
-    ValueError, KeyError if it is no such file, is cut short, or holds triangle strips alone.
-    """
-    head = data[:1024].split(b"\n", 4)
-    if not head[0].startswith(b"# vtk DataFile") or len(head) < 4:
-        raise ValueError("no VTK file")
-    if b"POLYDATA" not in head[3].upper() + data[:2048].upper():
-        raise ValueError("no polygons")
-    body = _Body(data, head[2].strip().upper() == b"BINARY")
-    points = _POINTS.search(data)
-    if points is None:
-        raise ValueError("no points")
-    body.place = points.end()
-    vertices = body.read(3 * int(points[1]), points[2].decode()).astype(np.float64).reshape(-1, 3)
-    found = re.compile(rb"\n\s*POLYGONS\s").search(data, body.place - 1)
-    if found is None:
-        raise ValueError("no polygons")
-    body.place = found.start() + 1
-    section = body.match(_SECTION)
-    return vertices, _cut(*_read_polygons(body, int(section[2]), int(section[3])))
-
-
-def _read_polygons(body: _Body, count: int, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where each polygon begins in a list of vertices, and that list."""
-    if _ARRAY.match(body.data, body.place):  # version 5: offsets, then vertices
-        offsets = body.read_indices(count, body.match(_ARRAY)[1].decode())
-        return offsets, body.read_indices(size, body.match(_ARRAY)[1].decode())
-    flat = body.read_indices(size, "int")
-    starts, place = [0], 0
-    for _ in range(count):
-        starts.append(starts[-1] + int(flat[place]))
-        place += 1 + max(int(flat[place]), 0)
-    keep = np.ones(len(flat), dtype=bool)
-    keep[np.array(starts[:-1], dtype=np.int64) + np.arange(count)] = False
-    return np.array(starts, dtype=np.int64), flat[keep]
-
-
-def _cut(starts: NDArray[np.int64], vertices: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the triangles of polygons, as fans around the first vertex of each."""
-    sizes = np.diff(starts)
-    if sizes.max(initial=0) > MAX_POLYGON_VERTICES:
-        raise ValueError("a polygon of too many vertices")
-    if (sizes < 0).any() or (len(starts) and (starts[0] != 0 or starts[-1] > len(vertices))):
-        raise ValueError("polygons that overlap")
-    fans = []
-    for n in range(1, int(sizes.max(initial=0)) - 1):
-        first = starts[:-1][sizes > n + 1]
-        fans.append(np.column_stack([first, first + n, first + n + 1]))
-    if not fans:
-        raise ValueError("no polygons")
-    triangles: NDArray[np.int64] = vertices[np.concatenate(fans)]
-    return triangles
-
-
 SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
@@ -142,7 +32,7 @@ _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
 # Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each.
 STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
-READ_SUFFIXES = (".stl", ".ply", ".obj", ".vtk")
+READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
 _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
@@ -172,7 +62,7 @@ def make_mesh(vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike | None =
 
 
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
-    """Read an STL, PLY, OBJ or (legacy) VTK file, in mm; the mesh itself is checked by `find_mesh_faults`.
+    """Read an STL, PLY or OBJ file, in mm; the mesh itself is checked by `find_mesh_faults`.
 
     DataError if the file is missing, is larger than `MAX_MESH_BYTES`, or holds no triangles of its own
     vertices.
@@ -194,10 +84,9 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     import trimesh  # late: it takes 0.3 s to load, and most commands read no surface
 
     try:
-        mesh = (
-            _load_mesh(BytesIO(data), ending.lstrip("."))
-            if ending != ".vtk"
-            else make_mesh(*read_polydata(data))
+        # process=False: it would drop non-finite vertices and hide the fault
+        mesh = trimesh.load_mesh(
+            BytesIO(data), file_type=ending[1:], process=False, resolver=None, skip_materials=True
         )
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
         raise _mesh_error(path, _describe_damage(data, ending)) from None
@@ -213,23 +102,13 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
 def read_coordinate_system(path: Path) -> PatientSystem | None:
     """Return the coordinate system that 3D Slicer wrote into a mesh; None if the file states none.
 
-    It stands in the header of an STL or VTK file, in a comment of a PLY or OBJ: `SPACE=LPS` or `SPACE=RAS`.
+    It stands in the header of an STL file, in a comment of a PLY or OBJ: `SPACE=LPS` or `SPACE=RAS`.
     """
     with open_regular(path, MAX_MESH_BYTES) as file:
         match = _SPACE_PATTERN.search(file.read(HEADER_BYTES))
     if match is None:
         return None
     return "RAS" if match[1] == b"RAS" else "LPS"
-
-
-def _load_mesh(data: BytesIO, kind: str) -> object:
-    """Return what trimesh makes of the bytes of a mesh; it opens no other file (materials, textures).
-
-    process=False: it would drop non-finite vertices and hide the fault.
-    """
-    import trimesh
-
-    return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
 
 
 def _check_stl(data: bytes, path: Path) -> None:
@@ -251,8 +130,6 @@ def _describe_damage(data: bytes, ending: str) -> str:
         return "what follows its header is not what the header claims: it is cut short or damaged"
     if ending == ".stl":
         return "its text is cut short or damaged: not every facet has a normal and three vertices"
-    if ending == ".vtk":
-        return "it is no legacy VTK file of polygons, or cut short or damaged"
     count = len(_OBJ_VERTEX.findall(data))
     named = (int(index) for face in _OBJ_FACE.findall(data) for index in _OBJ_INDEX.findall(face))
     if any(not (1 <= index <= count or -count <= index <= -1) for index in named):
@@ -261,7 +138,7 @@ def _describe_damage(data: bytes, ending: str) -> str:
 
 
 def _mesh_error(path: Path, what: str) -> DataError:
-    expected = "an STL, PLY, OBJ or VTK file of triangles, in mm"
+    expected = "an STL, PLY or OBJ file of triangles, in mm"
     return DataError(what, where=str(path), expected=expected, fix="export the surface again, as binary STL")
 
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from needlefit.datasets.markups import Markups
+from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles

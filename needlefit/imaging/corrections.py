@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.formats.mrk_json import read_mrk_json
-from needlefit.datasets.markups import Markups
+from needlefit.datasets.formats.markups import Markups, read_markups
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
@@ -73,7 +72,7 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
     DataError if the file is none of 3D Slicer, a list or a point in it has another name, or none was moved.
     """
     found: dict[str, Corrections] = {}
-    for one in read_mrk_json(path):
+    for one in read_markups(path):
         id_, name, _ = one.name.rpartition(f" {LIST_NAME}")
         if not name or one.kind != "Fiducial":
             raise refusal(f"""the {one.kind} `{one.name}` is no list of corrections

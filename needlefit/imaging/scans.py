@@ -308,7 +308,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     DataError: listing every fault of the table, with its line: cells, columns that are unknown, files
     missing.
     """
-    table = read_table(path, SCANS_DOCUMENT)
+    table = read_table(path)
     found, where, cells = list[Fault](), f"{table.path}:1", table.cells
     if "scan" not in cells:
         expected = f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(cells.columns)}"

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Bools, Floats
-from needlefit.datasets.formats.fcsv import read_fcsv
-from needlefit.datasets.formats.mrk_json import read_mrk_json
+from needlefit.datasets.formats.markups import read_markups
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
@@ -176,7 +175,7 @@ def read_goal_points(
 
     Raises DataError if the file is wrong, or names two targets.
     """
-    lists = read_mrk_json(path) if path.suffix == ".json" else (read_fcsv(path),)
+    lists = read_markups(path)
     labels = [label for one in lists for label in one.labels]
     world = placement.patient.to_world(np.concatenate([one.points for one in lists]))
     points: list[SpacePoint] = [tuple(point) for point in placement.frame.to_local(world).tolist()]

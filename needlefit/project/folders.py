@@ -145,16 +145,25 @@ def listed_files(folder: Path) -> dict[str, Any]:
     return listed if isinstance(listed, dict) else {}
 
 
-def find_changes(folder: Path) -> dict[str, str]:
-    """Return what does not agree with the manifest of a result, and how, by file.
-
-    Files that are missing are not: a report makes most of them again.
-    """
+def _compare(folder: Path) -> dict[str, str]:
+    """Return what in a folder does not agree with its manifest, and how, by file; links are not followed."""
     listed = listed_files(folder)
-    if not listed:
+    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
+    return {
+        name: CHANGED if name in listed else "is not needlefit's"
+        for name in names
+        if not (listed and name == MANIFEST) and not _is_as_written(folder / name, listed.get(name))
+    }
+
+
+def find_changes(folder: Path) -> dict[str, str]:
+    """Return which files of a result were changed since its manifest was written, and how.
+
+    Files that are missing are not among them: a report makes most of them again.
+    """
+    if not listed_files(folder):
         return {MANIFEST: "is missing or damaged"}
-    names = [name for name in list_all_files(folder) if name in listed]
-    return {name: CHANGED for name in names if not _is_as_written(folder / name, listed[name])}
+    return {name: how for name, how in _compare(folder).items() if how == CHANGED}
 
 
 def require_unchanged(folder: Path) -> None:
@@ -171,20 +180,8 @@ def require_unchanged(folder: Path) -> None:
 
 
 def find_foreign(folder: Path) -> list[str]:
-    """Return what lies in a folder of results that needlefit did not write, each with the reason.
-
-    Links are not followed.
-
-    ConfigError if the folder cannot be looked into.
-    """
-    listed = listed_files(folder)
-    names = [name for name in list_all_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
-    changes = {
-        name: CHANGED if name in listed else "is not needlefit's"
-        for name in names
-        if not (listed and name == MANIFEST) and not _is_as_written(folder / name, listed.get(name))
-    }
-    return [f"{name} {how}" for name, how in changes.items()]
+    """Return what lies in a folder of results that needlefit did not write, each with the reason."""
+    return [f"{name} {how}" for name, how in _compare(folder).items()]
 
 
 def _is_as_written(path: Path, digest: object) -> bool:
@@ -223,16 +220,10 @@ def remove_result(folder: Path, note: Note) -> None:
 
 
 def list_all_files(folder: Path) -> list[str]:
-    """Return the files in a folder and those below, and links to whatever, relative to it, sorted.
+    """Return the files in a folder and those below, and links to whatever, relative to it, sorted."""
 
-    ConfigError if a folder cannot be looked into.
-    """
-
-    def fail(fault: OSError) -> None:
-        reason = fault.strerror or type(fault).__name__
-        raise ConfigError(
-            f"cannot be looked into: {reason}", where=str(fault.filename), fix="check its permissions"
-        )
+    def fail(fault: OSError) -> None:  # else a folder that may not be read counts as empty
+        raise fault
 
     found: list[Path] = []
     for place, folders, files in os.walk(folder, onerror=fail):  # follows no link
@@ -279,25 +270,26 @@ def take_lock(folder: Path) -> "BaseFileLock":
 
 
 @contextmanager
-def replace_folder(folder: Path) -> Iterator[Path]:
+def replace_folder(folder: Path, is_result: bool = True) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
-    what a killed process left the next one removes. It gets a manifest. A block that writes
-    nothing replaces nothing.
+    what a killed process left the next one removes. A block that writes nothing replaces nothing.
+    `is_result`: it gets a manifest, and may replace a result; else it is the user's, and must be new.
 
     ConfigError if nothing can be written there, another process is writing there, or `folder` holds anything
-    foreign, at the begin or at the end.
+    foreign, or anything at all where it must be new, at the begin or at the end.
     """
-    folder = folder.resolve()
-    require_replaceable(folder)
+    folder, check = folder.resolve(), require_replaceable if is_result else require_new
+    check(folder)
     with _scratch_folder(folder) as (fresh, old):
-        require_replaceable(folder)  # a killed process may have left the only copy of a result
+        check(folder)  # a killed process may have left the only copy of a result
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
-            write_manifest(fresh)
-            require_replaceable(folder)  # something may have been put there meanwhile
+            if is_result:
+                write_manifest(fresh)
+            check(folder)  # something may have been put there meanwhile
             if folder.exists():
                 folder.rename(old)
             try:
@@ -306,22 +298,6 @@ def replace_folder(folder: Path) -> Iterator[Path]:
                 if old.exists():
                     old.rename(folder)
                 raise
-
-
-@contextmanager
-def create_folder(folder: Path) -> Iterator[Path]:
-    """Yield what `replace_folder` does, for a folder that is missing or empty; it gets no manifest:
-    it is the user's.
-
-    ConfigError if nothing can be written there, or `folder` holds something.
-    """
-    folder = folder.resolve()
-    require_new(folder)
-    with _scratch_folder(folder) as (fresh, _):
-        fresh.mkdir()
-        yield fresh
-        require_new(folder)
-        fresh.rename(folder)  # fails where somebody was quicker
 
 
 def require_new(folder: Path) -> None:

@@ -102,11 +102,6 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
         ) from None
 
 
-def read_toml(path: Path, error: FileErrorType = ConfigError, where: str = "") -> dict[str, Any]:
-    """Return the tables of a TOML file; ConfigError or DataError as `read_text`, or if it is not TOML."""
-    return parse_toml(read_text(path, MAX_CONFIG_BYTES, error, where), where or str(path), error)
-
-
 MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
 # A key of thousands of parts, of which the parser would take the square.
 _DEEP_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+\.\s*+){{{MAX_NESTING}}}""")
@@ -117,7 +112,7 @@ def _list_members(value: object) -> list[Any]:
 
 
 def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dict[str, Any]:
-    """Return the tables of a TOML text; `where` and else as `read_toml`."""
+    """Return the tables of a TOML text; `where` names it in errors, which are of `error`."""
     try:
         tables = {} if (is_deep := _DEEP_KEY.search(text)) else tomllib.loads(text)
         level: list[Any] = [tables]

@@ -5,10 +5,17 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from needlefit.errors import ConfigError
-from needlefit.project.input_files import is_dir, is_file, path_exists, read_toml
+from needlefit.project.input_files import (
+    MAX_CONFIG_BYTES,
+    is_dir,
+    is_file,
+    parse_toml,
+    path_exists,
+    read_text,
+)
 from needlefit.schemas.names import require_file_name
 
 FileKind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction"]
@@ -87,6 +94,12 @@ def file_label(path: Path) -> str:
     return str(path)
 
 
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file; ConfigError if it cannot be read, or is none."""
+    label = file_label(path)
+    return parse_toml(read_text(path, MAX_CONFIG_BYTES, ConfigError, label), label)
+
+
 SourceKind = Literal["dataset", "study", "fit"]
 _KEYS: tuple[tuple[SourceKind, frozenset[str]], ...] = (
     ("study", frozenset({"validate", "leave_out", "observable", "kind"})),
@@ -101,7 +114,7 @@ def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKi
     if not found or not is_path(name):
         return found
     path = found[0][1]
-    keys = read_toml(path, where=file_label(path)).keys()
+    keys = read_toml(path).keys()
     if path.name != "dataset.toml":
         require_file_name(path.stem, name)
         return [(next((kind for kind, some in _KEYS if keys & some), "fit"), path)]

@@ -17,10 +17,9 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from needlefit.errors import ConfigError
-from needlefit.project import input_files
 from needlefit.project.input_files import parse_toml
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, file_label, find_file, is_path
+from needlefit.project.locate import FileKind, file_label, find_file, is_path, read_toml
 from needlefit.schemas.base import MISSING_KEY, FileRecord
 
 R = TypeVar("R", bound=BaseModel)
@@ -33,11 +32,6 @@ def load(path: Path, kind: type[R]) -> R:
     ConfigError if the file is missing, is no TOML, or holds a wrong, missing or unknown key.
     """
     return check(read_toml(path), kind, path)
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file; ConfigError if it cannot be read."""
-    return input_files.read_toml(path, ConfigError, file_label(path))
 
 
 def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:

@@ -21,7 +21,7 @@ from needlefit.datasets.read import read
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
-from needlefit.project.folders import create_folder
+from needlefit.project.folders import replace_folder
 from needlefit.reporting.figures.style import (
     draw,
     draw_grid,
@@ -45,7 +45,7 @@ def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers
     Tip tracks get no picture, scene and study. ConfigError if `folder` holds something. DataError: listing
     the faults of the dataset, at their places in the imported files.
     """
-    with create_folder(folder) as fresh:
+    with replace_folder(folder, is_result=False) as fresh:
         dataset = read(write_plan(fresh, content, plan, answers))
         if plan.pose != "tracker":
             write_starter_study(fresh, dataset)

@@ -199,7 +199,7 @@ class SurfaceRecord(Record):
     """A boundary between layers, as a surface."""
 
     file: str
-    """Surface (STL, PLY, OBJ or VTK); with `{id}`, one for each insertion."""
+    """Surface (STL, PLY or OBJ); with `{id}`, one for each insertion."""
     kind: Literal["sheet", "solid"]
     """Crossing a "sheet" leads into layer `into`; the inside of a "solid" is layer `into`."""
     into: int = Field(ge=1, le=MAX_LAYERS)

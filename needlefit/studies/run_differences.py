@@ -1,7 +1,4 @@
-"""Differences of two runs: their tables are joined on the columns that name a row, `run.json` on its keys.
-
-Rows that these columns do not tell apart are paired in their order.
-"""
+"""Differences of two runs: their tables are joined on the columns that name a row, `run.json` on its keys."""
 
 from pathlib import Path
 
@@ -11,16 +8,13 @@ from needlefit.errors import DataError
 from needlefit.studies.report import list_files
 from needlefit.studies.store import restore_run
 
-KEYS = frozenset(
-    (
-        *("dataset", "study", "fold", "fit", "role", "run", "insertion", "hole", "specimen", "medium"),
-        *("method", "boundaries", "comparison", "grouping", "layers", "layer", "specimen_treatment"),
-        *("parameter", "metric", "quantity", "level", "replicate", "seed"),
-        *("start", "curve", "draw", "scan", "marker", "name", "mark"),
-    )
-)
-"""Columns that name a row, in any table."""
-UNIT_KEYS = ("parameter", "metric", "quantity")  #: keys of which the unit of a number depends
+#: columns that name a row, in any table
+KEYS = {
+    *("dataset", "study", "fold", "fit", "role", "run", "insertion", "hole", "specimen", "medium"),
+    *("method", "boundaries", "comparison", "grouping", "layers", "layer", "specimen_treatment"),
+    *("parameter", "metric", "quantity", "level", "replicate", "seed"),
+    *("start", "curve", "draw", "scan", "marker", "name", "mark"),
+}
 RUN_JSON = "run.json"
 
 
@@ -30,7 +24,7 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     `row`, `before`, `after` and `change` are those of the greatest change, for each unit in a column; `rows`
     is how many rows differ. What one run alone has is missing (None) in the other.
 
-    Raises DataError as `restore_run`, or if the runs are of different kinds.
+    DataError as of `restore_run`, or if the runs are of different kinds.
     """
     runs = [restore_run(folder) for folder in (before, after)]
     if runs[0].kind != runs[1].kind:
@@ -57,10 +51,10 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
 
 
 def _melt(frame: pd.DataFrame, keys: list[str], value: str) -> pd.DataFrame:
-    """Return a row for each cell of the columns that are no keys: column, row, repeat, unit, value."""
+    """Return a row for each cell of the columns that are no keys; `repeat` numbers rows of equal keys."""
     words = frame[keys].astype(object).fillna("").astype(str)
     rows = pd.Series([", ".join(filter(None, one)) for one in words.itertuples(index=False)], frame.index)
-    units = words[[key for key in keys if key in UNIT_KEYS]].agg(" ".join, axis=1) if keys else ""
+    units = words[[key for key in keys if key in ("parameter", "metric", "quantity")]].agg(" ".join, axis=1)
     names = pd.DataFrame({"row": rows, "unit": units, "repeat": rows.groupby(rows).cumcount()})
     named = pd.concat([frame.drop(columns=keys).astype(object), names], axis=1)
     return named.melt(["row", "unit", "repeat"], var_name="column", value_name=value)

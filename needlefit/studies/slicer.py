@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
-from needlefit.datasets.markups import Markups
+from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement

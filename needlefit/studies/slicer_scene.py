@@ -11,8 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
-from needlefit.datasets.markups import Markups
+from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.geometry.surfaces import make_mesh, map_surface
 from needlefit.imaging.corrections import LIST_NAME, list_control_points

@@ -9,9 +9,9 @@ from typing import Any, Literal
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path
+from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path, read_toml
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import add_file_context, add_key_context, check, read_toml
+from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord

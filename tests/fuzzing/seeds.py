@@ -282,7 +282,6 @@ def segmentations() -> list[Seed]:
 
 def meshes() -> list[Seed]:
     import trimesh
-    from import_cases import vtk_binary_sheet, vtk_sheet
     from layer_cases import save_mesh
     from trimesh.exchange.ply import export_ply
 
@@ -294,7 +293,6 @@ def meshes() -> list[Seed]:
         written(lambda folder: write_surface(surface, folder / "m.stl"), "m.stl"),
         *(saved(name, save_mesh, mesh, "LPS") for name in ("m.stl", "m.ply", "m.obj")),
         one_file("m.ply", export_ply(mesh, encoding="ascii")),
-        *(one_file("m.vtk", sheet(20.0)) for sheet in (vtk_sheet, vtk_binary_sheet)),
     ]
 
 

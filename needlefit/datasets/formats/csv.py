@@ -24,10 +24,7 @@ MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000  # a table beyond these would take more
 MAX_SHOWN_CHARS, MAX_SHOWN_COLUMNS = 60, 30
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # what may be the name of a column
 MAX_LISTED_CELLS = 5  # bad cells of one column that are listed one by one; the rest is counted
-# What fixes a missing column of a dataset.
-MISSING_COLUMN_FIX = "add the column, or name the one that holds it under `columns` in dataset.toml"
-# What fixes a missing column of a file that no dataset.toml describes.
-RENAME_FIX = "name the columns x_mm, y_mm, z_mm in the file's first line"
+MISSING_COLUMN_FIX = "add it, or rename a column; dataset.toml can name it under `columns`"
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
@@ -53,16 +50,15 @@ class CsvTable:
         return f"{self.path}:{self.lines[row]}"
 
 
-def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
+def read_table(path: Path) -> CsvTable:
     """Read a CSV file with a header; byte order mark, CRLF and blank lines are accepted.
 
-    An error names `documented` as the place where its columns are explained. DataError if the file is
-    missing, is no UTF-8 text, has no rows, another delimiter, columns of the same name, or a row with more
-    cells than the header.
+    DataError if the file is missing, is no UTF-8 text, has no rows, another delimiter, columns of the same
+    name, or a row with more cells than the header.
     """
     rows = _read_rows(path)
     if not rows:
-        fix = f"fill it, or restore it; {documented} lists the columns"
+        fix = "fill it, or restore it"
         raise DataError("is empty", where=str(path), expected="a header line and rows below it", fix=fix)
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
@@ -111,28 +107,20 @@ def parse_numbers(
     return values
 
 
-def read_points(
-    table: CsvTable,
-    columns: Sequence[str],
-    names: Mapping[str, str],
-    found: list[Fault],
-    fix: str = MISSING_COLUMN_FIX,
-) -> Points | None:
-    """Return the points under the three `columns` (renamed by `names`), or None after a fault."""
-    wanted = [names.get(column, column) for column in columns]
-    if note_missing_columns(table, wanted, found, fix):
+def read_points(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
+    """Return the points under `POINT_COLUMNS` (renamed by `names`), or None after a fault."""
+    wanted = [names.get(column, column) for column in POINT_COLUMNS]
+    if note_missing_columns(table, wanted, found):
         return None
     before = len(found)
     values = np.column_stack([parse_numbers(table, column, found) for column in wanted])
     return Points(table.path, values, table.lines) if len(found) == before else None
 
 
-def read_curve(
-    table: CsvTable, names: Mapping[str, str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
-) -> Points | None:
+def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
     """Return the points of a centreline, with their deviations if it has any; None after a fault."""
     before = len(found)
-    points = read_points(table, POINT_COLUMNS, names, found, fix)
+    points = read_points(table, names, found)
     if SD_COLUMN in names:
         note_missing_columns(table, [names[SD_COLUMN]], found)
     sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
@@ -153,14 +141,12 @@ def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Float
     return values
 
 
-def note_missing_columns(
-    table: CsvTable, wanted: Sequence[str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
-) -> bool:
-    """Note a fault, with its `fix`, for each column of `wanted` that is missing; return whether any was."""
+def note_missing_columns(table: CsvTable, wanted: Sequence[str], found: list[Fault]) -> bool:
+    """Note a fault for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         expected = f"a column of that name; there are {list_columns(table.cells.columns)}"
-        found.append(Fault(f"{table.path}:1", f"column `{column}` is missing", expected, fix))
+        found.append(Fault(f"{table.path}:1", f"column `{column}` is missing", expected, MISSING_COLUMN_FIX))
     return bool(missing)
 
 
@@ -218,7 +204,7 @@ def _check_header(header: list[str], where: str) -> None:
 
 def _read_markers(path: Path) -> Points:
     found: list[Fault] = []
-    points = read_points(read_table(path, "docs/reconstruction.md"), POINT_COLUMNS, {}, found, RENAME_FIX)
+    points = read_points(read_table(path), {}, found)
     if points is None:
         raise as_error(found, path)
     return points

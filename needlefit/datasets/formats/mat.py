@@ -27,7 +27,6 @@ MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, or structs with x, y and z, mm, entry first"
-SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
@@ -64,13 +63,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     Return the names of all variables, what is stated of each curve, and what is not used.
     """
     data = read_bytes(Path(path))
-    try:
-        variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)
-    except MemoryError:
-        raise
-    except Exception as error:  # the readers raise whatever the bytes provoke
-        what = f"cannot be read ({type(error).__name__})"
-        raise DataError(what, where=path, expected="a MATLAB .mat file", fix=SAVE_FIX) from None
+    variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)
     stated: dict[str, dict[str, str]] = {}
     unused: list[str] = []
     for name, array, texts in _iterate_curves("", variables, {}, unused):

@@ -18,10 +18,8 @@ MAX_FILE_BYTES = 64 * 2**20
 READ_BYTES_PER_SECOND = 2**20
 STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"  # SOP class of RT structure sets
 OPEN_KINDS = ("OPEN_PLANAR", "OPEN_NONPLANAR")
-_EXPECTED, _FIX = (
-    "an RT structure set with open contours",
-    "export the needles as open contours, from entry to tip",
-)
+_EXPECTED = "an RT structure set with open contours"
+_FIX = "export the needles as open contours, from entry to tip"
 
 
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
@@ -43,29 +41,20 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
 
     names: list[str] = []
     left: list[str] = []
-    try:
-        file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
-        if file.get("SOPClassUID") != STRUCTURE_SET:
-            raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=_FIX)
-        regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
-        for region in file.get("ROIContourSequence") or ():
-            number = int(region.ReferencedROINumber)
-            name = regions.get(number, "").strip() or f"region {number}"
-            for one in region.get("ContourSequence") or ():
-                kind = one.get("ContourGeometricType")
-                if kind not in OPEN_KINDS:
-                    left.append(f"contour of {name} ({kind})")
-                    continue
-                points = np.array([float(value) for value in one.ContourData], dtype=np.float64).reshape(
-                    -1, 3
-                )
-                arrays[str(len(names))] = points
-                names.append(name)
-    except (MemoryError, DataError):
-        raise
-    except Exception as error:  # whatever the bytes provoke
-        what = f"cannot be read ({type(error).__name__})"
-        raise DataError(what, where=path, expected=_EXPECTED, fix=_FIX) from None
+    file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
+    if file.get("SOPClassUID") != STRUCTURE_SET:
+        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=_FIX)
+    regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
+    for region in file.get("ROIContourSequence") or ():
+        number = int(region.ReferencedROINumber)
+        name = regions.get(number, "").strip() or f"region {number}"
+        for one in region.get("ContourSequence") or ():
+            kind = one.get("ContourGeometricType")
+            if kind not in OPEN_KINDS:
+                left.append(f"contour of {name} ({kind})")
+                continue
+            arrays[str(len(names))] = np.array(list(map(float, one.ContourData))).reshape(-1, 3)
+            names.append(name)
     numbered = [name if names.count(name) == 1 else f"{name} ({n})" for n, name in enumerate(names, 1)]
     return numbered, left
 

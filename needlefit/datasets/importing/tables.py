@@ -165,20 +165,13 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
     """Return name and rows of each sheet, from its first cell on; in the child process."""
     from python_calamine import CalamineWorkbook
 
-    sheets = []
-    try:
-        book = CalamineWorkbook.from_filelike(io.BytesIO(read_bytes(Path(path), MAX_SHEET_BYTES)))
-        for name in book.sheet_names:
-            sheet = book.get_sheet_by_name(name)
-            above, left = sheet.start or (0, 0)
-            check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
-            rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
-            sheets.append((name[:MAX_CELL_CHARS], rows))
-    except (MemoryError, DataError):
-        raise
-    except BaseException as fault:  # its reader raises, and its panics are no Exception
-        what, expected = f"cannot be read ({type(fault).__name__})", "a workbook without password"
-        raise DataError(what, where=path, expected=expected, fix="save it again, or as CSV") from None
+    book, sheets = CalamineWorkbook.from_filelike(io.BytesIO(read_bytes(Path(path), MAX_SHEET_BYTES))), []
+    for name in book.sheet_names:
+        sheet = book.get_sheet_by_name(name)
+        above, left = sheet.start or (0, 0)
+        check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
+        rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
+        sheets.append((name[:MAX_CELL_CHARS], rows))
     return sheets
 
 

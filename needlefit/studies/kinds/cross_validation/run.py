@@ -33,7 +33,7 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
-from needlefit.project.input_files import read_toml
+from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream

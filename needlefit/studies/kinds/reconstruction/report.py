@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.read import check_all
-from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
@@ -284,7 +283,7 @@ def write_reconstruction(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset, and where its scans lie, with a row for each needle of divided ones; `quality/<id>.pdf`;
+    The dataset, with a table of scans that has a row for each needle of divided ones; `quality/<id>.pdf`;
     `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
@@ -295,10 +294,6 @@ def write_reconstruction(
         if not kept:
             return None, failures
         refused = (*refused, *failures)
-        volumes = {
-            one.scan.id: ScanVolume(one.scan.volume, one.scan.series, one.scan.acquisition) for one in kept
-        }
-        write_volumes(fresh, volumes, folder)
         if any(one.scan.divided for one in kept):  # to correct one needle, and for the next run
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
         for done, one in enumerate(kept):

@@ -1,0 +1,298 @@
+"""Read the markup files of 3D Slicer, `.mrk.json` (schema 1.0.x) and `.fcsv`; write `.mrk.json`."""
+
+import csv
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic.alias_generators import to_camel
+
+from needlefit.arrays import Floats
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.points import MAX_COORDINATE, Points
+from needlefit.errors import DataError
+from needlefit.geometry.frames import PatientSystem, to_lps
+from needlefit.project.input_files import read_json, read_text
+
+# What Slicer itself writes: an identifier, no address.
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+UNITS_MM = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}  # UCUM codes of length, in mm
+CURVE_KINDS = ("Curve", "Fiducial")  # lists whose points, in their order, can be a centreline
+SAVE_AGAIN_FIX = "save the list again in Slicer, as Markups JSON"
+
+# Columns of a .fcsv file that does not name them; from Slicer 5 on one follows with the status of the point.
+FCSV_COLUMNS = ("id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label", "desc", "node")
+FCSV_KEYS = {"label": "label", "description": "desc"}
+FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
+FCSV_DEFINED = "2"  # status of a point that was placed
+MAX_FCSV_CHARS = 10_000  # of a line; longer cells are no numbers
+_FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
+
+_SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class CurveStyle:
+    """How 3D Slicer shows a list: colour (red, green, blue; 0 to 1), thickness of its line, mm."""
+
+    colour: tuple[float, float, float]
+    thickness: float = 0.5
+    locked: bool = True  # whether its points cannot be moved; their labels are shown where they can
+
+
+@dataclass(frozen=True)
+class Markups:
+    """One markup list of 3D Slicer."""
+
+    path: Path  # where it stands
+    name: str  # of the list; the file's where it has none
+    kind: str  # "Fiducial", "Curve", "ClosedCurve", "Line", ...
+    labels: tuple[str, ...]  # of the points, N of them
+    # (N, 3); LPS, mm. Locked, hidden and unselected points are among them: that is how they are shown, no
+    # more.
+    points: Floats
+    system: PatientSystem = "LPS"  # the coordinate system of the file, from which they were turned
+    unset: tuple[str, ...] = ()  # labels of the points that were never placed; `points` leaves them out
+    descriptions: tuple[str, ...] = ()  # of the points, N of them
+
+    def as_curve(self) -> Points:
+        """Return the points as a centreline; DataError if the list is not a curve."""
+        if self.kind in CURVE_KINDS:
+            return Points(self.path, self.points)
+        what = f"`{self.name}` is a {self.kind}, which is no centreline"
+        expected = "an open curve (Curve), or points (Fiducial) from the entry to the tip"
+        fix = "draw the needle in Slicer as an open curve, and save that"
+        raise DataError(what, where=str(self.path), expected=expected, fix=fix)
+
+
+# ---- what of the schema is read
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False, alias_generator=to_camel)
+
+
+_Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+_Position = tuple[_Coordinate, _Coordinate, _Coordinate]
+
+
+def _take_code(units: object) -> object:
+    """Return the code of a unit, which may stand with its coding scheme and meaning."""
+    return units[0] if isinstance(units, list | tuple) and units else units
+
+
+class _ControlPoint(_Table):
+    label: str | None = None
+    description: str | None = None
+    position: _Position | tuple[()] | Literal[""] | None = None
+    position_status: Literal["defined", "undefined", "preview", "missing"] = "defined"
+
+
+class _List(_Table):
+    type: str
+    name: str | None = None
+    coordinate_system: PatientSystem
+    coordinate_units: Annotated[Literal["mm", "um", "cm", "m"], BeforeValidator(_take_code)] = "mm"
+    control_points: tuple[_ControlPoint, ...] = ()
+
+
+def read_markups(path: Path) -> tuple[Markups, ...]:
+    """Read every list of points of a `.mrk.json` or `.fcsv` file; planes and boxes (ROI) are skipped.
+
+    DataError if the file is missing, no markups file, or holds no list of points; if a list is empty, does
+    not state its coordinate system, or has a point that is not finite.
+    """
+    if path.suffix.lower() == ".fcsv":
+        return (_parse_markups(path, _read_fcsv(path), 1),)
+    whole = read_json(path)
+    lists = whole.get("markups") if isinstance(whole, dict) else None
+    if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
+        expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
+        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+    schema = str(whole.get("@schema", SCHEMA))
+    if not _SCHEMA.search(schema):
+        what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
+        raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+    found = [
+        _parse_markups(path, one, n)
+        for n, one in enumerate(lists, 1)
+        if one.get("type") not in ("Plane", "ROI")
+    ]
+    if not found:
+        kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
+        what, expected = f"holds no list of points, but {kinds}", "a point list, a Curve or a Line"
+        raise DataError(what, where=str(path), expected=expected, fix="save such a list in Slicer")
+    return tuple(found)
+
+
+def _read_fcsv(path: Path) -> dict[str, Any]:
+    """Return the one list of a `.fcsv` file (Slicer 4 or later) as `.mrk.json` states it."""
+    header: dict[str, str] = {"columns": ",".join(FCSV_COLUMNS)}
+    points = []
+    for line in read_text(path).splitlines():
+        if match := _FCSV_HEADER.match(line):
+            header[match[1].lower()] = match[2]
+        elif line.strip() and not line.startswith("#"):
+            columns = header["columns"].replace(" ", "").split(",")
+            cells = [cell.strip() for cell in next(csv.reader([line.replace("\0", "")[:MAX_FCSV_CHARS]]))]
+            named = dict(zip(columns, cells, strict=False))
+            point: dict[str, Any] = {key: named.get(short) for key, short in FCSV_KEYS.items()}
+            point["position"] = [_to_float(named.get(axis, "")) for axis in "xyz"]
+            if cells[len(FCSV_COLUMNS) : len(FCSV_COLUMNS) + 1] not in ([], [""], [FCSV_DEFINED]):
+                point["positionStatus"] = "undefined"
+            points.append(point)
+    system = header.get("coordinatesystem")
+    return {
+        **{"type": "Fiducial", "name": path.stem, "controlPoints": points},
+        "coordinateSystem": FCSV_SYSTEMS.get(system, system) if system else None,
+    }
+
+
+def _to_float(text: str) -> float | str:
+    """Return a cell as a number; or the cell itself if it is not a number."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _parse_markups(path: Path, table: dict[str, Any], number: int) -> Markups:
+    try:
+        one = _List.model_validate_json(json.dumps(table))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        places = (str(part + 1) if isinstance(part, int) else part for part in first["loc"][:3])
+        what = f"list {number}, key `{'.'.join(places)}` is missing or wrong"
+        expected = first["msg"].removeprefix("Input should be ")
+        raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX) from None
+    name = one.name or path.name.removesuffix(".json").removesuffix(".mrk")
+    placed, unset = list[_ControlPoint](), list[str]()
+    for point in one.control_points:
+        if point.position and point.position_status == "defined":
+            placed.append(point)
+        else:
+            unset.append(point.label or "")
+    if not placed:
+        what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
+        fix = "place its points in Slicer and save it again, or take another file"
+        raise DataError(what, where=str(path), expected="a list with points", fix=fix)
+    points = UNITS_MM[one.coordinate_units] * np.array([point.position for point in placed], dtype=np.float64)
+    return Markups(
+        path,
+        name,
+        one.type,
+        tuple(point.label or "" for point in placed),
+        to_lps(points, one.coordinate_system),
+        one.coordinate_system,
+        tuple(unset),
+        tuple(point.description or "" for point in placed),
+    )
+
+
+def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
+    """Return the only list of a file; DataError if there are several."""
+    if len(lists) == 1:
+        return lists[0]
+    listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
+    what = f"holds {len(lists)} lists: {listed}"
+    raise DataError(what, where=str(path), expected="one list", fix="save the list that is meant on its own")
+
+
+def _read_curves(path: Path) -> ReadCurves:
+    lists = read_markups(path)
+    unset = sum(len(one.unset) for one in lists)
+    curves = [one for one in lists if one.kind in CURVE_KINDS] or lists  # another kind is refused by its name
+    names = [one.name for one in curves]
+    for name in names:
+        if names.count(name) > 1:
+            what = f"holds {names.count(name)} lists called `{name}`"
+            fix = "rename them in Slicer, and save them again"
+            raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
+    notes = [f"{unset} points without a position ignored"] if unset else []
+    return {one.name: one.as_curve() for one in curves}, notes
+
+
+def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:
+    lists = read_markups(path)
+    curves = [one for one in lists if one.kind == "Curve"]
+    return (curves[0] if len(curves) == 1 else pick_list(lists, path)).as_curve()
+
+
+def _read_markers(path: Path) -> Points:
+    return Points(path, pick_list(read_markups(path), path).points)
+
+
+MARKUPS = FileFormat(
+    "markups", (".json", ".fcsv"), _read_curves, _read_centerline, _read_markers, in_scan=True
+)
+
+
+# ---- write
+
+
+def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, CurveStyle]]) -> None:
+    """Write lists to one file that Slicer opens as one node each: LPS, mm, all digits.
+
+    The same lists give the same bytes.
+    """
+    texts = [_format_markups(markups, style) for markups, style in lists]
+    body = ",\n".join(texts)
+    path.write_bytes(f'{{\n"@schema": "{SCHEMA}",\n"markups": [\n{body}\n]\n}}\n'.encode())
+
+
+def _format_markups(markups: Markups, style: CurveStyle) -> str:
+    head = {
+        "type": markups.kind,
+        "name": markups.name,
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "locked": style.locked,
+        "fixedNumberOfControlPoints": style.locked,
+        "labelFormat": "%N-%d",
+        "lastUsedControlPointNumber": len(markups.points),
+    }
+    descriptions = markups.descriptions or ("",) * len(markups.points)
+    points = [
+        {
+            "id": str(n),
+            "label": label,
+            "description": description,
+            "associatedNodeID": "",
+            "position": (position + 0.0).tolist(),
+            "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],  # of Slicer's own RAS axes
+            "selected": True,
+            "locked": style.locked,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for n, (label, position, description) in enumerate(
+            zip(markups.labels, markups.points, descriptions, strict=True), start=1
+        )
+    ]
+    listed = ",\n".join(_to_json(point) for point in points)
+    display = {
+        "color": [*style.colour],
+        "selectedColor": [*style.colour],  # every point is selected, and this is what shows
+        "activeColor": [*style.colour],
+        "propertiesLabelVisibility": False,
+        "pointLabelsVisibility": not style.locked,
+        "textScale": 3.0,
+        "glyphType": "Sphere3D",
+        "glyphSize": style.thickness,
+        "useGlyphScale": False,
+        "lineThickness": 1.0,  # relative to glyphSize
+    }
+    return f'{_to_json(head)[:-1]}, "controlPoints": [\n{listed}\n], "display": {_to_json(display)}}}'
+
+
+def _to_json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
