@@ -135,7 +135,6 @@ SCAN_COLUMNS = (
     *("id", "scan", "series", "acquisition", "medium", "specimen", *FILES),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
-SCANS_DOCUMENT = "docs/reconstruction.md"  # where the columns, and the files that they name, are explained
 # What fixes a bevel that fixes no plane.
 BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 MESH_SUFFIXES = (".stl", ".ply", ".obj")

@@ -94,7 +94,7 @@ def _dataset(path: Path) -> object:
 def _import(path: Path) -> object:
     answers = _late("datasets.importing.answers.Answers")({"pose": "1,0,0", "bevel": "0,1,0"})
     content, plan = import_module("import_cases").plan_import([path], answers)
-    with _late("project.folders.create_folder")(path.parent / "made") as fresh:
+    with _late("project.folders.replace_folder")(path.parent / "made", False) as fresh:
         _late("datasets.importing.writing.write_plan")(fresh, content, plan, answers)
     return _late("datasets.read.read")(path.parent / "made")
 

@@ -6,11 +6,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from pydantic.alias_generators import to_camel
 
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault
@@ -74,37 +72,6 @@ class Markups:
         raise DataError(what, where=str(self.path), expected=expected, fix=fix)
 
 
-# ---- what of the schema is read
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(strict=True, allow_inf_nan=False, alias_generator=to_camel)
-
-
-_Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
-_Position = tuple[_Coordinate, _Coordinate, _Coordinate]
-
-
-def _take_code(units: object) -> object:
-    """Return the code of a unit, which may stand with its coding scheme and meaning."""
-    return units[0] if isinstance(units, list | tuple) and units else units
-
-
-class _ControlPoint(_Table):
-    label: str | None = None
-    description: str | None = None
-    position: _Position | tuple[()] | Literal[""] | None = None
-    position_status: Literal["defined", "undefined", "preview", "missing"] = "defined"
-
-
-class _List(_Table):
-    type: str
-    name: str | None = None
-    coordinate_system: PatientSystem
-    coordinate_units: Annotated[Literal["mm", "um", "cm", "m"], BeforeValidator(_take_code)] = "mm"
-    control_points: tuple[_ControlPoint, ...] = ()
-
-
 def read_markups(path: Path) -> tuple[Markups, ...]:
     """Read every list of points of a `.mrk.json` or `.fcsv` file; planes and boxes (ROI) are skipped.
 
@@ -165,37 +132,44 @@ def _to_float(text: str) -> float | str:
         return text
 
 
-def _parse_markups(path: Path, table: dict[str, Any], number: int) -> Markups:
-    try:
-        one = _List.model_validate_json(json.dumps(table))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        places = (str(part + 1) if isinstance(part, int) else part for part in first["loc"][:3])
-        what = f"list {number}, key `{'.'.join(places)}` is missing or wrong"
-        expected = first["msg"].removeprefix("Input should be ")
-        raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX) from None
-    name = one.name or path.name.removesuffix(".json").removesuffix(".mrk")
-    placed, unset = list[_ControlPoint](), list[str]()
-    for point in one.control_points:
-        if point.position and point.position_status == "defined":
-            placed.append(point)
-        else:
-            unset.append(point.label or "")
+def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups:
+    def check(is_right: bool, key: str, expected: str) -> None:
+        if not is_right:
+            what = f"list {number}, key `{key}` is missing or wrong"
+            raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+
+    kind, system, points = (table.get(key) for key in ("type", "coordinateSystem", "controlPoints"))
+    units = table.get("coordinateUnits") or "mm"
+    unit = units[0] if isinstance(units, list) else units  # scheme and meaning may stand behind the code
+    check(isinstance(kind, str), "type", "Fiducial, Curve, ...")
+    check(system in ("LPS", "RAS"), "coordinateSystem", "LPS or RAS")
+    check(isinstance(unit, str) and unit in UNITS_MM, "coordinateUnits", f"one of {', '.join(UNITS_MM)}")
+    is_list = isinstance(points, list) and all(isinstance(one, dict) for one in points)
+    check(is_list, "controlPoints", "a list of points")
+    placed, unset, positions = list[dict[str, Any]](), list[str](), list[list[float]]()
+    for n, point in enumerate(points or (), start=1):
+        position, status = point.get("position"), point.get("positionStatus", "defined")
+        key = f"controlPoints.{n}.position"
+        check(
+            status in ("defined", "undefined", "preview", "missing"), f"{key}Status", "defined or undefined"
+        )
+        if not position or status != "defined":
+            unset.append(str(point.get("label") or ""))
+            continue
+        is_place = isinstance(position, list) and len(position) == 3
+        is_place = is_place and all(type(x) in (int, float) and abs(x) <= MAX_COORDINATE for x in position)
+        check(is_place, key, f"three numbers up to {MAX_COORDINATE:g}")
+        placed.append(point)
+        positions.append(position)
+    name = str(table.get("name") or path.name.removesuffix(".json").removesuffix(".mrk"))
     if not placed:
         what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
         fix = "place its points in Slicer and save it again, or take another file"
         raise DataError(what, where=str(path), expected="a list with points", fix=fix)
-    points = UNITS_MM[one.coordinate_units] * np.array([point.position for point in placed], dtype=np.float64)
-    return Markups(
-        path,
-        name,
-        one.type,
-        tuple(point.label or "" for point in placed),
-        to_lps(points, one.coordinate_system),
-        one.coordinate_system,
-        tuple(unset),
-        tuple(point.description or "" for point in placed),
-    )
+    labels, notes = (tuple(str(one.get(key) or "") for one in placed) for key in ("label", "description"))
+    own: PatientSystem = "LPS" if system == "LPS" else "RAS"
+    values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), own)
+    return Markups(path, name, str(kind), labels, values, own, tuple(unset), notes)
 
 
 def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
