@@ -1,4 +1,4 @@
-"""What does a compression test say of a tissue's exponent alpha, as the prior of a layer?
+"""What does a compression test determine of a tissue's exponent alpha, as the prior of a layer?
 
     python studies/compression_prior.py FILE.csv [--foundation FACTOR SPREAD] [--quick] [--out FIGURE]
 

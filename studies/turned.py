@@ -1,4 +1,4 @@
-"""What is the second plane worth where bevels are turned by 90 degrees on the way?
+"""How much does the second plane improve predictions where bevels are turned by 90 degrees on the way?
 
     python studies/turned.py [--truths 20] [--quick] [--write DIR] [--out reports/turned.png]
 

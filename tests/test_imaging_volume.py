@@ -194,7 +194,7 @@ def test_left_handed_and_turned_files_and_a_space_that_is_not_stated(tmp_path):
     assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-15)
     path = nrrd(tmp_path / "a.nrrd")  # the dimension must stand where `space` stood
     path.write_bytes(path.read_bytes().replace(b"space: left-posterior-superior", b"space dimension: 3"))
-    assert "does not say its space" in refused(path).what
+    assert "does not state its space" in refused(path).what
 
 
 # Round trips

@@ -49,7 +49,7 @@ Quiet = Annotated[bool, _flag("No progress on stderr.", "--quiet", "-q")]
 Reference = Annotated[
     bool,
     _flag(
-        "Also write the tables to OUT/reference/NAME/, NAME the run's, to keep under version control.",
+        "Also write the tables to OUT/reference/STUDY/, to keep under version control.",
         "--reference",
     ),
 ]
@@ -59,6 +59,7 @@ Seed = Annotated[
     int | None,
     option(
         "Seed of all randomness (default: that of the recipe, or of the shipped twin).",
+        "N",
         min=0,
         max=MAX_SEED,
         callback=_keep,
@@ -66,7 +67,7 @@ Seed = Annotated[
 ]
 Jobs = Annotated[
     int | None,
-    option("Cores to use (default: all); they do not change the result.", min=1, callback=_keep),
+    option("Cores to use (default: all); they do not change the result.", "N", min=1, callback=_keep),
 ]
 Scheduler = Annotated[
     str | None,

@@ -33,10 +33,10 @@ def plan(
     target: Annotated[
         str | None, option("Target in the constraint frame, mm: x along the entry.", "X,Y[,Z]")
     ] = None,
-    radius: Annotated[float, option("A tip within it reaches the target.", "MM", min=0.01)] = 2.0,
+    radius: Annotated[float, option("Distance from the target that counts as reached.", "MM", min=0.01)] = 2.0,
     obstacle: Annotated[
         list[str] | None,
-        option("A sphere to pass by: centre and radius, mm. May be repeated.", "X,Y[,Z],R"),
+        option("A sphere to avoid: centre and radius, mm. May be repeated.", "X,Y[,Z],R"),
     ] = None,
     markups: Annotated[
         Path | None,
@@ -47,13 +47,13 @@ def plan(
     ] = None,
     obstacle_radius: Annotated[float, option("Radius of the obstacles of --markups.", "MM", min=0.01)] = 2.0,
     entry_shift: Annotated[
-        float, option("The entry may shift by so much to either side.", "MM", min=0.0)
+        float, option("Largest shift of the entry to either side.", "MM", min=0.0)
     ] = 0.0,
-    base: Annotated[float, option("The base may move by so much to either side.", "MM", min=0.0)] = 10.0,
+    base: Annotated[float, option("Largest movement of the base to either side.", "MM", min=0.0)] = 10.0,
     base_angle: Annotated[
-        float, option("The base may turn by so much to either side.", "DEGREES", min=0.0, max=40.0)
+        float, option("Largest angle of the base to either side.", "DEGREES", min=0.0, max=40.0)
     ] = 5.0,
-    turns: Annotated[int, option("The bevel may turn over so often on the way.", "N", min=0, max=2)] = 2,
+    turns: Annotated[int, option("Largest number of turns of the bevel on the way.", "N", min=0, max=2)] = 2,
     specimen: options.Specimen = None,
     write_recording: Annotated[
         Path | None, option("Write the plan as a recording for `view` and `simulate`: .csv.", "FILE")

@@ -30,9 +30,8 @@ def report(
 ) -> None:
     """Write tables, figures and report of a RUN again, to its own folder or to OUT.
 
-    Nothing is fitted: all is made of the stored results, exact to the last digit, as after an update that
-    draws figures differently, or where files were lost. Files that do not agree with the manifest are named,
-    and not reported on: remove them, and they are made again.
+    Nothing is fitted: the files are made of the stored results, for instance after an update, or where files
+    were lost. A file that does not agree with the manifest is an error: remove it, and it is written again.
     """
     from needlefit.project.locate import find_run
     from needlefit.studies.report import rebuild

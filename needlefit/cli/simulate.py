@@ -68,7 +68,7 @@ def simulate(
         Path | None, option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE")
     ] = None,
     html: Annotated[
-        Path | None, option("Of a recording: one HTML file that computes it offline.", "FILE")
+        Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
     ] = None,
     strict: options.Strict = False,
     json: options.Json = False,

@@ -88,7 +88,7 @@ def calibrate(
     context: typer.Context,
     target: options.Target,
     replicates: Annotated[
-        int, option("Number of simulated datasets.", min=1, max=MAX_REPLICATES)
+        int, option("Number of simulated datasets.", "N", min=1, max=MAX_REPLICATES)
     ] = DEFAULT_REPLICATES,
     truth: Annotated[
         Literal["prior", "synthetic"],

@@ -204,7 +204,7 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
     if row.roll is not None and row.side != 1:
         what, fix = (
-            "bevel_side and bevel_roll_deg both say where the bevel faces",
+            "bevel_side and bevel_roll_deg both state where the bevel faces",
             "empty one of the two cells",
         )
         yield Fault(where, what, "one of the two", fix)
@@ -269,7 +269,7 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
         expected = f"one of {', '.join(POSE_SOURCES[:-1])}"
-        fix = 'say where the entry pose comes from; where there is none, frame.pose is "free"'
+        fix = 'state where the entry pose comes from; where there is none, frame.pose is "free"'
         yield Fault(where, f"pose_source is {row.pose_source!r}", expected, fix)
     length = float(np.linalg.norm(row.direction))
     if abs(length - 1) > UNIT_VECTOR_TOLERANCE:

@@ -72,7 +72,7 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
         # MetaImage is LPS by its definition
         if reader.GetImageIO() == "NrrdImageIO" and space != "left-posterior-superior":
             stated = f"its space is {space}, which does not describe the patient"
-            raise refusal(f"""{stated if space else "does not say its space"}
+            raise refusal(f"""{stated if space else "does not state its space"}
                 expected: `space: left-posterior-superior` or another anatomical one in the header
                 fix: export it from a program that knows the patient's axes, such as 3D Slicer""")
         allow_memory(2 * (content + memory) + stored)  # a buffer, one to convert into

@@ -107,7 +107,7 @@ def _choose_form(
     DataError if none is stated, or two that differ.
     """
     if not any(codes):
-        raise refusal("""does not say where it stands in the patient: qform_code and sform_code are 0
+        raise refusal("""does not state where it stands in the patient: qform_code and sform_code are 0
             expected: a NIfTI header with a qform or an sform
             fix: convert the scan from its DICOM series again""")
     stated = sform if codes[1] else qform

@@ -179,7 +179,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     fault = partial(Fault, where or str(path))
     if not is_file(path) and "=" in file:
         expected = "file, file=sheet:2, file=solid:3 or file=segments:NAME,NAME"
-        fix = "say the kind and the layer that it leads into, or leave both out"
+        fix = "state the kind and the layer that it leads into, or leave both out"
         return fault(f"the layer {text!r} is not understood", expected, fix)
     if not is_file(path):
         return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
@@ -196,7 +196,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
         fix = f"write {file}, {file}=sheet:2 or {file}=solid:3"
         return fault(f"{path} is a mesh, of which segments are named", "one surface", fix)
     if match and not mesh:
-        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels say which layer is which"
+        fix = f"write {file}, or {file}=segments:NAME,NAME: its labels state which layer is which"
         return fault(f"{path} is a segmentation of all layers, listed as one {match['kind']}", "", fix)
     if chosen:
         names = tuple(name for part in chosen["names"].split(",") if (name := part.strip()))

@@ -94,7 +94,7 @@ def predict_by_curve(
     assert baseline.track_basis is not None
     if len(tuned) < MIN_TUNED_RUNS:
         raise ConfigError(
-            f"{len(tuned)} runs say too little of the slope of another one",
+            f"{len(tuned)} runs determine too little of the slope of another one",
             expected=f"at least {MIN_TUNED_RUNS} runs to fit to",
             fix="tune on more runs",
         )

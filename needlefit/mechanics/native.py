@@ -150,7 +150,7 @@ class KernelProblem(ctypes.Structure):
             or any(arrays[f"{name}_first"][-1] != len(arrays[name]) for name in ("before", "within"))
             or (problem.columns and len(arrays["guide_columns"]) != guides)
         ):
-            raise TypeError("stops, guides or their columns are not as many as the problem says")
+            raise TypeError("stops, guides or their columns are not as many as the problem states")
         found = (c_int64 * 3)()
         check_fault(load_library().nf_check(byref(problem), found))
         problem.room, problem.max_points, problem.max_quadrature = found

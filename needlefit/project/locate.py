@@ -129,7 +129,7 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     if len(found) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",
-            fix=f"say which: studies/{name}.toml or configs/fits/{name}.toml",
+            fix=f"state which: studies/{name}.toml or configs/fits/{name}.toml",
         )
     return ("study" if found[0][0] == "study" else "fit"), found[0][1]
 
@@ -274,7 +274,7 @@ def find_view_target(name: str) -> ViewTarget:
         paths = [f"{path}/{found[0].insertion}" if found[0].insertion else str(path) for path in folders]
         raise ConfigError(
             f"`{name}` is {' and '.join(f'a {one.kind}' for one in found)}",
-            fix=f"say which: {' or '.join(paths)}",
+            fix=f"state which: {' or '.join(paths)}",
         )
     return found[0]
 

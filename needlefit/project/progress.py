@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-Progress = Callable[[str, int, int], None]  # told what is being done, how much of it is done, and of how much
+Progress = Callable[[str, int, int], None]  # called with what is done, how much of it, of how much
 Stop = Callable[[], bool]
 
 Note = Callable[[str], None]

@@ -120,13 +120,13 @@ class StepRecord(TrackedTipRecord):
     @model_validator(mode="after")
     def _one_tip(self) -> Self:
         if self.tip_free and self.tip_y_mm is not None:
-            raise ValueError("tip_free = true lets go of the tip that tip_y_mm holds: give one of the two")
+            raise ValueError("tip_free = true contradicts tip_y_mm: give one of the two")
         return self
 
     @model_validator(mode="after")
     def _one_roll(self) -> Self:
         if self.side is not None and self.roll_deg is not None:
-            raise ValueError("side and roll_deg both say where the bevel faces: give one of the two")
+            raise ValueError("side and roll_deg both state where the bevel faces: give one of the two")
         return self
 
 
@@ -208,7 +208,7 @@ class BevelRecord(Record):
     @model_validator(mode="after")
     def _one_roll(self) -> Self:
         if self.roll_deg is not None and self.side != 1:
-            raise ValueError("side and roll_deg both say where the bevel faces: give one of the two")
+            raise ValueError("side and roll_deg both state where the bevel faces: give one of the two")
         return self
 
 

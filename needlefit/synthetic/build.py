@@ -232,7 +232,7 @@ def build_dataset(
 
     `plan`: the insertions; each comes out the same whatever the others are.
     `pool`: where insertions are made; changes no byte.
-    `progress`: told what is being done, how many insertions are done, and of how many.
+    `progress`: called with what is being done, how many insertions are done, and of how many.
     """
     recipe, built = make_recipe([WHOLE_BOX_SETUP]), list[ReconstructedInsertion]()
     progress("reconstructing", 0, len(plan))

@@ -225,7 +225,7 @@ def write_scans(
     """Render `plan` into the empty `folder`; return its `scans.csv`. The same seed gives the same bytes.
 
     `pool`: where they are rendered: on this machine, whose folder they write.
-    `progress`: told what is being done, how many insertions are done, and of how many.
+    `progress`: called with what is being done, how many insertions are done, and of how many.
     """
     write_layers(folder, plan)
     scans = []

@@ -93,7 +93,7 @@ def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: flo
     weight = min(axis.variance / sd**2, MAX_POINT_WEIGHT)
     s, points = np.append(axis.s, at), np.vstack([axis.points, point])
     longer = fit_axis(s, points, np.append(axis.weights, weight), knot)
-    scale = axis.variance / longer.variance  # one point more tells nothing of the scatter
+    scale = axis.variance / longer.variance  # one point more determines no scatter
     covariance = longer.covariance * scale
     return replace(
         longer,

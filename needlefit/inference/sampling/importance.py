@@ -533,8 +533,8 @@ def sample_about_fit(
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:
     """Return `count` unweighted draws; their `faults` say so if the weights are not certified."""
     warning = (
-        f"draws by importance are not certified: Pareto k is {found.k:.2f} ({MAX_PARETO_K} at most), and "
-        f"they are worth {found.effective_sample_size:.0f} independent ones ({found.min_ess:.0f} at least)"
+        f"draws by importance are not certified: Pareto k is {found.k:.2f} (at most {MAX_PARETO_K}), the "
+        f"effective sample size is {found.effective_sample_size:.0f} (at least {found.min_ess:.0f})"
     )
     thetas = found.thetas[resample(found, count, rng)]
     faults = () if found.certified else (warning,)
