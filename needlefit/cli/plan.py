@@ -33,7 +33,9 @@ def plan(
     target: Annotated[
         str | None, option("Target in the constraint frame, mm: x along the entry.", "X,Y[,Z]")
     ] = None,
-    radius: Annotated[float, option("Distance from the target that counts as reached.", "MM", min=0.01)] = 2.0,
+    radius: Annotated[
+        float, option("Distance from the target that counts as reached.", "MM", min=0.01)
+    ] = 2.0,
     obstacle: Annotated[
         list[str] | None,
         option("A sphere to avoid: centre and radius, mm. May be repeated.", "X,Y[,Z],R"),
@@ -46,9 +48,7 @@ def plan(
         ),
     ] = None,
     obstacle_radius: Annotated[float, option("Radius of the obstacles of --markups.", "MM", min=0.01)] = 2.0,
-    entry_shift: Annotated[
-        float, option("Largest shift of the entry to either side.", "MM", min=0.0)
-    ] = 0.0,
+    entry_shift: Annotated[float, option("Largest shift of the entry to either side.", "MM", min=0.0)] = 0.0,
     base: Annotated[float, option("Largest movement of the base to either side.", "MM", min=0.0)] = 10.0,
     base_angle: Annotated[
         float, option("Largest angle of the base to either side.", "DEGREES", min=0.0, max=40.0)

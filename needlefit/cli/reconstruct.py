@@ -64,7 +64,12 @@ def reconstruct(
     ] = None,
     medium: Annotated[str | None, option("Name of what was punctured (default: medium).")] = None,
     every: Annotated[
-        bool, option("Every needle of a scan is an insertion: ID-1, ID-2, ... toward the patient's left.", None, "--all")
+        bool,
+        option(
+            "Every needle of a scan is an insertion: ID-1, ID-2, ... toward the patient's left.",
+            None,
+            "--all",
+        ),
     ] = False,
     recipe: Annotated[
         str,
