@@ -1,16 +1,14 @@
 """What is inferred of simulated needles, tracks and specimens: every number as it was."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import test_inference_document as document
 from golden_numbers import assert_golden
-from inference_cases import TRUTH, insertion, measure, medium, problem, squares_recipe, two_layers
+from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 from sampling_cases import Known, banana, two_hills
 from test_inference_identify import COVARIANCE, fit_at, predict_data, tied_problem
 from test_inference_importance import weighted
-from test_inference_optimize import squares, valley
 from test_inference_predict import measured as bent
 from test_inference_specimens import BOUNDS, MODEL, NOTHING_STATED, gaussian
 
@@ -19,7 +17,6 @@ from needlefit.datasets.read import read
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.identifiability.design_gain import nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
-from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
 from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import resample
@@ -73,27 +70,6 @@ def test_baselines_and_predictive_distributions():
     }
     scores = [crps(mixture, [0.3, -1.0]), cdf(mixture, [0.3, -1.0]), quantile(mixture, 0.9)]
     assert_golden("baselines", {**found, "mixture": [*scores, *interval(mixture, 0.95)]})
-
-
-def curved(theta):
-    """Residuals that curve, and are not 0 at their least squares."""
-    x, y = theta
-    slopes = np.array([[1.0, 0.0], [0.3 * y, 1.0 + 0.3 * x], [-0.8 * x, -0.8 * y]])
-    return np.array([x - 0.1, y + 0.3 * x * y, 0.9 - 0.4 * (x**2 + y**2)]), slopes
-
-
-def test_searches_on_their_way():
-    """Within bounds and, of a smaller box, at them; what the whole search took counts too."""
-    found = {}
-    for function, half in product((valley, curved), (2.0, 0.3)):
-        for budget in (3, 5, 7, 9, 12, 16, 400):
-            fit = minimize(squares(function, half), squares_recipe(starts=3, evaluations=budget), rng())
-            ends = [
-                [*start.theta, start.objective, start.stopped == "bound", start.stopped == "tolerance"]
-                for start in fit.starts
-            ]
-            found[f"{function.__name__} {half:g} {budget}"] = [*ends, [fit.evaluations]]
-    assert_golden("searches", found, rtol=1e-4)
 
 
 def test_weighted_draws():

@@ -1,4 +1,4 @@
-"""What a reconstruction leaves behind: its page, its curves and bodies in Slicer, its tables."""
+"""The tables of a reconstruction."""
 
 import numpy as np
 import pandas as pd
@@ -9,14 +9,6 @@ from numpy.testing import assert_allclose
 from needlefit.studies.kinds.reconstruction import KIND
 from needlefit.studies.kinds.reconstruction.report import tabulate_batch
 from needlefit.studies.report import write_files
-
-# the page
-
-
-# Slicer
-
-
-# tables
 
 
 def tabulate(*batch):

@@ -243,20 +243,16 @@ def _describe(shown: "ViewedScene", found: "SteeringPlan", summary: dict[str, An
         return f"The plan {reaches} the target{past}. {known} ends {nominal}.{bound}"
     quantiles = (summary["median_mm"], summary["miss_95_mm"])
     median, most = ("-" if value is None else f"{value:.2f}" for value in quantiles)
+    spread = ""
+    if (sds := summary.get("tip_sd_mm")) is not None:  # not of a plan in the plane
+        spread = f" Tips spread by {sds[0]:.2f} mm along y and {sds[1]:.2f} mm along z (SD)."
     return (
         f"The tip ends {within}{past} with probability {100 * found.probability:.0f} % (95 % CI "
         f"{100 * found.low:.0f} to {100 * found.high:.0f} %), by {len(found.needles)} posterior draws for "
         f"{_SPECIMENS[shown.specimen]}. "
-        f"Median miss {median} mm, 95 % below {most} mm.{_describe_spread(summary)} "
+        f"Median miss {median} mm, 95 % below {most} mm.{spread} "
         f"Model error is not included.{bound}"
     )
-
-
-def _describe_spread(summary: dict[str, Any]) -> str:
-    """Return how far the tips of draws lie apart along y and z; nothing of a plan in the plane."""
-    if not (spread := summary.get("tip_sd_mm")):
-        return ""
-    return f" Tips spread by {spread[0]:.2f} mm along y and {spread[1]:.2f} mm along z (SD)."
 
 
 def _describe_failure(found: "SteeringPlan", summary: dict[str, Any]) -> str:

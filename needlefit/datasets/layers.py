@@ -160,6 +160,7 @@ def reduce_insertion(
         boundaries, sequence = select_layers(medium.boundaries, reach)
     names = {field.name for field in fields(Insertion)} & {field.name for field in fields(InsertionRow)}
     given = {name: getattr(row, name) for name in names}
+    contact = row.roll if row.roll is not None else 0.0 if row.side > 0 else math.pi
     given["layers_alternative"] = row.layers if row.layers_alternative is None else row.layers_alternative
     return Insertion(
         **given
@@ -175,7 +176,7 @@ def reduce_insertion(
             "patient": patient,
             "sections": sections,
             "side": row.side if row.roll is None else 1,
-            "turns": _count_from_contact(row),
+            "turns": tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns),
             "curvature": _turn_curvature(row),
         }
     )
@@ -204,12 +205,6 @@ def _turn_curvature(row: InsertionRow) -> Floats | None:
     cos, sin = math.cos(row.roll), math.sin(row.roll)
     s, y, z, sd = row.curvature.T
     return np.column_stack([s, cos * y + sin * z, cos * z - sin * y, sd])
-
-
-def _count_from_contact(row: InsertionRow) -> tuple[tuple[float, float], ...]:
-    """Return depth (mm) and roll of each turn, degrees from where the bevel faced at first contact."""
-    contact = row.roll if row.roll is not None else 0.0 if row.side > 0 else math.pi
-    return tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns)
 
 
 MAX_BACKWARD_MM = 0.05  # a centreline may go back by this, mm, between two points: noise does that

@@ -65,7 +65,6 @@ from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import (
     MIN_SD_MM,
     DatasetRecord,
-    FrameRecord,
     NoiseRecord,
     TrackDatasetRecord,
 )
@@ -229,7 +228,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
 def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
     """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
     record, found = reading.record, reading.faults
-    curves = _Centerlines(record, root)
+    curves, motion = _Centerlines(record, root), record.frame.lps_to_world
+    scanned = IDENTITY_FRAME if motion is None else Frame.from_rows(motion)  # where a row states no other
     if record.centerlines.file is not None and not curves.read_long_table(found):
         return
     table = curves.long if record.insertions.file is None else None
@@ -247,7 +247,7 @@ def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -
             beside = reading.read_table(root / name)
             rows = [] if beside is None else add(rows, beside, found)
     for row in rows:
-        where, patient = f"{table.path}:{row.line}", row.patient or make_patient_frame(record.frame)
+        where, patient = f"{table.path}:{row.line}", row.patient or scanned
         faults: list[Fault] = []
         points = curves.find(row, patient, faults)
         if points is not None:
@@ -345,11 +345,6 @@ class _Centerlines:
         if points is None or not format_.in_scan:
             return points
         return replace(points, values=patient.to_world(points.values))
-
-
-def make_patient_frame(record: FrameRecord) -> Frame:
-    """Return the patient coordinates, as a frame in the world, of scans whose row states no others."""
-    return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
 
 
 def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:

@@ -76,7 +76,9 @@ def find_operator_faults(
     stated = record.measurement
     if stated is None:
         return
-    compared = {one.insertion.id: _select_arc_lengths(record, one) for one in listed}
+    pose, drop = record.frame.pose, record.frame.drop_proximal_mm
+    insertions = [one.insertion for one in listed]
+    compared = {one.id: select_compared_places(pose, drop, one)[1] for one in insertions}
     spacing = stated.knot_spacing_mm
     for name, s in () if spacing is None else compared.items():
         knots = make_knots(s[0], s[-1], spacing or 0.0)
@@ -91,12 +93,6 @@ def find_operator_faults(
         what = f"{key} is {stated.width_mm:g}: too wide for the {length:.3g} mm compared of {name}"
         fix = "write the standard deviation of the Gaussian, or leave out insertions that are too short"
         yield Fault(locate_key(file, key), what, f"at most a quarter of that, {most:g}", fix)
-
-
-def _select_arc_lengths(record: DatasetRecord, listed: ListedInsertion) -> Floats:
-    """Return the arc lengths from the entry (K,), mm, of the points compared."""
-    frame = record.frame
-    return select_compared_places(frame.pose, frame.drop_proximal_mm, listed.insertion)[1]
 
 
 def from_record(record: SectionsRecord) -> SplineSections:

@@ -130,7 +130,9 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
             if one.medium != medium:
                 continue
             alike = by_key.setdefault(_make_hole_key(source, one), [])
-            own = next((hole for hole in alike if source == "stated" or _has_other_depths(hole, one)), None)
+            # another insertion that is as deep is another hole
+            fits = (one.depth not in [part.depth for part in hole] or source == "stated" for hole in alike)
+            own = next((hole for hole, is_own in zip(alike, fits, strict=True) if is_own), None)
             if own is None:
                 own = []
                 alike.append(own)
@@ -150,11 +152,6 @@ def _make_hole_key(source: HoleSource, one: Insertion) -> tuple[object, ...]:
     entry = np.concatenate([one.frame.origin, one.frame.rotation[:, 0]]).round(ENTRY_DECIMALS)
     # adding 0 makes -0 the same as 0
     return (one.specimen, one.side, one.turns, *((entry + 0.0).tolist() if source == "entry" else ()))
-
-
-def _has_other_depths(hole: Sequence[Insertion], one: Insertion) -> bool:
-    """Return whether no insertion into a hole is as deep as this one, which then is another hole."""
-    return all(part.depth != one.depth for part in hole)
 
 
 def name_holes(dataset: Dataset) -> dict[str, str]:

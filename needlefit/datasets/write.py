@@ -71,7 +71,9 @@ def write_dataset(
     _require_files(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _format_rows(rows)}
     if (turns := record.insertions.turns) is not None:
-        files[turns] = _format_turns(rows)
+        rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
+        cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in rolls]
+        files[turns] = "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
@@ -113,12 +115,6 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
     lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
     return "".join(",".join(cells) + "\n" for cells in lines)
-
-
-def _format_turns(rows: Sequence[InsertionRow]) -> str:
-    turns = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
-    cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in turns]
-    return "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
 
 
 def format_cells(row: InsertionRow) -> dict[str, str]:

@@ -76,7 +76,12 @@ class Checkpoint:
         if self.folder is None:
             return
         if arrays is not None:
-            row = {**row, ARRAYS_KEY: {name: _encode_array(one) for name, one in arrays.items()}}
+            stored = dict[str, str]()
+            for name, array in arrays.items():
+                written = io.BytesIO()
+                np.save(written, array, allow_pickle=False)
+                stored[name] = base64.b64encode(written.getvalue()).decode("ascii")
+            row = {**row, ARRAYS_KEY: stored}
         with self._file(work).open("ab") as file:
             file.write(b"\n" + json.dumps(row).encode("ascii") + b"\n")  # the line before may be torn
 
@@ -127,12 +132,6 @@ def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
     except (AttributeError, DataError, MemoryError, TypeError, ValueError):
         pass
     return None
-
-
-def _encode_array(array: NDArray[Any]) -> str:
-    written = io.BytesIO()
-    np.save(written, array, allow_pickle=False)
-    return base64.b64encode(written.getvalue()).decode("ascii")
 
 
 def _decode_array(text: str) -> NDArray[Any]:

@@ -184,13 +184,9 @@ def find_run(name: str) -> Path:
 
 
 def _look_up_run(name: str) -> Path | None:
-    return next((place for place in _run_places(name) if is_file(place / "run.json")), None)
-
-
-def _run_places(name: str) -> list[Path]:
-    """Return the folders that may be meant, the first before the others; `a/` is a bare name, too."""
-    bare = name.rstrip("/")
-    return [Path(name)] if is_path(bare) or not bare else [Path("reports") / bare, Path(bare)]
+    bare = name.rstrip("/")  # `a/` is a bare name, too
+    places = [Path(name)] if is_path(bare) or not bare else [Path("reports") / bare, Path(bare)]
+    return next((place for place in places if is_file(place / "run.json")), None)
 
 
 def list_runs() -> list[str]:

@@ -118,13 +118,9 @@ class StepRecord(TrackedTipRecord):
     """Changes of guides, by name: `guides.template.y_mm = 2.0`."""
 
     @model_validator(mode="after")
-    def _one_tip(self) -> Self:
+    def _one_of_two(self) -> Self:
         if self.tip_free and self.tip_y_mm is not None:
             raise ValueError("tip_free = true contradicts tip_y_mm: give one of the two")
-        return self
-
-    @model_validator(mode="after")
-    def _one_roll(self) -> Self:
         if self.side is not None and self.roll_deg is not None:
             raise ValueError("side and roll_deg both state where the bevel faces: give one of the two")
         return self
@@ -227,16 +223,9 @@ class AdvanceRecord(Record):
     """Rule of advance: along the tangent with offset b, or at a constant angle to it."""
 
     @model_validator(mode="after")
-    def _one_rule(self) -> Self:
+    def _consistent(self) -> Self:
         if self.advance == "path_angle" and (self.constraint_switch, self.tangent_part) != (0.5, 1.0):
-            raise ValueError(
-                'constraint_switch and tangent_part are variants of advance = "tangent": leave them out '
-                'beside "path_angle"'
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _within_a_cell(self) -> Self:
+            raise ValueError('constraint_switch and tangent_part need advance = "tangent": leave them out')
         if self.first_cell_mm is not None and self.first_cell_mm > self.constraint_spacing_mm:
             raise ValueError(
                 f"first_cell_mm is {self.first_cell_mm:g}: at most constraint_spacing_mm, "
@@ -321,16 +310,12 @@ class SceneRecord(FileRecord):
     """Steps of the insertion; a step keeps what it does not give."""
 
     @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _one_way_down(self) -> Self:
         tops = [layer.top_mm for layer in self.layers]
         if tops[0] != 0:
             raise ValueError(f"layers.1.top_mm is {tops[0]}: the first layer begins at the entry, top_mm = 0")
         if any(b <= a for a, b in pairwise(tops)):
             raise ValueError(f"layers must lie one below the other: top_mm must increase, got {tops}")
-        return self
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
         if self.steps and self.depth_mm is not None:
             raise ValueError(
                 f"key `depth_mm` stands beside steps, each of which has its own: delete it, or set "

@@ -16,7 +16,7 @@ from needlefit.datasets.write import format_cells
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scans import LayerSource, Scan, StagePose
-from needlefit.imaging.volume import Volume, VoxelGrid
+from needlefit.imaging.volume import VoxelGrid
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress
@@ -87,13 +87,6 @@ def choose_setup(planned: PlannedInsertion) -> ScanSetup:
     return SAMPLE_SETUP if planned.id == design.SAMPLE_INSERTION.id else WHOLE_BOX_SETUP
 
 
-def measure_markers(setup: ScanSetup, seed: int, name: str) -> Floats:
-    """Return the marker positions (M, 3) as measured before the scan `name`, world, mm."""
-    rng = random_stream(seed, "twin", "markers", name)
-    measured: Floats = setup.markers + setup.known_sd * rng.normal(size=setup.markers.shape)
-    return measured
-
-
 VOXEL_MM = 0.46  # edge of a voxel, mm: the paper's
 FIELD_MARGIN_MM = 2.0  # margin of the scanned field around what it must contain, mm
 # Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient.
@@ -138,6 +131,7 @@ def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposu
         markers=SceneMarkers(world.to_world(setup.markers)),
         table=ScannerTable(Frame(world.to_world([[0.0, 0.0, -BOX_MM / 2]])[0], world.rotation)),
     )
+    places = random_stream(seed, "twin", "markers", insertion.planned.id)
     corners = np.array(list(product(*zip(setup.low, setup.high, strict=True))))
     frame = insertion.true_insertion.frame
     grid = _fit_grid(
@@ -153,14 +147,7 @@ def expose(insertion: SyntheticInsertion, setup: ScanSetup, seed: int) -> Exposu
             streaks=rng.uniform(*STREAKS_RANGE),
             cupping_hu=rng.uniform(*CUPPING_RANGE_HU),
         ),
-        measure_markers(setup, seed, insertion.planned.id),
-    )
-
-
-def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
-    """Render the volume of an exposure; the same seed and name give the same bytes."""
-    return render_scan(
-        exposure.scene, exposure.scanner, random_stream(seed, "twin", "ct", name, "rays and noise")
+        setup.markers + setup.known_sd * places.normal(size=setup.markers.shape),
     )
 
 
@@ -260,7 +247,9 @@ def render_insertion(folder: Path, planned: PlannedInsertion, seed: int) -> Rend
     rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(exposure.stated, start=1)]
     markers.write_bytes(("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n").encode("utf-8"))
     volume = folder / "volumes" / f"{name}.nrrd"
-    write_volume(acquire(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
+    rng = random_stream(seed, "twin", "ct", name, "rays and noise")
+    rendered = render_scan(exposure.scene, exposure.scanner, rng)
+    write_volume(rendered, volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
     return RenderedInsertion(insertion, exposure, make_stated_scan(folder, planned, volume, markers))
 
 

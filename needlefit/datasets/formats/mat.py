@@ -62,8 +62,15 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
 
     Return the names of all variables, what is stated of each curve, and what is not used.
     """
+    from scipy.io import loadmat
+
     data = read_bytes(Path(path))
-    variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)
+    if any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS):
+        variables = _read_hdf(data)
+    else:
+        opened: Any = BytesIO(data)  # which it takes, though its stubs do not say so
+        variables = loadmat(opened, simplify_cells=True)
+        variables = {key: value for key, value in variables.items() if not key.startswith("__")}
     stated: dict[str, dict[str, str]] = {}
     unused: list[str] = []
     for name, array, texts in _iterate_curves("", variables, {}, unused):
@@ -92,17 +99,13 @@ def _iterate_curves(
         if not here:  # nothing that the texts could be stated of
             unused += [f"{name}.{key}".strip(".") for key in texts]
         yield from here
-    elif _is_list(value):
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
             yield from _iterate_curves(f"{name}_{number}", part, stated, unused)
     elif (points := _to_points(value)) is not None:
         yield name, points, stated
     else:
         unused.append(name)
-
-
-def _is_list(value: Any) -> bool:  # noqa: ANN401 - whatever MATLAB saved
-    return isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object)
 
 
 def _to_points(value: Any) -> Floats | None:  # noqa: ANN401 - whatever MATLAB saved
@@ -139,18 +142,6 @@ def _take_columns(fields: dict[str, Any]) -> tuple[Floats | None, dict[str, Any]
 
 def _is_real(value: NDArray[Any]) -> bool:
     return bool(np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value))
-
-
-def _read_classic(data: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
-    opened: Any = BytesIO(data)  # which it takes, though its stubs do not say so
-    variables = loadmat(opened, simplify_cells=True)
-    return {key: value for key, value in variables.items() if not key.startswith("__")}
-
-
-def _is_hdf(data: bytes) -> bool:
-    return any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS)
 
 
 def _read_hdf(data: bytes) -> dict[str, Any]:
