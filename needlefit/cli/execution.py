@@ -1,4 +1,4 @@
-"""Run studies as the options say: progress, folders of results and checkpoints, what is printed of them."""
+"""Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,7 +35,7 @@ class StudyTask:
 class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
-    `stop` says whether to end early. `inputs` takes the place of files that are named.
+    `stop`: whether to end early. `inputs` takes the place of files that are named.
     """
 
     invocation: Invocation
@@ -64,9 +64,9 @@ class Execution:
         return self.invocation.out / f"{name}.partial"
 
     def run(self, name: str, record: "FileRecord", sample: bool = False, file: Path | None = None) -> "Run":
-        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`.
+        """Run one study or fit; where `stop` is true it stops early and is marked `interrupted`.
 
-        `sample` says whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
+        `sample`: whether the posterior of a fit is sampled by MCMC. Warnings name the study's `file`.
         """
         from needlefit.studies.job import Inputs, Settings
         from needlefit.studies.kind import kind_of

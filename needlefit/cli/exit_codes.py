@@ -50,7 +50,7 @@ class Invocation:
         return shlex.join(("needlefit", *words))
 
     def interrupt_message(self) -> str:
-        """Return the line that says how to go on."""
+        """Return the line with the command that goes on."""
         return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
@@ -94,7 +94,7 @@ _EXTRAS = {"aiohttp": "view", "distributed": "cluster"}  # of packages that need
 
 
 def _to_user_error(error: BaseException) -> BaseException:
-    """Return an error of Python's of which it is known what a user can do, as one that says so."""
+    """Return an error of Python's of which it is known what a user can do, as one that states it."""
     if isinstance(error, OSError):
         return ConfigError(
             f"cannot be read or written: {error.strerror or error}",

@@ -119,7 +119,7 @@ Changes = Annotated[
 
 
 def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
-    """Return where the scene stands and what it says, with what the options change."""
+    """Return where the scene stands and what it holds, with what the options change."""
     pairs = [split_pair(text) for text in assignments]
     from needlefit.project.locate import file_label, find_file, read_toml
     from needlefit.project.toml import check, load, override

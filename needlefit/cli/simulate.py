@@ -36,9 +36,9 @@ class SimulationOutcome:
     shapes: "tuple[NeedleShape, ...]"  # after each step, up to the one that failed
     # By option, what writes such a file; False where there is no needle to write
     files: Mapping[str, Callable[[Path], bool | None]]
-    more: dict[str, Any]  # what else `--json` says
+    more: dict[str, Any]  # what else `--json` prints
     warnings: tuple[ResultWarning, ...]
-    # Where a measured needle lies; None of a scene, which says so itself
+    # Where a measured needle lies; None of a scene, which states it itself
     placement: "Placement | None" = None
 
 

@@ -119,9 +119,9 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     """Return to which side of its bevel an insertion or a run of a tip track bends.
 
     Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
-    changes, must say so. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
+    changes, must show it. Of a run the bend alone counts: its readings are known up to a shift and a slope. A
     free shape lies by its bend, and a base or guide that moved, or a bevel that was turned, bends the needle
-    too: they say nothing.
+    too: they show nothing.
     """
     track = insertion if isinstance(insertion, TipTrack) else None
     if track.guided if track else insertion.pose_source == "none" or insertion.base_moved:

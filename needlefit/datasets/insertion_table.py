@@ -280,7 +280,7 @@ def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> I
 
 
 def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
-    """Yield ids that stand there twice, and specimens that the case alone tells apart."""
+    """Yield ids that stand there twice, and specimens that differ by case alone."""
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
         if name.casefold() in first:

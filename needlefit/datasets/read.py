@@ -370,7 +370,7 @@ def holds_tracks(path: Path) -> bool:
     try:
         return "tip_tracks" in read_toml(find_dataset_file(path))
     except ConfigError:
-        return False  # whoever reads it says what is wrong
+        return False  # reading it raises what is wrong
 
 
 def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[str, Any]]:

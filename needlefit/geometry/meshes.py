@@ -53,7 +53,7 @@ def make_tube(
 def write_ply(vertices: ArrayLike, faces: ArrayLike, path: Path, comments: Sequence[str] = ()) -> None:
     """Write vertices (V, 3), in LPS, and triangles (F, 3) as binary PLY, float32.
 
-    The header says `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.
+    The header states `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.
     """
     places, corners = np.asarray(vertices, dtype="<f4"), np.asarray(faces)
     rows = np.zeros(len(corners), dtype=[("count", "u1"), ("index", "<i4", 3)])

@@ -72,7 +72,7 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
         raise _mesh_error(path, f"has the ending {ending!r}")
     data = read_bytes(path, MAX_MESH_BYTES)
     if ending == ".ply":
-        # what trimesh makes of edges takes as much memory as their indices say; no boundary needs them
+        # what trimesh makes of edges takes as much memory as their indices state; no boundary needs them
         head, end, rows = data.partition(b"end_header")
         data = _EDGE_ELEMENT.sub(rb"\1unused\2", head) + end + rows
         head, _, rows = data.partition(b"end_header")

@@ -154,7 +154,7 @@ def open_checkpoint(
 
     ConfigError if the checkpoint is of other work, another process uses it, it cannot be written, or the
     folder holds anything that needlefit did not write. UnfinishedWorkError if an interrupted run left part of
-    this work there, and `resume` does not say to go on with it.
+    this work there, and `resume` does not ask to go on with it.
     """
     if folder is None:
         return NO_CHECKPOINT

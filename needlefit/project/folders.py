@@ -1,10 +1,9 @@
 """Folders of results: where they can be written, whose they are, and how a whole one takes its place.
 
-The manifest of a folder, `needlefit.json`, lists its files and the SHA-256 of each. It says whose a folder
-is: only what it lists, unchanged, may be replaced or removed. Any other file, a listed one that was changed
-since (but `timing.json`) and every link are foreign: they are somebody's work. It also says whether a result
-is the one that was written: what does not agree with it is not reported on. It detects accidents and partial
-edits, not somebody who makes a new manifest.
+The manifest of a folder, `needlefit.json`, lists its files and the SHA-256 of each. Only what it lists,
+unchanged, may be replaced or removed. Any other file, a listed one that was changed since (but `timing.json`)
+and every link are foreign: they are somebody's work. What does not agree with the manifest is not reported
+on. It detects accidents and partial edits, not somebody who makes a new manifest.
 """
 
 import hashlib
@@ -128,7 +127,7 @@ def format_manifest(table: Mapping[str, Any]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return what the manifest of a folder says; DataError if there is none, or it is damaged."""
+    """Return what the manifest of a folder states; DataError if there is none, or it is damaged."""
     path = folder / MANIFEST
     table = {} if path.is_symlink() else read_json(path)
     if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:

@@ -193,7 +193,7 @@ def compute_beside(
 
     Until it is called this process may do other work. It then takes its share, the last pieces first. What
     failed in the copy is repeated here, so that its errors are raised here. Work must not wait for threads of
-    this process, which the copy lacks: those of typst among them. In the copy `stop_requested` says whether
+    this process, which the copy lacks: those of typst among them. In the copy `stop_requested` is true once
     `stop` was asked for, or nobody wants the rest.
     """
     with ExitStack() as stack:

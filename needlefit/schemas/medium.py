@@ -103,7 +103,7 @@ class MediumRecord(FileRecord, AdvanceRecord):
 
     @property
     def bevel_parameter(self) -> str:
-        """Name of the parameter that says how strongly the bevel turns the cut."""
+        """Name of the parameter that determines how strongly the bevel turns the cut."""
         return "cut_angle_deg" if self.advance == "path_angle" else "bevel_mm"
 
 

@@ -37,7 +37,7 @@ def file_name_fault(name: str) -> str:
 
 
 def require_file_name(name: str, where: str) -> None:
-    """Raise ConfigError unless a name can name files; `where` says what gives it."""
+    """Raise ConfigError unless a name can name files; `where`: what gives it."""
     fault = file_name_fault(name)
     if fault:
         raise ConfigError(

@@ -111,7 +111,7 @@ class RecipeRecord(FileRecord):
     title: str = ""
     """What the recipe is for."""
     preliminary: bool = False
-    """Whether verdicts say that results of this recipe are preliminary."""
+    """Whether verdicts state that results of this recipe are preliminary."""
     minimize: ObjectiveName = "posterior"
     """Objective: the negative log posterior, or the weighted errors of `[weights]`."""
     metric: bool = False

@@ -23,7 +23,7 @@ class RecordingRecord(FileRecord):
     """A scene, whole, and where its first constraint point lies.
 
     `needlefit` is the version that recorded it, `target` what was opened (see `needlefit view`). Without a
-    `placement` the scene says where the needle lies: in the plane z = 0 of its own world.
+    `placement` the scene states where the needle lies: in the plane z = 0 of its own world.
     """
 
     SCHEMA: ClassVar[int] = 2

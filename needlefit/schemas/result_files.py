@@ -1,7 +1,7 @@
 """The forms of needlefit's own files, `run.json` and stored results; they are checked at every reading.
 
 Only what later commands use is declared; other keys may stand beside it. That values are those that were
-written the manifest says (`project.folders`).
+written the manifest states (`project.folders`).
 """
 
 from typing import Annotated, Any, Literal

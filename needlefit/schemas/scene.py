@@ -242,7 +242,7 @@ class RulesRecord(AdvanceRecord):
 
     @property
     def element(self) -> float:
-        """`element_mm`; where the file does not say, the spacing or that part of it that is up to 1 mm."""
+        """`element_mm`; where it is not stated, the spacing or that part of it that is up to 1 mm."""
         spacing = self.constraint_spacing_mm
         return self.element_mm or spacing / max(1, math.ceil(spacing - 1e-9))
 
@@ -362,7 +362,7 @@ class ResolvedStep:
     bevel: BevelRecord
     controls: ControlsRecord
     guides: tuple[tuple[str, GuideRecord], ...]  #: each with the key of the file that put it where it is
-    key: str  #: the key of the file that says the depth
+    key: str  #: the key of the file that states the depth
 
 
 def resolve_steps(scene: SceneRecord) -> tuple[ResolvedStep, ...]:

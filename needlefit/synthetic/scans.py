@@ -94,7 +94,7 @@ UPRIGHT_ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]
 # Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm.
 MAX_TILT_DEG, MAX_OFFSET_MM = 6.0, 150.0
 PSF_RANGE_MM, BLOOM_RANGE, STREAKS_RANGE = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
-# Ranges of what is drawn for each scan, uniformly; what it is says `Scanner`.
+# Ranges of what is drawn for each scan, uniformly; see `Scanner`.
 NOISE_RANGE_HU, CUPPING_RANGE_HU, NEEDLE_RANGE_HU = (25.0, 60.0), (20.0, 80.0), (7000.0, 11000.0)
 BEVEL_SD_DEG = 2.0  # deviation of the one needle's bevel from its nominal angle, degrees
 

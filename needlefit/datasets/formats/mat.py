@@ -68,7 +68,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     if any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS):
         variables = _read_hdf(data)
     else:
-        opened: Any = BytesIO(data)  # which it takes, though its stubs do not say so
+        opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)
         variables = {key: value for key, value in variables.items() if not key.startswith("__")}
     stated: dict[str, dict[str, str]] = {}

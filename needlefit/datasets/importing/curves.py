@@ -126,7 +126,7 @@ class _Found:
 def read_table(cells: CellTable, content: ImportContent) -> None:
     """Add the curves in a table, or what it states of needles; curves without a name have that of the table.
 
-    A table of which nothing says which columns are coordinates is left out. DataError if a cell of a known
+    A table of which nothing states which columns are coordinates is left out. DataError if a cell of a known
     column is not understood.
     """
     reader = _TableReader(cells, content)
@@ -357,7 +357,7 @@ class _TableReader:
             where = self.cells.where(first if other is None else other, m)
             if other is not None:
                 what, expected = f"{meaning} is {cells[first][:40]!r} and {cells[other][:40]!r}", "one value"
-                fix = f"correct the cell; if other columns tell the needles apart, {COLUMNS_FIX}"
+                fix = f"correct the cell; if other columns distinguish the needles, {COLUMNS_FIX}"
                 raise DataError(what, where=where, expected=expected, fix=fix)
             for n in cells:
                 self.use(n, m)

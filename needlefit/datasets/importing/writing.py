@@ -58,7 +58,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
     faults = [trace_fault(fault, points, folder) for fault in check(file)]
     for n, fault in enumerate(faults):
         if " goes back" in fault.what:  # points of several needles may have been taken for one
-            hint = "state the column that tells needles apart with --columns needle=HEADER"
+            hint = "state the column that distinguishes needles with --columns needle=HEADER"
             faults[n] = replace(fault, fix=f"{fault.fix}; or {hint}")
     if faults:
         raise as_error(faults, content.files[0])
