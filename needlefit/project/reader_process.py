@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,7 @@ READER_SECONDS = 8  # processor time of a reader beside what the size of the con
 WALL_SECONDS = 60  # time in which a reader must be done, beside four times its processor time
 MAX_ANSWER_BYTES = 16 * 2**20  # size of the JSON
 
-# Variables that are 1: each thread's arena would reserve address space, too.
-_ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLOC_ARENA_MAX")
+_ONE_THREAD = (*THREAD_VARIABLES, "ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS", "MALLOC_ARENA_MAX")  # all 1
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -70,8 +69,7 @@ def read_in_process(
     here, most = str(Path(errors.__file__).parents[1]), WALL_SECONDS + 4 * limits["seconds"]
     # the child finds modules where this process does, but not in the working folder
     search_path = [here] * (here not in sys.path) + [entry for entry in sys.path if entry]
-    child = "import json, sys; sys.path[:], request = json.loads(sys.argv[1])"
-    child += f"; from {__name__} import serve; serve(request)"
+    child = f"import json, sys; sys.path[:], r = json.loads(sys.argv[1]); import {__name__} as m; m.serve(r)"
     python = [sys.executable, "-I", "-X", f"utf8={sys.flags.utf8_mode}", "-c", child]
     with tempfile.TemporaryFile(buffering=0) as written:
         try:
@@ -97,39 +95,43 @@ def read_in_process(
             error = {"what": f"its reader took more than {most:g} s"}
         except (KeyError, TypeError, ValueError, EOFError):
             pass  # it has not answered, or not to the end
-    expected, fix = "a whole file, as its program wrote it", "it may be damaged: copy it or export it again"
-    raise DataError(**{"where": str(file), "expected": expected, "fix": fix} | error)
+    whole = {"expected": "a whole file, as its program wrote it", "fix": "copy it, or export it again"}
+    raise DataError(**{"where": str(file)} | whole | error)
 
 
 def serve(request: Mapping[str, Any]) -> None:
     """In the child: run the reader of a request under its limits, answer, and end."""
     end_with(request["parent"])
-    arrays: Arrays = {}
     with os.fdopen(os.dup(1), "wb") as answers:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # a native library may write there
-        try:
-            module, _, name = request["reader"].partition(":")
-            reader = getattr(import_module(module), name)
-            if resource is not None:
-                _set_limits(request["memory"], request["seconds"])
-            answer = {"value": reader(arrays, **request["arguments"]), "arrays": list(arrays)}
-        except NeedlefitError as error:
-            answer = {"error": {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}}
-        except BaseException as error:  # whatever the bytes provoke; its text may quote them
-            parts = {"what": f"cannot be read ({type(error).__name__})"}
-            if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
-                parts["what"] = f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB"
-                parts["fix"] = f"if you trust the file and have the memory, set {MEMORY_VARIABLE} to more GiB"
-            answer = {"error": parts}
-        answers.write(json.dumps(answer).encode("ascii") + b"\n")
-        for array in arrays.values() if "value" in answer else ():
-            np.save(answers, array, allow_pickle=False)
+        write_answer(request, answers)
     os._exit(0)  # what native libraries do at the end takes time, and may crash
 
 
+def write_answer(request: Mapping[str, Any], answers: IO[bytes]) -> None:
+    """Write the value of a request's reader and its arrays, or its error."""
+    arrays: Arrays = {}
+    try:
+        module, _, name = request["reader"].partition(":")
+        reader = getattr(import_module(module), name)
+        if resource is not None:
+            _set_limits(request["memory"], request["seconds"])
+        answer = {"value": reader(arrays, **request["arguments"]), "arrays": list(arrays)}
+    except NeedlefitError as error:
+        answer = {"error": {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}}
+    except BaseException as error:  # whatever the bytes provoke; its text may quote them
+        parts = {"what": f"cannot be read ({type(error).__name__})"}
+        if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:
+            parts["what"] = f"its reader needs more memory than {request['memory'] / 2**30:.3g} GiB"
+            parts["fix"] = f"if you trust the file and have the memory, set {MEMORY_VARIABLE} to more GiB"
+        answer = {"error": parts}
+    answers.write(json.dumps(answer).encode("ascii") + b"\n")
+    for array in arrays.values() if "value" in answer else ():
+        np.save(answers, array, allow_pickle=False)
+
+
 def _set_limits(memory: int, seconds: int) -> None:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    _limit(resource.RLIMIT_CPU, math.ceil(used.ru_utime + used.ru_stime) + seconds)
+    _limit(resource.RLIMIT_CPU, math.ceil(sum(os.times()[:2])) + seconds)  # beside what it has taken
     _limit(resource.RLIMIT_CORE, 0)
     pages = Path("/proc/self/statm")
     if pages.exists():  # elsewhere address space cannot be measured
