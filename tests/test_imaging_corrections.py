@@ -94,7 +94,7 @@ def test_a_file_in_ras_is_turned_and_one_whose_system_is_wrong_refused(file):
     wrong = change(file, lambda one, _: one.update(coordinateSystem="LPS"))
     assert "LPS" in refusal(DataError, "", read_corrections, wrong).what
     change(file, lambda one, _: one.pop("coordinateSystem"))
-    assert "coordinate system" in refusal(DataError, "", read_corrections, file).what
+    assert "coordinateSystem" in refusal(DataError, "", read_corrections, file).what
 
 
 @pytest.mark.parametrize(
