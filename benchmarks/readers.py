@@ -17,8 +17,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-import SimpleITK
-from pydicom.uid import generate_uid
 from scipy.io import savemat
 
 from needlefit.imaging.volume import Volume
@@ -61,33 +59,14 @@ print(json.dumps([seconds, work, memory]))
 """
 
 
-def write_series(volume: Volume, folder: Path) -> None:
-    """Write a volume of whole HU as a DICOM series."""
-    folder.mkdir()
-    tags = {"0008|0060": "CT", "0020|000e": generate_uid(), "0028|1053": "1", "0028|1052": "0"}
-    tags["0020|0037"] = "\\".join(f"{x:.9f}" for x in volume.direction[:, :2].T.ravel())
-    writer = SimpleITK.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    for k, plane in enumerate(volume.values.astype(np.int16)):
-        corner = volume.origin + k * volume.spacing[2] * volume.direction[:, 2]
-        image = SimpleITK.GetImageFromArray(plane[None])
-        image.SetSpacing(volume.spacing.tolist())
-        place = {"0020|0032": "\\".join(f"{x:.6f}" for x in corner), "0008|0018": generate_uid()}
-        for key, text in (tags | place).items():
-            image.SetMetaData(key, text)
-        writer.SetFileName(str(folder / f"{k:04d}.dcm"))
-        writer.Execute(image)
-
-
 def write_files(folder: Path, slices: int) -> dict[str, Path]:
     """Return the files to read, by what the table calls them."""
     rng = np.random.default_rng(1)
     values = rng.normal(0, 20, (slices, VOXELS, VOXELS)).astype(np.float32).round()
     volume = Volume(values, np.zeros(3), np.array([0.4, 0.4, 0.6]), np.eye(3))
     size = f"{VOXELS} x {VOXELS} x {slices}"
-    for name in ("a.nii", "a.nrrd"):
+    for name in ("a.nii", "a.nrrd", "series"):
         write_volume(volume, folder / name)
-    write_series(volume, folder / "series")
     savemat(folder / "a.mat", {"needle": rng.normal(size=(200, 3))})
     return {
         "sample scan, .nrrd": next((shipped_folder() / "data" / "sample_scan").rglob("*.nrrd")),

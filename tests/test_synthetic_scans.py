@@ -49,6 +49,17 @@ def test_the_shipped_sample_is_a_rebuild(tmp_path):
 VOXEL = cases.SPACING**3
 
 
+def test_a_series_has_the_voxels_of_the_file_and_the_same_bytes_again(tmp_path):
+    for name in ("a", "b"):
+        scans.render_insertion(tmp_path / name, design.SAMPLE_INSERTION, TWIN_SEED, dicom=True)
+    a, b = (files(tmp_path / name / "volumes") for name in ("a", "b"))
+    assert len(a) > 100 and [one.read_bytes() for one in a] == [one.read_bytes() for one in b]
+    series, file = read_volume(a[0].parent), read_volume(SHIPPED / "volumes" / "sample.nrrd")
+    for name in ("origin", "spacing", "direction"):
+        assert_allclose(getattr(series, name), getattr(file, name), atol=1e-5)
+    assert np.abs(series.values - file.values).max() <= 1
+
+
 def test_the_voxels_hold_the_volume_of_needle_bevel_and_balls():
     blunt = render.Needle3D(cases.axis()[41:], bevel_deg=90.0)
     metal = render.voxelize_needle(blunt, cases.grid())

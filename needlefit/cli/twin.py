@@ -1,13 +1,13 @@
 """Commands that make the synthetic dataset: twin build, twin ct."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from needlefit.cli import screen
 from needlefit.cli.execution import open_pool
-from needlefit.cli.options import Insecure, Jobs, Out, Quiet, Scheduler, Seed, argument
+from needlefit.cli.options import Insecure, Jobs, Out, Quiet, Scheduler, Seed, argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.project.processes import count_cores
 
@@ -47,6 +47,7 @@ def render_ct(
     context: typer.Context,
     ids: Annotated[list[str] | None, argument("ID", "Insertions, or `sample` (default: all 47).")] = None,
     seed: Seed = None,
+    form: Annotated[Literal["nrrd", "dicom"], option("A file, or a series.", None, "--format")] = "nrrd",
     out: Out = None,
     jobs: Jobs = None,
     quiet: Quiet = False,
@@ -67,5 +68,5 @@ def render_ct(
     seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
     out = out or Path("twin_ct")
     with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
-        write_scans(fresh, plan, seed, LocalPool(jobs or count_cores()), report)
+        write_scans(fresh, plan, seed, LocalPool(jobs or count_cores()), report, form == "dicom")
     screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

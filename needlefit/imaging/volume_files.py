@@ -220,11 +220,11 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
 def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     """Write a volume, whole or not at all; the same volume gives the same bytes.
 
-    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced.
+    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
     `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
 
-    Values are kept to the bit, as int16 if that is exact, compressed unless it is .nii. NIfTI stores its
-    geometry in single precision (1e-5 mm), the others in double.
+    Values are kept to the bit (DICOM: in whole HU), as int16 if that is exact, compressed unless it is .nii.
+    NIfTI stores its geometry in single precision (1e-5 mm), the others in double.
 
     DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
     or the packages that write scans are not installed.
@@ -233,9 +233,14 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     if not np.isfinite(volume.values.min() + volume.values.max()):
         raise refusal("""the volume holds values that are not finite
             expected: numbers everywhere""")
+    if not path.suffix:
+        with explain_missing_packages():
+            from needlefit.imaging.dicom.write import write_series
+        write_series(volume, path, description)
+        return
     if not path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
         raise refusal(f"""{path.suffix} is no kind of volume that is written
-            expected: .nrrd, .nii, .nii.gz or .mha
+            expected: .nrrd, .nii, .nii.gz or .mha, or a folder for a DICOM series
             where: {path}""")
     nifti = ".nii" in path.name.lower()
     if is_tilted(volume.direction) and nifti:  # SimpleITK straightens it

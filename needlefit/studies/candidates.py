@@ -115,7 +115,7 @@ def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
     """Return the whitened residuals (B, m + c, R) of one insertion for B sets of values.
 
     All needles as measured are simulated; what moved depths and bevels add is simulated for some sets, and
-    interpolated between them: to 1e-3 of a standard deviation where the bevel adds 1.
+    interpolated between them: rms errors are below 1e-3 of a standard deviation where the bevel adds 1.
     """
     density, coordinates = problem.density, make_coordinates(sets)
     (one,), chosen = density.observations, choose_draws(coordinates)

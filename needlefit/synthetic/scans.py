@@ -208,6 +208,7 @@ def write_scans(
     seed: int,
     pool: TaskPool,
     progress: Progress,
+    dicom: bool = False,
 ) -> Path:
     """Render `plan` into the empty `folder`; return its `scans.csv`. The same seed gives the same bytes.
 
@@ -217,7 +218,7 @@ def write_scans(
     write_layers(folder, plan)
     scans = []
     progress("rendering", 0, len(plan))
-    for done in run_in_order(partial(_render_scan, folder, seed), plan, pool):
+    for done in run_in_order(partial(_render_scan, folder, seed, dicom), plan, pool):
         scans.append(done)
         progress(f"rendered {done.id}", len(scans), len(plan))
     recipe = make_recipe([choose_setup(planned) for planned in plan])
@@ -237,7 +238,9 @@ def write_layers(folder: Path, plan: Sequence[PlannedInsertion]) -> None:
             write_surface(surface, folder / surface_file_name(medium, surface))
 
 
-def render_insertion(folder: Path, planned: PlannedInsertion, seed: int) -> RenderedInsertion:
+def render_insertion(
+    folder: Path, planned: PlannedInsertion, seed: int, dicom: bool = False
+) -> RenderedInsertion:
     """Simulate an insertion and write its volume and its markers into `folder`."""
     name, setup = planned.id, choose_setup(planned)
     insertion = simulate_insertion(planned, seed)
@@ -246,7 +249,7 @@ def render_insertion(folder: Path, planned: PlannedInsertion, seed: int) -> Rend
     markers.parent.mkdir(parents=True, exist_ok=True)
     rows = [f"ball{n},{x:.4f},{y:.4f},{z:.4f}" for n, (x, y, z) in enumerate(exposure.stated, start=1)]
     markers.write_bytes(("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n").encode("utf-8"))
-    volume = folder / "volumes" / f"{name}.nrrd"
+    volume = folder / "volumes" / (name if dicom else f"{name}.nrrd")
     rng = random_stream(seed, "twin", "ct", name, "rays and noise")
     rendered = render_scan(exposure.scene, exposure.scanner, rng)
     write_volume(rendered, volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
@@ -267,8 +270,8 @@ def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
     )
 
 
-def _render_scan(folder: Path, seed: int, planned: PlannedInsertion) -> Scan:
-    return render_insertion(folder, planned, seed).scan
+def _render_scan(folder: Path, seed: int, dicom: bool, planned: PlannedInsertion) -> Scan:
+    return render_insertion(folder, planned, seed, dicom).scan
 
 
 def make_stated_scan(folder: Path, planned: PlannedInsertion, volume: Path, markers: Path) -> Scan:

@@ -1,1 +1,1 @@
-"""Read DICOM: `stack` (slices to a checked grid), `series` (find, read), `contours` (RTSTRUCT)."""
+"""DICOM: `stack` (slices to a checked grid), `series` (find, read), `write`, `contours` (RTSTRUCT)."""

@@ -1,0 +1,54 @@
+"""Write a rendered volume as a DICOM series, as scanners write it: one file a slice."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import SimpleITK
+from pydicom.uid import CTImageStorage, generate_uid
+
+from needlefit.imaging.volume import Volume
+
+DATE = "20000101"  # of every series: today's would change the bytes
+
+
+def write_series(volume: Volume, folder: Path, description: str) -> None:
+    """Write a volume into the new `folder`, in whole HU; the same volume gives the same bytes.
+
+    `description`: what the series is, e.g. that it is synthetic. FileExistsError if `folder` is there.
+    """
+    folder.mkdir(parents=True)
+    # Identifiers are made of the content: random ones would change the bytes.
+    numbers = np.clip(np.rint(volume.values), -(2**15), 2**15 - 1).astype(np.int16)
+    content = [description, repr(volume.origin.tolist()), hashlib.sha256(numbers.tobytes()).hexdigest()]
+    series = {
+        "0008|0016": CTImageStorage,
+        "0008|0020": DATE,
+        "0008|0030": "000000",
+        "0008|0060": "CT",
+        "0008|103e": description[:64],
+        "0010|0020": "needlefit",
+        "0018|5100": "HFS",
+        **{
+            tag: generate_uid(entropy_srcs=[*content, tag]) for tag in ("0020|000d", "0020|000e", "0020|0052")
+        },
+        "0020|0037": "\\".join(f"{x:.9f}" for x in volume.direction[:, :2].T.ravel()),
+        "0028|1052": "0",
+        "0028|1053": "1",
+        "0028|1054": "HU",
+    }
+    writer = SimpleITK.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    for k, plane in enumerate(numbers, start=1):
+        corner = volume.origin + (k - 1) * volume.spacing[2] * volume.direction[:, 2]
+        place = {
+            "0008|0018": generate_uid(entropy_srcs=[*content, str(k)]),
+            "0020|0013": str(k),
+            "0020|0032": "\\".join(f"{x:.6f}" for x in corner),
+        }
+        image = SimpleITK.GetImageFromArray(plane[None])
+        image.SetSpacing(volume.spacing.tolist())
+        for tag, text in (series | place).items():
+            image.SetMetaData(tag, text)
+        writer.SetFileName(str(folder / f"{k:05d}.dcm"))
+        writer.Execute(image)
