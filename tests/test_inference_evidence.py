@@ -77,22 +77,3 @@ def test_interpolated_densities_err_less_than_the_bound(layered, bound, monkeypa
     assert np.sqrt(np.mean(errors**2)) <= max(bound, 1e-9) and near.sum() > 300
     # With a bound that cannot be met all that matter are evaluated; else a fifth.
     assert (sum(counted) >= near.sum()) if bound == 0 else (sum(counted) <= 140)
-
-
-def test_moved_nodes_enter_to_first_order_about_a_place(layered):
-    theta = layered.parameters.theta(TRUTH)
-    near = layered.about(theta)
-    for known, exact in zip(near.jacobian(theta), layered.jacobian(theta), strict=True):
-        np.testing.assert_array_equal(known, exact)
-    step = 0.02 * np.array([1.0, -1.0])
-    errors = [
-        np.abs(near.jacobian(theta + t * step)[0] - layered.jacobian(theta + t * step)[0]).max()
-        for t in (1, 2)
-    ]
-    assert 0 < errors[0] < 1e-2 and errors[1] / errors[0] == pytest.approx(4, rel=0.1)
-    slopes = near.jacobian(theta + step)[1]
-    for k, move in enumerate(1e-5 * np.eye(2)):
-        ahead, back = (near.jacobian(theta + step + sign * move)[0] for sign in (1, -1))
-        np.testing.assert_allclose(slopes[:, k], (ahead - back) / 2e-5, rtol=1e-4, atol=1e-4)
-    exact = replace(layered, likelihood=LikelihoodRecord(depths="fixed", bevel_spread=0.0))
-    assert exact.about(theta) is exact
