@@ -512,11 +512,6 @@ class Problem:
             moves.append((at + (by @ np.array(steps)[:, None, :, None])[..., 0], by))
         return self.density.linearize(self.density.differentiate(sets, jobs, moves), sets)
 
-    @cached_property
-    def linearized(self) -> dict[bytes, tuple[Floats, Floats]]:
-        """What `precision.linearize` has computed, by the bytes of theta."""
-        return {}
-
     def approach(self, minimized: ObjectiveName) -> "Problem | None":
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
         none.

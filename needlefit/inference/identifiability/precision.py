@@ -116,16 +116,11 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
 
 
 def linearize(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
-    """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square.
-
-    Computed once for each theta, whoever asks.
-    """
-    if (key := theta.tobytes()) not in problem.linearized:
-        problem.linearized[key] = problem.jacobian(theta)
+    """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square."""
     # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
     # added by `prior_information`
     count = sum(problem.density.residual_counts)
-    residuals, slope = (np.nan_to_num(part[:count]) for part in problem.linearized[key])
+    residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
     # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * [float(name not in HYPERPARAMETERS) for name in problem.names]
     rows = sum(known.rows for known in problem.density.observations)
