@@ -93,9 +93,6 @@ class Plateau(Known):
         residuals = np.array([2.4 * (1 - hill), (v - 4 * np.sin(u)) / 0.05])
         return residuals, np.array([[9.6 * hill * (u - 5), 0.0], [-80 * np.cos(u), 20.0]])
 
-    def about(self, theta):
-        return self
-
 
 def test_a_plateau_at_the_end_of_a_winding_valley_is_found_along_the_profile():
     """By quadrature 0.2994 of it lies at x0 < 2."""

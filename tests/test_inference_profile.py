@@ -36,9 +36,6 @@ class Known:
     def approach(self, minimized: str) -> None:
         return None
 
-    def about(self, theta: np.ndarray) -> "Known":
-        return self
-
 
 def line(**changed: object) -> Known:
     """Gaussian and linear: information [[5, 2], [2, 4]]."""

@@ -21,9 +21,9 @@ class Recorded:
     def __init__(self) -> None:
         self.sizes: list[int] = []
 
-    def square(self, thetas: list[np.ndarray], jobs: int) -> list[float]:
+    def square(self, thetas: np.ndarray, jobs: int) -> list[float]:
         self.sizes.append(len(thetas))
-        if np.any(np.array(thetas) < 0):
+        if np.any(thetas < 0):
             raise ModelError("below zero")
         return [float(theta[0]) ** 2 for theta in thetas]
 

@@ -16,7 +16,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -145,13 +144,7 @@ class PosteriorDensity:
 
         The residuals are of the insertions, of the normalising factor, and of the prior.
         """
-        return self.linearize(self.differentiate(sets, jobs), sets)
-
-    def linearize(
-        self, pairs: Sequence[tuple[Floats, Floats]], sets: Sequence[Values]
-    ) -> list[tuple[Floats, Floats]]:
-        """Return `jacobians`, given the whitened residuals of every insertion and their derivatives."""
-        at = self._scales(sets)
+        pairs, at = self._differentiate(sets, jobs), self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
         for members, group in self._nodes.groups:
@@ -263,40 +256,20 @@ class PosteriorDensity:
         less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
         return np.array([np.sqrt(1.0 + grown + less + log_det)])
 
-    def differentiate(
-        self, sets: Sequence[Values], jobs: int, moves: Sequence[tuple[Floats, Floats]] | None = None
-    ) -> list[tuple[Floats, Floats]]:
-        """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta.
-
-        `moves` are what the m - 1 moved nodes add to both, (B, m - 1, R) and (B, m - 1, R, P); by default
-        they are simulated.
-        """
-        found, nodes = [], self._nodes if moves is None else self._first_nodes
+    def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+        """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
+        found, nodes = [], self._nodes
         points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
-        for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
+        for one, some in zip(self.observations, nodes.nodes, strict=True):
             stacked, by = (
                 np.stack([pad_planes(next(part), one.planes, axis=axis) for _ in some.s], axis=1)
                 for part, axis in ((points, -1), (slopes, -2))
             )
-            white, slope = whiten_residuals(one, stacked), whiten_derivatives(one, stacked, by)
-            if moves is not None:
-                white, slope = (
-                    np.concatenate([at, at + more], axis=1)
-                    for at, more in zip((white, slope), moves[k], strict=True)
-                )
-            white = append_pose_curves(one, white)
+            white = append_pose_curves(one, whiten_residuals(one, stacked))
             by_white = np.zeros((*white.shape, by.shape[-1]))
-            by_white[:, : slope.shape[1]] = slope
+            by_white[:, : len(some.s)] = whiten_derivatives(one, stacked, by)
             found.append((white, by_white))
         return found
-
-
-class Expansion(NamedTuple):
-    """Residuals (R,) and Jacobian (R, P) at one theta, and what the moved nodes add there."""
-
-    exact: tuple[Floats, Floats]
-    #: of each insertion: what they add to the whitened residuals (m - 1, R), and its derivatives by theta
-    moves: Sequence[tuple[Floats, ...]]
 
 
 @dataclass(frozen=True)
@@ -418,7 +391,7 @@ class Problem:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
         return evaluate(self._objective_gradients, np.asarray(theta))
 
-    def _objectives(self, thetas: Sequence[Floats], jobs: int) -> list[float]:
+    def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
         goals, total, planes = self.compared_points, np.zeros(len(thetas)), self.dataset.planes
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
         for goal, simulated in zip(goals, points, strict=True):
@@ -427,7 +400,7 @@ class Problem:
             total += [metric_misfit(one, measured, self.weights) for one in aligned]
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
-    def _objective_gradients(self, thetas: Sequence[Floats], jobs: int) -> list[tuple[float, Floats]]:
+    def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
         goals, sets = self.compared_points, self._list_values(thetas)
         total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
         pairs = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
@@ -441,7 +414,7 @@ class Problem:
                 slope[b] += metric_misfit_gradient(aligned[b], measured, self.weights, slopes[b])
         return [(float(total[b]) / len(goals), slope[b] / len(goals)) for b in range(len(sets))]
 
-    def _list_values(self, thetas: Iterable[Floats]) -> list[dict[str, float]]:
+    def _list_values(self, thetas: Floats) -> list[dict[str, float]]:
         return [self.values(theta) for theta in thetas]
 
     @cached_property
@@ -459,11 +432,6 @@ class Problem:
         that depends on theta, and the prior's. log_posterior = constant - |residuals|^2 / 2 in the bounds.
         """
         return evaluate(self._jacobians, np.asarray(theta))
-
-    def about(self, theta: Floats) -> "Problem | NearbyProblem":
-        """Return the problem with moved nodes to first order about theta (P,): a tenth of the simulations."""
-        moved = any(len(one.nodes.insertions) > 1 for one in self.density.observations)
-        return NearbyProblem(self, theta) if moved else self
 
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
@@ -483,34 +451,11 @@ class Problem:
             density[inside] = self._log_densities(thetas[inside], jobs)
         return density
 
-    def _log_densities(self, thetas: Iterable[Floats], jobs: int) -> list[float]:
+    def _log_densities(self, thetas: Floats, jobs: int) -> list[float]:
         return list(map(float, self.density.log_densities(self._list_values(thetas), jobs)))
 
-    def _jacobians(self, thetas: Sequence[Floats], jobs: int) -> list[tuple[Floats, Floats]]:
+    def _jacobians(self, thetas: Floats, jobs: int) -> list[tuple[Floats, Floats]]:
         return self.density.jacobians(self._list_values(thetas), jobs)
-
-    def expand(self, thetas: Sequence[Floats], jobs: int) -> list[Expansion]:
-        """Return the Jacobians at thetas (P,), and what moved nodes add there."""
-        sets, density = self._list_values(thetas), self.density
-        pairs, found = density.differentiate(sets, jobs), list[Expansion]()
-        for b, exact in enumerate(density.linearize(pairs, sets)):
-            moves = [
-                tuple(part[b, 1 : len(one.nodes.s)] - part[b, :1] for part in pair)
-                for one, pair in zip(density.observations, pairs, strict=True)
-            ]
-            found.append(Expansion(exact, moves))
-        return found
-
-    def jacobians_about(
-        self, asked: Sequence[tuple[Floats, Floats, Expansion]], jobs: int
-    ) -> list[tuple[Floats, Floats]]:
-        """Return the Jacobians at thetas (P,), by the steps (P,) that lead to them from an expansion each."""
-        thetas, steps, expansions = zip(*asked, strict=True)
-        sets, moves = self._list_values(thetas), []
-        for every in zip(*(one.moves for one in expansions), strict=True):  # of an insertion
-            at, by = (np.stack(part) for part in zip(*every, strict=True))
-            moves.append((at + (by @ np.array(steps)[:, None, :, None])[..., 0], by))
-        return self.density.linearize(self.density.differentiate(sets, jobs, moves), sets)
 
     def approach(self, minimized: ObjectiveName) -> "Problem | None":
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
@@ -578,22 +523,6 @@ class Problem:
         """By how many SDs between insertions the bevel of a further one deviates, as an SD."""
         centred = self.bevels_differ and self.centred_bevels
         return find_new_bevel_sd(self.dataset, self.insertions) if centred else 1.0
-
-
-class NearbyProblem:
-    """A problem whose moved nodes enter to first order about `theta` (P,), where all is exact."""
-
-    def __init__(self, problem: Problem, theta: Floats) -> None:
-        self.problem, self.theta, self.lower, self.upper = problem, theta, problem.lower, problem.upper
-        self._expansion: Expansion | None = None  # no cached property: it would lock out searches beside
-
-    def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return `Problem.jacobian`."""
-        if self._expansion is None:
-            self._expansion = evaluate(self.problem.expand, self.theta)
-        if np.array_equal(theta, self.theta):
-            return self._expansion.exact
-        return evaluate(self.problem.jacobians_about, (theta, theta - self.theta, self._expansion))
 
 
 def find_new_bevel_sd(

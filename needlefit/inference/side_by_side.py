@@ -12,6 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
+
+from needlefit.arrays import Floats
 from needlefit.inference.fit import EVALUATION_ERRORS
 from needlefit.project.tasks import TaskStop, as_they_end
 
@@ -21,14 +24,15 @@ Value = TypeVar("Value")
 
 MAX_SEARCHES = 16  #: searches that run side by side: two blocks of lanes
 
-#: B points, such as thetas (P,), and a number of threads -> B values
-_Function = Callable[[Sequence[Any], int], Sequence[Value]]
+_Function = Callable[[Floats, int], Sequence[Value]]  #: Thetas (B, P) and a number of threads -> B values
 
 
-def evaluate(function: "_Function[Value]", at: Any) -> Value:  # noqa: ANN401
-    """Return `function` at one point, evaluated together with what searches beside this one ask for."""
+def evaluate(function: "_Function[Value]", theta: Floats) -> Value:
+    """Return `function` at one theta (P,), evaluated together with what searches beside this one ask for."""
     group: _Group | None = getattr(_this_thread, "group", None)
-    return function([at], 1)[0] if group is None else group.evaluate(function, at)
+    if group is None:
+        return function(np.asarray(theta)[None], 1)[0]
+    return group.evaluate(function, np.asarray(theta))
 
 
 def run_side_by_side(
@@ -83,7 +87,7 @@ _this_thread = threading.local()
 @dataclass
 class _Request:
     function: "_Function[Any]"
-    at: Any
+    theta: Floats
     value: Any = None
     error: Exception | None = None
     ended: bool = False
@@ -109,9 +113,9 @@ class _Group:
             self._parts += count
             self._changed.notify_all()
 
-    def evaluate(self, function: "_Function[Value]", at: Any) -> Value:  # noqa: ANN401
-        """Return `function` at one point, once all searches that run wait for a value."""
-        request = _Request(function, at)
+    def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
+        """Return `function` at theta (P,), once all searches that run wait for a value."""
+        request = _Request(function, theta)
         with self._changed:
             self._waiting.append(request)
             while not request.ended:
@@ -130,7 +134,7 @@ class _Group:
 
     def _evaluate_together(self, requests: Sequence[_Request]) -> None:
         try:
-            values = requests[0].function([one.at for one in requests], self._jobs)
+            values = requests[0].function(np.array([one.theta for one in requests]), self._jobs)
             for one, value in zip(requests, values, strict=True):
                 one.value, one.ended = value, True
         except Exception as error:  # each search gets its own, and goes on or ends by it

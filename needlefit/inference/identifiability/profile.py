@@ -21,7 +21,7 @@ from scipy.special import gammaincinv
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.fit import EVALUATION_ERRORS
-from needlefit.inference.problem import NearbyProblem, Problem
+from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
@@ -42,7 +42,7 @@ class LocalMinimum:
 
 
 def minimize_squares(
-    target: Problem | NearbyProblem,
+    target: Problem,
     theta: Floats,
     held: int | None = None,
     max_evaluations: int = MAX_EVALUATIONS,
@@ -90,7 +90,7 @@ def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -
     return lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
 
 
-def _evaluate(target: Problem | NearbyProblem, theta: Floats) -> LocalMinimum:
+def _evaluate(target: Problem, theta: Floats) -> LocalMinimum:
     try:
         residuals, slopes = target.jacobian(theta)
     except EVALUATION_ERRORS:
@@ -118,9 +118,6 @@ INTERVAL_STEPS = ProfileSteps(
 MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
 MIN_STEP_FRACTION = 1e-4  #: and at least this part of the range
 MAX_SIDE_POINTS = 24  #: most points of one side
-#: largest error of the deviance at the end of a side where moved nodes enter to first order about the place
-#: at which the search of each point began; where it is larger all are simulated
-MAX_NODE_ERROR = 0.02
 #: largest jump of the root of the deviance beyond the expected one; above it other starts are tried too
 MAX_ROOT_JUMP = 1.0
 MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so by more than this
@@ -180,7 +177,6 @@ class _ProfileSide:
         self.bound = float((self.target.upper if self.side > 0 else self.target.lower)[self.k])
         self.others = np.arange(len(self.optimum.theta)) != self.k
         self.at_bound = False  # whether it ends there
-        self.exact = self.target.about(self.optimum.theta) is self.target  # whether all nodes are simulated
 
     def trace(self) -> None:
         """Compute the points until the deviance is high, or a bound is reached."""
@@ -217,13 +213,6 @@ class _ProfileSide:
                 step = float(np.clip(wanted, MIN_STEP_FRACTION * self.range, longest))
             else:
                 break
-        if not self.exact and len(found) > 1:
-            end = _evaluate(self.target, found[-1].theta)
-            if not abs(end.value - found[-1].value) <= MAX_NODE_ERROR * self.scale:
-                self.exact, self.points = True, []
-                self.trace()
-                return
-            found[-1] = end
         self.at_bound = bool(found[-1].theta[self.k] == self.bound)
         self.points += found[1:]
 
@@ -242,8 +231,7 @@ class _ProfileSide:
     def _minimize(self, start: Floats, place: float) -> LocalMinimum:
         theta = start.copy()
         theta[self.k] = place
-        target = self.target if self.exact else self.target.about(theta)
-        return minimize_squares(target, theta, held=self.k, min_gain=self.steps.min_gain)
+        return minimize_squares(self.target, theta, held=self.k, min_gain=self.steps.min_gain)
 
     def _extrapolate(self, last: LocalMinimum, place: float) -> Floats:
         """Return where the others go, to first order, as the held parameter goes to `place`."""
