@@ -358,7 +358,7 @@ def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
     measured = get(page, "n.scene.measured")
     tip = np.array([state["tip"]["x"] - measured["x"][-1], state["tip"]["y"] - measured["y"][-1]])
     assert state["errors"]["te_mm"] == pytest.approx(np.linalg.norm(tip), abs=1e-3)
-    shown(page, f"{state['errors']['te_mm']:.2f}")
+    shown(page, f"{state['errors']['te_mm']:.3f}")
     ahead = do(page, ("enter", "#bevel-fields .number", "0.01", "s.bevel.offset_mm === 0.01"))
     assert ahead["errors"]["te_mm"] == pytest.approx(state["errors"]["te_mm"], abs=1e-6)
     after = do(
@@ -749,7 +749,7 @@ def test_readouts_and_fields_are_defined_on_hover_and_focus_inside_the_window(pa
     page.mouse.move(5, 5)
     definition.wait_for(state="hidden")
     page.focus("#errors .term >> nth=0")
-    assert page.inner_text("#definition") == get(page, "n.scene.measured.metrics[1][3]")
+    assert page.inner_text("#definition") == get(page, "n.scene.measured.metrics[0][3]")
     assert terms.count() >= 13  # b, mu and alpha of four layers, base, tip
     assert get(page, "Object.keys(n.scene.definitions)") == ["b", "θ", "μ"]
     for n in (0, 1, 2):
