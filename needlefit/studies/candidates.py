@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import RBFInterpolator
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion, TipTrack
@@ -27,7 +26,13 @@ from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.planned_draws import Sets, choose_draws, make_coordinates, vary_bevels
+from needlefit.studies.planned_draws import (
+    Sets,
+    choose_draws,
+    interpolate_draws,
+    make_coordinates,
+    vary_bevels,
+)
 from needlefit.studies.simulated_data import simulate_design
 
 CANDIDATE_COLUMNS = (
@@ -122,10 +127,11 @@ def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
     (first,) = density.whitened_residuals(sets, jobs, as_measured=True)  # (B, 1, R)
     (some,) = density.whitened_residuals([sets[n] for n in chosen], jobs)
     moves = (some - first[chosen])[:, 1 : len(one.nodes.insertions)]  # (C, m - 1, R)
-    known = moves.reshape(len(chosen), -1)
-    solved = np.isfinite(known).all(axis=1)
-    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
-    moved = first + np.asarray(found, dtype=np.float64).reshape(len(sets), *moves.shape[1:])
+    found = interpolate_draws(coordinates, chosen, moves.reshape(len(chosen), -1))
+    if found is None:
+        (white,) = density.whitened_residuals(sets, jobs)
+        return white
+    moved = first + found.reshape(len(sets), *moves.shape[1:])
     return append_pose_curves(one, np.concatenate([first, moved], axis=1))
 
 

@@ -201,16 +201,11 @@ def _interpolate_depths(
     steps = move(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
     shape = (len(sets), len(nodes), *points.shape[1:])
     known = steps.swapaxes(0, 1).reshape(len(chosen), -1)
-    solved = np.isfinite(known).all(axis=1)
-    if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
+    found = interpolate_draws(coordinates, chosen, known)
+    if found is None:
         return None
-    if coordinates.shape[1] and nodes:
-        # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-        found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
-    else:
-        found = np.broadcast_to(known[solved][:1], (len(sets), known.shape[1]))
     units = np.append(reach, entry) if entry else reach
-    return _Interpolation(points, np.asarray(found, dtype=np.float64).reshape(shape), units), valid
+    return _Interpolation(points, found.reshape(shape), units), valid
 
 
 def make_coordinates(sets: Sets) -> Floats:
@@ -239,6 +234,18 @@ def choose_draws(coordinates: Floats) -> Ints:
         chosen.append(np.argmax(nearest))
         nearest = np.minimum(nearest, np.linalg.norm(coordinates - coordinates[chosen[-1]], axis=1))
     return np.sort(chosen)
+
+
+def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Floats | None:
+    """Return values (B, F) of all draws from those (C, F) of chosen ones; None if too few are finite."""
+    solved = np.isfinite(known).all(axis=1)
+    if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
+        return None
+    if not (coordinates.shape[1] and known.shape[1]):
+        return np.broadcast_to(known[solved][:1], (len(coordinates), known.shape[1]))
+    # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
+    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
+    return np.asarray(found, dtype=np.float64)
 
 
 @dataclass(frozen=True)
