@@ -173,9 +173,8 @@ def _medium_record(
         for one in group
     )
     stems = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
-    if (
-        shared
-    ):  # each its own after the medium's, numbered where two are alike: not every system tells a from A
+    if shared:
+        # each its own after the medium's, numbered where two are alike: not every system tells a from A
         own = [make_id(surface.name.removeprefix(f"{name}_"), "surface") for surface in first]
         alike = len({stem.lower() for stem in own}) < len(own)
         stems = [f"{name}_{stem}" + f"_{n}" * alike for n, stem in enumerate(own, start=1)]

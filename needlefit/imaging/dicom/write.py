@@ -8,6 +8,7 @@ import SimpleITK
 from pydicom.uid import CTImageStorage, generate_uid
 
 from needlefit.imaging.volume import Volume
+from needlefit.project.folders import replace_folder
 
 DATE = "20000101"  # of every series: today's would change the bytes
 
@@ -15,12 +16,12 @@ DATE = "20000101"  # of every series: today's would change the bytes
 def write_series(volume: Volume, folder: Path, description: str) -> None:
     """Write a volume into the new `folder`, in whole HU; the same volume gives the same bytes.
 
-    `description`: what the series is, e.g. that it is synthetic. FileExistsError if `folder` is there.
+    `description`: what the series is, e.g. that it is synthetic. ConfigError if `folder` holds something.
     """
-    folder.mkdir(parents=True)
     # Identifiers are made of the content: random ones would change the bytes.
     numbers = np.clip(np.rint(volume.values), -(2**15), 2**15 - 1).astype(np.int16)
-    content = [description, repr(volume.origin.tolist()), hashlib.sha256(numbers.tobytes()).hexdigest()]
+    content = [description, hashlib.sha256(numbers.tobytes()).hexdigest()]
+    content += [repr(part.tolist()) for part in (volume.origin, volume.spacing, volume.direction)]
     series = {
         "0008|0016": CTImageStorage,
         "0008|0020": DATE,
@@ -39,16 +40,17 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
     }
     writer = SimpleITK.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
-    for k, plane in enumerate(numbers, start=1):
-        corner = volume.origin + (k - 1) * volume.spacing[2] * volume.direction[:, 2]
-        place = {
-            "0008|0018": generate_uid(entropy_srcs=[*content, str(k)]),
-            "0020|0013": str(k),
-            "0020|0032": "\\".join(f"{x:.6f}" for x in corner),
-        }
-        image = SimpleITK.GetImageFromArray(plane[None])
-        image.SetSpacing(volume.spacing.tolist())
-        for tag, text in (series | place).items():
-            image.SetMetaData(tag, text)
-        writer.SetFileName(str(folder / f"{k:05d}.dcm"))
-        writer.Execute(image)
+    with replace_folder(folder, is_result=False) as fresh:
+        for k, plane in enumerate(numbers, start=1):
+            corner = volume.origin + (k - 1) * volume.spacing[2] * volume.direction[:, 2]
+            place = {
+                "0008|0018": generate_uid(entropy_srcs=[*content, str(k)]),
+                "0020|0013": str(k),
+                "0020|0032": "\\".join(f"{x:.6f}" for x in corner),
+            }
+            image = SimpleITK.GetImageFromArray(plane[None])
+            image.SetSpacing(volume.spacing.tolist())
+            for tag, text in (series | place).items():
+                image.SetMetaData(tag, text)
+            writer.SetFileName(str(fresh / f"{k:05d}.dcm"))
+            writer.Execute(image)
