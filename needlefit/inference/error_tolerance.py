@@ -1,7 +1,7 @@
 """How far the errors of a fit may exceed the least ones by chance: a bootstrap tolerance.
 
-Parameters are compared by the objective f of `metric_misfit`, mm. The tolerance is the 95 % quantile of D, by
-which true parameters exceed the least f (docs/fitting.md, "Error-minimising fit"). One bootstrap draws the
+Parameters are compared by f, the objective of `metric_misfits`, mm. The tolerance is the 95 % quantile of D,
+by which true parameters exceed the least f (docs/fitting.md, "Error-minimising fit"). One bootstrap draws the
 errors that data and ties state. The other draws groups of insertions again: it contains what no stated error
 explains, but not what all share. In both the needles are linear in theta about the best point.
 """

@@ -104,7 +104,8 @@ def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> 
     """Return the shape parameters (B, p, n) of layers, from the values (B,) of each parameter."""
     rows = [[np.asarray(table[name]) for name in row] for row in LAWS[law].name_shape(sequence)]
     count = len(next(iter(table.values())))
-    return np.moveaxis(np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count), -1, 0)
+    stacked = np.array(rows, dtype=np.float64).reshape(-1, len(sequence), count)
+    return np.ascontiguousarray(np.moveaxis(stacked, -1, 0))
 
 
 def tabulate_sets(sets: Sequence[Mapping[str, float]]) -> dict[str, Floats]:
@@ -124,12 +125,6 @@ def stack_values(
     }
     bevel = {"cut_angle": np.radians(strength)} if medium.advance == "path_angle" else {"offset": strength}
     return values | bevel
-
-
-def _stack_values(table: Mapping[str, Floats], medium: MediumRecord, insertion: Insertion) -> dict[str, Any]:
-    guide = table.get("guide_distance_mm")
-    values = stack_values(table, medium, insertion.sequence, insertion.bevel_factor)
-    return values if guide is None else values | {"guide_x": -guide}
 
 
 class PreparedModel:
@@ -190,11 +185,15 @@ class PreparedModel:
         found = dict(zip(self._simulations, pairs, strict=True))
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
+        chained: dict[object, Floats] = {}
 
         def read(one: _Simulation, at: Floats) -> tuple[Floats, Floats]:
             shapes, jacobians = found[one]
             by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2 or 3, Q)
-            by_theta = one.chain(slopes, parameters, jacobians.names)
+            key = one.layers, jacobians.names
+            if key not in chained:
+                chained[key] = one.chain(slopes, parameters, jacobians.names)
+            by_theta = chained[key]
             moves = by.reshape(len(by), math.prod(by.shape[1:3]), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
             moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
@@ -205,7 +204,12 @@ class PreparedModel:
 
     def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
         table = tabulate_sets(sets)
-        return [one.make_batch(sets[0], table, self._medium, self._needle) for one in self._simulations]
+        # the same arrays serve all insertions that meet the same layers: the mechanics pack them once
+        stacked = {one.layers: one.stack_sets(table, self._medium) for one in self._simulations}
+        return [
+            one.make_batch(sets[0], stacked[one.layers], self._medium, self._needle)
+            for one in self._simulations
+        ]
 
     def _read(
         self,
@@ -234,19 +238,28 @@ class _Simulation:
     factors: list[float]
     _batch: Batch | None = None
 
-    def make_batch(
-        self, first: Mapping[str, float], table: Mapping[str, Floats], medium: MediumRecord, needle: Needle
-    ) -> Batch:
-        """Return the batch of B sets of values, given as (B,) of each parameter; `first` are those of one."""
-        name = medium.bevel_parameter
-        count = len(self.factors)
+    @property
+    def layers(self) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """The layers that it meets and the factors of its bevels: all that its sets depend on."""
+        return self.insertion.sequence, tuple(self.factors)
+
+    def stack_sets(self, table: Mapping[str, Floats], medium: MediumRecord) -> dict[str, Floats]:
+        """Return what B sets of values, given as (B,) of each parameter, give a `Batch` of F B sets."""
+        name, count = medium.bevel_parameter, len(self.factors)
         values = {key: np.tile(array, count) for key, array in table.items()} if count > 1 else dict(table)
         values[name] = np.concatenate([factor * table[name] for factor in self.factors])
-        stacked = _stack_values(values, medium, self.insertion)
+        guide = values.get("guide_distance_mm")
+        stacked = stack_values(values, medium, self.insertion.sequence)
+        return stacked if guide is None else stacked | {"guide_x": -guide}
+
+    def make_batch(
+        self, first: Mapping[str, float], sets: dict[str, Any], medium: MediumRecord, needle: Needle
+    ) -> Batch:
+        """Return the batch of what `stack_sets` gave; `first` are the values of one set."""
         if self._batch is None:
-            self._batch = Batch(*make_simulation_inputs(first, medium, needle, self.insertion), **stacked)
+            self._batch = Batch(*make_simulation_inputs(first, medium, needle, self.insertion), **sets)
             return self._batch
-        return self._batch.with_sets(**stacked)
+        return self._batch.with_sets(**sets)
 
     def chain(self, slopes: Mapping[str, Floats], parameters: Parameters, names: Sequence[str]) -> Floats:
         """Return the derivatives (F B, Q, P) by theta of the Q parameters that mechanics differentiate by.

@@ -290,20 +290,20 @@ class _ModelledNodes:
 SMOOTHING_MM = 1e-4
 
 
-def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -> float:
-    """Return the metric misfit of one insertion, mm; points (K, 2 or 3) run from the entry to the tip."""
-    off = simulated - measured
-    distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (K,)
-    return float(station_weights(measured, weights) @ distances)
+def metric_misfits(off: Floats, weights: Floats) -> Floats:
+    """Return the metric misfits (B,) of one insertion, mm, given the stations' weights (K,).
+
+    `off` (B, K, 2 or 3) are simulated minus measured points, which run from the entry to the tip.
+    """
+    distances = np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (B, K)
+    return np.asarray(distances @ weights)
 
 
-def metric_misfit_gradient(
-    simulated: Floats, measured: Floats, weights: WeightsRecord, slopes: Floats
-) -> Floats:
-    """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, D, P)."""
-    off = simulated - measured
-    along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]
-    return np.einsum("k,ki,kip->p", station_weights(measured, weights), along, slopes)
+def metric_misfit_gradients(off: Floats, weights: Floats, slopes: Floats) -> Floats:
+    """Return the derivatives (B, P) of `metric_misfits`, given those of the simulated points (B, K, D, P)."""
+    along = off * (weights / np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2))[..., None]
+    flat = along.reshape(len(off), 1, math.prod(off.shape[1:]))
+    return (flat @ slopes.reshape(len(off), flat.shape[2], slopes.shape[-1]))[:, 0]
 
 
 def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
@@ -384,7 +384,7 @@ class Problem:
         return tuple(found)
 
     def objective(self, theta: Theta) -> float:
-        """Return the mean of `metric_misfit` over insertions, mm; infinite if any solve fails."""
+        """Return the mean of `metric_misfits` over insertions, mm; infinite if any solve fails."""
         return evaluate(self._objectives, np.asarray(theta))
 
     def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
@@ -394,25 +394,30 @@ class Problem:
     def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
         goals, total, planes = self.compared_points, np.zeros(len(thetas)), self.dataset.planes
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
-        for goal, simulated in zip(goals, points, strict=True):
+        for goal, simulated, weights in zip(goals, points, self._station_weights, strict=True):
             measured = goal.measured_in(planes)
-            aligned = align(goal.pose, pad_planes(simulated, planes), measured)
-            total += [metric_misfit(one, measured, self.weights) for one in aligned]
+            total += metric_misfits(
+                align(goal.pose, pad_planes(simulated, planes), measured) - measured, weights
+            )
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
-        goals, sets = self.compared_points, self._list_values(thetas)
+        goals, sets, planes = self.compared_points, self._list_values(thetas), self.dataset.planes
         total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
-        pairs = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
-        for goal, simulated, by in zip(goals, *pairs, strict=True):
-            planes, measured = self.dataset.planes, goal.measured_in(self.dataset.planes)
-            simulated, by = pad_planes(simulated, planes), pad_planes(by, planes, axis=-2)
-            slopes = differentiate_align(goal.pose, simulated, measured, by)
-            aligned = align(goal.pose, simulated, measured)
-            for b in range(len(sets)):
-                total[b] += metric_misfit(aligned[b], measured, self.weights)
-                slope[b] += metric_misfit_gradient(aligned[b], measured, self.weights, slopes[b])
-        return [(float(total[b]) / len(goals), slope[b] / len(goals)) for b in range(len(sets))]
+        found = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
+        for goal, simulated, by, weights in zip(goals, *found, self._station_weights, strict=True):
+            measured, simulated = goal.measured_in(planes), pad_planes(simulated, planes)
+            slopes = differentiate_align(goal.pose, simulated, measured, pad_planes(by, planes, axis=-2))
+            off = align(goal.pose, simulated, measured) - measured
+            total += metric_misfits(off, weights)
+            slope += metric_misfit_gradients(off, weights, slopes)
+        return list(zip((total / len(goals)).tolist(), slope / len(goals), strict=True))
+
+    @cached_property
+    def _station_weights(self) -> list[Floats]:
+        """The weight (K,) of the distance at each station of each insertion."""
+        planes, weights = self.dataset.planes, self.weights
+        return [station_weights(goal.measured_in(planes), weights) for goal in self.compared_points]
 
     def _list_values(self, thetas: Floats) -> list[dict[str, float]]:
         return [self.values(theta) for theta in thetas]

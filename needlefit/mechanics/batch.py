@@ -5,7 +5,8 @@ Vector instructions serve the sets of one insertion, threads different insertion
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import InitVar, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Self
@@ -113,9 +114,13 @@ class Batch:
         object.__setattr__(self, "steps", tuple(self.steps))
         if self.rigidity is not None:
             require_roll_of_one_rigidity(self.tissue, self.steps)
-        depths, element = tuple(step.depth for step in self.steps), self.rules.element
-        solves = len(self) * count_element_solves(depths, self.rules.spacing, element)
-        nodes = len(self) * max(depths, default=0.0) / element
+        self._require_size()
+
+    def __len__(self) -> int:
+        return len(next(v for v in map(self.__dict__.get, VARYING_FIELDS) if v is not None))
+
+    def _require_size(self) -> None:
+        solves, nodes = (len(self) * one for one in self._size)
         if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:  # minutes, or gigabytes
             raise ModelError(
                 f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
@@ -123,24 +128,25 @@ class Batch:
                 fix="divide the sets among several batches, one call after the other",
             )
 
-    def __len__(self) -> int:
-        return self._count
-
     @cached_property
-    def _count(self) -> int:
-        return len(next(v for v in (getattr(self, name) for name in VARYING_FIELDS) if v is not None))
+    def _size(self) -> tuple[float, float]:
+        """Elements to be solved for, and nodes, of one set."""
+        depths, element = tuple(step.depth for step in self.steps), self.rules.element
+        return count_element_solves(depths, self.rules.spacing, element), max(depths, default=0.0) / element
 
     def with_sets(self, **values: Floats) -> Self:
         """Return the same insertion with other sets of the same parameters; both share what is prepared.
+
+        The arrays are contiguous ones of `np.float64`; the kernel refuses others with a TypeError.
 
         Raises ModelError if these are not the parameters that this batch varies.
         """
         given = {name for name in VARYING_FIELDS if getattr(self, name) is not None}
         if values.keys() != given:
             raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
-        changed: dict[str, Any] = dict(values)
-        other = replace(self, **changed)
-        object.__setattr__(other, "prepared", self.prepared)
+        other = copy(self)
+        other.__dict__.update(values)
+        other._require_size()
         return other
 
     def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
@@ -346,7 +352,7 @@ def linearize_steps(
     steps = turn_tip(needle, tissue, steps)
     columns = find_columns(tuple(wrt), tissue, steps, rules)
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
-    one = Evaluation(insertion, 1, {}, np.ones(1, dtype=bool))
+    one = Evaluation(insertion, {}, np.ones(1, dtype=bool), {})
     run_evaluations([one], 1)
     scales = compute_scales(tissue, insertion.depth, insertion.lattice.spacing)
     shape = read_shape(one.shapes, scales)
@@ -371,7 +377,7 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
         nodes, points = (np.empty((*across, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
     arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
-    if not evaluation.valid.all():
+    if not evaluation.all_valid:
         for array in arrays:
             array[:, ~evaluation.valid] = np.nan
     u, slope, points, track = (array[0] if len(array) == 1 else array for array in arrays)
@@ -496,27 +502,28 @@ def _run(
     require_type("batches", batches, Sequence)
     for batch in batches:
         require_type("a batch", batch, Batch)
-    evaluations = [_evaluate(batch, wrt) for batch in batches]
+    shared: tuple[dict[object, Bools], dict[object, native.SetArrays]] = {}, {}
+    evaluations = [_evaluate(batch, wrt, *shared) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
 
-def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
-    """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
-    # which sets are made of numbers that a tissue or needle may have, (B,)
-    valid, deepest = np.ones(len(batch), dtype=bool), max(step.depth for step in batch.steps)
+def _evaluate(
+    batch: Batch,
+    wrt: tuple[str, ...] | None,
+    accepted: dict[object, Bools],
+    shared: dict[object, native.SetArrays],
+) -> Evaluation:
+    """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`.
+
+    Batches with the same arrays of values have in common which sets are `accepted`, and `shared` arrays.
+    """
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
-    for name, value in values.items():
-        accepted = np.abs(value) <= MAX_NUMBER  # NaN compares as false
-        if name in ("mu", "rigidity"):
-            accepted &= value > 0
-        if name == "shape":
-            bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
-            low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
-            accepted &= (value >= low) & (value <= high)
-        if name == "guide_x":  # before the tissue, and where the base does not come to it
-            accepted &= (value < 0) & (value > deepest - batch.needle.length)
-        valid &= accepted.reshape(len(batch), -1).all(axis=1)
+    place = max(step.depth for step in batch.steps) - batch.needle.length if "guide_x" in values else 0.0
+    key = batch.tissue.law, place, *map(id, values.values())
+    if key not in accepted:
+        accepted[key] = _find_valid(batch, values, place)
+    valid = accepted[key]
     if wrt not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
@@ -544,13 +551,30 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
             "shape": batch.tissue.shape,
         }
         values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
-    return Evaluation(insertion, len(batch), values, valid)
+    return Evaluation(insertion, values, valid, shared)
+
+
+def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bools:
+    """Return which sets are made of numbers that a tissue or needle may have, (B,); `base` is its x, mm."""
+    valid = np.ones(len(batch), dtype=bool)
+    for name, value in values.items():
+        accepted = np.abs(value) <= MAX_NUMBER  # NaN compares as false
+        if name in ("mu", "rigidity"):
+            accepted &= value > 0
+        if name == "shape":
+            bounds = [one.bounds for one in LAWS[batch.tissue.law].parameters]
+            low, high = np.array(bounds).reshape(-1, 2).T[:, :, None]  # (p, 1) each
+            accepted &= (value >= low) & (value <= high)
+        if name == "guide_x":  # before the tissue, and where the base does not come to it
+            accepted &= (value < 0) & (value > base)
+        valid &= accepted.reshape(len(batch), -1).all(axis=1)
+    return valid
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
-    a, valid = evaluation.shapes.arrays, evaluation.valid
-    if not valid.all():
-        wrong = ~valid
+    a = evaluation.shapes.arrays
+    if not evaluation.all_valid:
+        wrong = ~evaluation.valid
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)

@@ -13,7 +13,7 @@ import os
 import sys
 from collections.abc import Mapping
 from ctypes import byref, c_double, c_int64, c_void_p
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -101,6 +101,7 @@ def check_fault(fault: int) -> None:
 #: place of the laws' shape parameters in `column_of`: `ColumnKind` of `native/derivatives.hpp`
 SHAPE_COLUMN = 1
 _SET_ARRAYS = {name for name, (_, shape) in _ARRAYS.items() if "sets" in shape}
+_SET_SIZES = ("layers", "shapes", "numbers", "bevels", "inputs", "planes")  # their further axes
 
 
 class KernelProblem(ctypes.Structure):
@@ -116,7 +117,6 @@ class KernelProblem(ctypes.Structure):
     nodes: int = 0  # of the shape at the last stop, once it is known
     max_points: int  # constraint points of a shape
     max_quadrature: int  # quadrature points of a shape
-    sizes: dict[str, int]
 
     @classmethod
     def make(cls, numbers: Mapping[str, float], arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
@@ -156,26 +156,46 @@ class KernelProblem(ctypes.Structure):
         problem.room, problem.max_points, problem.max_quadrature = found
         return problem
 
-    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
-        """Return the same insertion with other parameter sets; `arrays` are those with an axis of sets.
+    def with_sets(self, given: "SetArrays") -> "KernelProblem":
+        """Return the same insertion with other parameter sets.
 
-        Raises TypeError if one of them is missing, or is not as `make` asks for.
+        Raises TypeError if these are not arrays of a problem of the same sizes.
         """
-        if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
-            raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
+        if given.arrays.keys() != self.arrays.keys() & _SET_ARRAYS or given.sizes != self.set_sizes:
+            raise TypeError(f"arrays of {', '.join(given.arrays)} are not all that differ between sets")
         problem = KernelProblem.from_buffer_copy(self)
-        problem.sets, problem.arrays = sets, {**self.arrays, **arrays}
+        problem.sets, problem.arrays, problem.set_sizes = given.sets, self.arrays | given.arrays, given.sizes
         problem.room, problem.nodes, problem.max_points = self.room, self.nodes, self.max_points
         problem.max_quadrature = self.max_quadrature
-        problem._point_to(arrays, self.sizes | {"sets": sets})
+        for name, address in given.addresses.items():
+            setattr(problem, name, address)
         return problem
 
+    @cached_property
+    def set_sizes(self) -> tuple[int, ...]:
+        """The sizes of which arrays with an axis of sets have axes, but for that one."""
+        return tuple(getattr(self, name) for name in _SET_SIZES)
+
     def _point_to(self, arrays: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None:
-        self.sizes = sizes
-        for name, array in arrays.items():
-            dtype, shape = _ARRAYS[name]
-            check_array(name, array, dtype, tuple([sizes[n] if isinstance(n, str) else n for n in shape]))
-            setattr(self, name, array.ctypes.data)
+        for name, address in _find_addresses(arrays, sizes).items():
+            setattr(self, name, address)
+
+
+class SetArrays:
+    """Arrays with an axis of sets, checked once for all insertions that they serve: those packed alike."""
+
+    def __init__(self, like: KernelProblem, sets: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Raises TypeError if an array is not as a problem `like` this one needs it with so many sets."""
+        self.sets, self.arrays, self.sizes = sets, dict(arrays), like.set_sizes
+        self.addresses = _find_addresses(arrays, dict(zip(_SET_SIZES, self.sizes, strict=True), sets=sets))
+
+
+def _find_addresses(arrays: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> dict[str, int]:
+    """Return where each array lies, once it is found to be one that the kernel can read."""
+    for name, array in arrays.items():
+        dtype, shape = _ARRAYS[name]
+        check_array(name, array, dtype, tuple([sizes[n] if isinstance(n, str) else n for n in shape]))
+    return {name: array.ctypes.data for name, array in arrays.items()}
 
 
 def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]) -> None:  # noqa: ANN401
@@ -214,14 +234,17 @@ class Shapes(ctypes.Structure):
             sizes |= dict.fromkeys(("constraints_by", "track_by"), (planes, sets, points, columns))
         # One piece of memory, which the allocator keeps from call to call: new pages take long.
         memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
+        counts = np.zeros(2 * sets + 1, np.int64)
+        at, at_counts = memory.ctypes.data, counts.ctypes.data
+        places = {"status": at_counts, "passes": at_counts + 8 * sets, "nodes": at_counts + 16 * sets}
         for name, size in sizes.items():
             begin, end = end, end + math.prod(size)
-            arrays[name] = memory[begin:end].reshape(size)
-        nodes = arrays["nodes"]
+            arrays[name], places[name] = memory[begin:end].reshape(size), at + 8 * begin
+        nodes, wide = arrays["nodes"], 8 * sets * room
         arrays |= {"x": nodes[0], "u": nodes[1 : 1 + planes], "slope": nodes[1 + planes :]}
-        arrays |= {name: np.zeros(sets, np.int64) for name in ("status", "passes")}
-        arrays["nodes"] = np.zeros(1, np.int64)
-        made = cls(room=room, points=points, **{name: array.ctypes.data for name, array in arrays.items()})
+        arrays |= {"status": counts[:sets], "passes": counts[sets : 2 * sets], "nodes": counts[2 * sets :]}
+        places |= {"x": at, "u": at + wide, "slope": at + wide * (1 + planes), "nodes": at_counts + 16 * sets}
+        made = cls(room, points, **places)
         made.arrays, made.nodes_of_sets = arrays, nodes
         made.sets, made.columns, made.planes = sets, columns, planes
         return made

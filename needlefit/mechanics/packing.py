@@ -168,6 +168,14 @@ class PackedStops(NamedTuple):
     last: TipStop
     rays: int
 
+    def list_inputs(self, steps: Sequence[Step]) -> tuple[tuple[Bevel, ...], tuple[Controls, ...]]:
+        """Return the bevels and the controls that the stops name."""
+        bevels, controls = (
+            tuple(steps[i].bevel for i in self.bevels),
+            tuple(steps[i].controls for i in self.controls),
+        )
+        return bevels, controls
+
 
 def plan_insertion(
     steps: Sequence[Step], length: float, rules: ModelOptions, lattice: Lattice | None = None
@@ -264,35 +272,23 @@ def pack_layers(
     return sizes, arrays
 
 
-def pack_problem(
+def pack_sets(
     needle: Needle,
     tissue: Tissue,
-    steps: Sequence[Step],
-    lattice: Lattice,
+    inputs: tuple[Sequence[Bevel], Sequence[Controls]],
     rules: ModelOptions,
-    packed: PackedStops,
-    *,
-    planes: int | None = None,
-    sets: int = 1,
-    values: Mapping[str, Floats] | None = None,
+    planes: int,
+    sets: int,
+    values: Mapping[str, Floats],
     columns: Columns | None = None,
-    like: native.KernelProblem | None = None,
-    **sizes: float,
-) -> native.KernelProblem:
-    """Return an insertion as the kernel reads it, of which `packed` are the stops on the lattice.
+) -> tuple[dict[str, int], dict[str, Floats]]:
+    """Return sizes of the layers, and the arrays of parameter sets, of an insertion under these inputs.
 
-    `steps` have the roll of the tip. `planes` are by default as many as these need. `values` are what differs
-    between sets, by the names of `batch.Batch`, `columns` those of the derivatives that are asked for. What
-    no set changes is taken from a problem `like` this one. `sizes` are fields of `native.KernelProblem` with
-    other values than the insertion's.
+    `values` are what differs between sets, by the names of `batch.Batch`.
 
     Raises ModelError if a law cannot be interpolated at its shape parameters.
     """
-    values = values or {}
-    if planes is None:
-        planes = columns.planes if columns else count_planes(steps, values)
-    bevels = [steps[i].bevel for i in packed.bevels]
-    controls = [steps[i].controls for i in packed.controls]
+    bevels, controls = inputs
     given = values.get("cut_angle" if rules.path_angle else "offset")
     # the slopes that each bevel adds to the cut, and their derivatives by the bevel's strength
     turn, turn_by = (np.empty((len(bevels), sets, planes)) for _ in range(2))
@@ -326,8 +322,36 @@ def pack_problem(
         by = differentiate_law(tissue.law, values.get("shape", tissue.shape))
         size = sets, tissue.layers, len(tissue.shape), of_layers["numbers"]
         of_sets["law_by"] = np.ascontiguousarray(np.broadcast_to(by, size))
-    if like is not None:
-        return like.with_sets(sets, of_sets)
+    return of_layers, of_sets
+
+
+def pack_problem(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    lattice: Lattice,
+    rules: ModelOptions,
+    packed: PackedStops,
+    *,
+    planes: int | None = None,
+    sets: int = 1,
+    values: Mapping[str, Floats] | None = None,
+    columns: Columns | None = None,
+    **sizes: float,
+) -> native.KernelProblem:
+    """Return an insertion as the kernel reads it, of which `packed` are the stops on the lattice.
+
+    `steps` have the roll of the tip. `planes` are by default as many as these need. `values` are what differs
+    between sets, by the names of `batch.Batch`, `columns` those of the derivatives that are asked for.
+    `sizes` are fields of `native.KernelProblem` with other values than the insertion's.
+
+    Raises ModelError if a law cannot be interpolated at its shape parameters.
+    """
+    values = values or {}
+    if planes is None:
+        planes = columns.planes if columns else count_planes(steps, values)
+    inputs = _, controls = packed.list_inputs(steps)
+    of_layers, of_sets = pack_sets(needle, tissue, inputs, rules, planes, sets, values, columns)
     before, within = ([getattr(one, name) for one in controls] for name in ("before", "within"))
     arrays: dict[str, np.ndarray] = {
         "stops": packed.stops,
@@ -352,6 +376,16 @@ def pack_problem(
         "tolerance": rules.tolerance, "deepest": max(step.depth for step in steps),
     }  # fmt: skip
     return native.KernelProblem.make(of_layers | numbers | sizes, arrays | of_sets)
+
+
+#: what a set may give of the layers, and else is the tissue's own
+_OF_LAYERS = ("mu", "shape", "thickness", "friction")
+
+
+@lru_cache(maxsize=512)
+def _find_alike(*_: object) -> object:
+    """Return the same object for the same arguments: it is compared faster than these are."""
+    return object()
 
 
 #: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
@@ -386,37 +420,60 @@ class PreparedInsertion:
         # about: it orders insertions by their cost
         self.nodes_solved = float(self._packed.stops["tip"].sum())
         self._problem: native.KernelProblem | None = None
+        self._alike = object()  # stands for all that arrays of sets depend on, but for the values
 
-    def pack(self, sets: int, values: Mapping[str, Floats]) -> native.KernelProblem:
+    def pack(
+        self, sets: int, values: Mapping[str, Floats], shared: dict[object, native.SetArrays]
+    ) -> native.KernelProblem:
         """Return the problem of so many parameter sets; `values` are named as in `batch.Batch`.
 
-        Every call gives values of the same names.
+        Every call gives values of the same names. `shared` keeps the arrays of sets for other insertions that
+        are given the same values, and are packed alike.
         """
-        problem = pack_problem(
-            self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
-            sets=sets, values=values, columns=self.columns, like=self._problem,
-        )  # fmt: skip
-        if self._problem is None:
-            self._problem = problem
-        return problem
+        problem = self._problem
+        if problem is None:
+            self._problem = problem = pack_problem(
+                self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
+                sets=sets, values=values, columns=self.columns,
+            )  # fmt: skip
+            own = (getattr(self.tissue, name).tobytes() for name in _OF_LAYERS if name not in values)
+            columns = self.columns and (self.columns.total, self.columns.first.tobytes())
+            self._alike = _find_alike(
+                self.needle.flexural_rigidity, self.tissue.law, *own, self.rules, problem.planes, columns,
+                self._packed.list_inputs(self.steps),
+            )  # fmt: skip
+            return problem
+        key = self._alike, *map(id, values.values())
+        if key not in shared:
+            inputs = self._packed.list_inputs(self.steps)
+            _, arrays = pack_sets(
+                self.needle, self.tissue, inputs, self.rules, problem.planes, sets, values, self.columns
+            )
+            shared[key] = native.SetArrays(problem, sets, arrays)
+        return problem.with_sets(shared[key])
 
 
 class Evaluation:
     """Parameter sets of a prepared insertion, and room for their shapes.
 
     `values` are named as in `batch.Batch`. Sets that are not `valid` (B,), made of numbers that a tissue or
-    needle may have, are not computed.
+    needle may have, are not computed. `shared` are arrays of sets that evaluations have in common.
     """
 
     def __init__(
-        self, insertion: PreparedInsertion, sets: int, values: Mapping[str, Floats], valid: Bools
+        self,
+        insertion: PreparedInsertion,
+        values: Mapping[str, Floats],
+        valid: Bools,
+        shared: dict[object, native.SetArrays],
     ) -> None:
-        self.insertion, self.valid, self.some = insertion, valid, int(np.argmax(valid))
-        if not valid.all():  # what is no parameter is replaced by one; what it gives is discarded
-            rows = np.where(valid, np.arange(sets), self.some)
+        self.insertion, self.valid, self.some = insertion, valid, int(valid.argmax())
+        self.all_valid = bool(valid.all())
+        if not self.all_valid:  # what is no parameter is replaced by one; what it gives is discarded
+            rows = np.where(valid, np.arange(len(valid)), self.some)
             values = {name: array[rows] for name, array in values.items()}
         self.values = values
-        self.problem = insertion.pack(sets, values)
+        self.problem = insertion.pack(len(valid), values, shared)
         self.shapes = native.make_shapes(self.problem, insertion.points)
 
     @property
