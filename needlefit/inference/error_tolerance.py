@@ -9,6 +9,7 @@ explains, but not what all share. In both the needles are linear in theta about 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -92,11 +93,15 @@ class _LinearErrors:
         return self._gradient(np.zeros(len(lower)))[0] - recorder.objective
 
     def _gradient(self, step: Floats) -> tuple[float, Floats]:
-        off = self.off + self.jacobian @ step
-        distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)
+        off = self.off + (self._flat @ step).reshape(self.off.shape)
+        distances = np.sqrt((off * off).sum(axis=1) + SMOOTHING_MM**2)
         along = (self.weights / distances)[:, None] * off
-        slope: Floats = np.tensordot(along, self.jacobian, axes=2)
-        return float(self.weights @ (distances - SMOOTHING_MM)), slope
+        return float(self.weights @ (distances - SMOOTHING_MM)), along.ravel() @ self._flat
+
+    @cached_property
+    def _flat(self) -> Floats:
+        """The derivatives (2 R or 3 R, P)."""
+        return self.jacobian.reshape(self.off.size, self.jacobian.shape[-1])
 
 
 def _join(

@@ -6,6 +6,7 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
@@ -205,7 +206,8 @@ class PreparedModel:
     def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
         table = tabulate_sets(sets)
         # the same arrays serve all insertions that meet the same layers: the mechanics pack them once
-        stacked = {one.layers: one.stack_sets(table, self._medium) for one in self._simulations}
+        different = {one.layers: one for one in self._simulations}
+        stacked = {key: one.stack_sets(table, self._medium) for key, one in different.items()}
         return [
             one.make_batch(sets[0], stacked[one.layers], self._medium, self._needle)
             for one in self._simulations
@@ -238,7 +240,7 @@ class _Simulation:
     factors: list[float]
     _batch: Batch | None = None
 
-    @property
+    @cached_property
     def layers(self) -> tuple[tuple[int, ...], tuple[float, ...]]:
         """The layers that it meets and the factors of its bevels: all that its sets depend on."""
         return self.insertion.sequence, tuple(self.factors)

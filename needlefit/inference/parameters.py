@@ -334,6 +334,11 @@ class Parameters:
         return tuple(name for name in self.names if name in self.bounds)
 
     @cached_property
+    def _coordinates(self) -> list[tuple[str, bool]]:
+        """The free parameters, and whether theta has their logarithm: looked up once for many thetas."""
+        return [(name, is_logarithmic(name)) for name in self.free]
+
+    @cached_property
     def lower(self) -> Floats:
         """Lower bounds of theta: (P,)."""
         return np.array([to_coordinate(name, self.bounds[name][0]) for name in self.free])
@@ -355,8 +360,10 @@ class Parameters:
         """Return every parameter's value (Pa, mm), ties and fixed ones resolved, for `theta` (P,)."""
         if len(theta) != len(self.bounds):
             raise ValueError(f"theta has {len(theta)} entries, {len(self.bounds)} parameters are free")
+        entries = theta.tolist() if isinstance(theta, np.ndarray) else theta
         known = dict(self.fixed)
-        known |= {name: to_value(name, entry) for name, entry in zip(self.free, theta, strict=True)}
+        for (name, logarithmic), entry in zip(self._coordinates, entries, strict=True):
+            known[name] = math.exp(entry) if logarithmic else float(entry)
         for name, (factor, source) in self.ties.items():
             known[name] = factor * known[source]
         return {name: known[name] for name in self.names}

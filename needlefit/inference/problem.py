@@ -82,6 +82,8 @@ class PosteriorDensity:
     scale: float = 1.0
     #: whether b is the mean of the insertions' own, from which their deviations sum to zero
     centred_bevels: bool = False
+    #: of each insertion (m + c, R, P), how derivatives at its nodes differ from those as measured: see `near`
+    node_slopes: tuple[Floats, ...] = ()
 
     def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
@@ -256,18 +258,30 @@ class PosteriorDensity:
         less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
         return np.array([np.sqrt(1.0 + grown + less + log_det)])
 
+    def near(self, values: Values) -> "PosteriorDensity":
+        """Return the same density with `jacobians` that are exact at these values, approximate elsewhere.
+
+        Residuals stay exact. Needles with moved depths or bevels are differentiated here alone: elsewhere
+        their derivatives differ from those of the needle as measured by as much as here.
+        """
+        slopes = (by[0] - by[0, :1] for _, by in self._differentiate([values], 1))
+        return replace(self, node_slopes=tuple(slopes))
+
     def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
         """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
-        found, nodes = [], self._nodes
+        found, nodes = [], self._first_nodes if self.node_slopes else self._nodes
         points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
-        for one, some in zip(self.observations, nodes.nodes, strict=True):
+        exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
+        for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
             stacked, by = (
                 np.stack([pad_planes(next(part), one.planes, axis=axis) for _ in some.s], axis=1)
                 for part, axis in ((points, -1), (slopes, -2))
             )
-            white = append_pose_curves(one, whiten_residuals(one, stacked))
-            by_white = np.zeros((*white.shape, by.shape[-1]))
-            by_white[:, : len(some.s)] = whiten_derivatives(one, stacked, by)
+            white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
+            by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)
+            by_white[:, :moved] = whiten_derivatives(one, stacked, by)  # of one node, or of all
+            if exact:
+                by_white[:, :moved] += self.node_slopes[k][:moved]
             found.append((white, by_white))
         return found
 
@@ -461,6 +475,14 @@ class Problem:
 
     def _jacobians(self, thetas: Floats, jobs: int) -> list[tuple[Floats, Floats]]:
         return self.density.jacobians(self._list_values(thetas), jobs)
+
+    def near(self, theta: Theta) -> "Problem":
+        """Return the same problem with a Jacobian that is exact at theta (P,): see `PosteriorDensity`."""
+        if all(len(one.nodes.insertions) == 1 for one in self.density.observations):
+            return self
+        other = replace(self)
+        other.__dict__["density"] = self.density.near(self.values(theta))
+        return other
 
     def approach(self, minimized: ObjectiveName) -> "Problem | None":
         """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is

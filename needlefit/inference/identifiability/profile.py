@@ -59,8 +59,7 @@ def minimize_squares(
             np.minimum(upper - at.theta[moving], radius),
         )
         step = _step(at, moving, step_bounds)
-        # the decrease that the linear model predicts: slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
-        gain = -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
+        gain = _predict_gain(at, moving, step)
         converged = gain < min_gain
         if converged:
             break
@@ -76,6 +75,25 @@ def minimize_squares(
             radius = 0.25 * float(np.max(np.abs(step)))
         at = trial if gain_ratio > 0 else at
     return LocalMinimum(at.theta, at.value, at.slope, at.information, converged)
+
+
+def find_gains(target: Problem, held: Sequence[int], thetas: Floats, jobs: int) -> Floats:
+    """Return by how much a step from each of `thetas` (B, P) would lessen the sum of squares, (B,).
+
+    At each the parameter numbered `held` (B,) keeps its value.
+    """
+    gains, sets = [], [target.values(theta) for theta in thetas]
+    for k, theta, (residuals, slopes) in zip(held, thetas, target.density.jacobians(sets, jobs), strict=True):
+        at, moving = _square(theta, residuals, slopes), np.arange(len(theta)) != k
+        room = (target.lower - theta)[moving], (target.upper - theta)[moving]
+        gains.append(_predict_gain(at, moving, _step(at, moving, room)) if moving.any() else 0.0)
+    return np.array(gains)
+
+
+def _predict_gain(at: LocalMinimum, moving: Bools, step: Floats) -> float:
+    """Return the decrease that the linear model predicts."""
+    # slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
+    return -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
 
 
 def _step(at: LocalMinimum, moving: Bools, step_bounds: tuple[Floats, Floats]) -> Floats:
@@ -98,6 +116,10 @@ def _evaluate(target: Problem, theta: Floats) -> LocalMinimum:
     if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(slopes))):
         nothing = np.zeros(len(theta))
         return LocalMinimum(theta, math.inf, nothing, np.outer(nothing, nothing))
+    return _square(theta, residuals, slopes)
+
+
+def _square(theta: Floats, residuals: Floats, slopes: Floats) -> LocalMinimum:
     return LocalMinimum(theta, float(residuals @ residuals), 2 * residuals @ slopes, slopes.T @ slopes)
 
 

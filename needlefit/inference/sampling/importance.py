@@ -502,7 +502,7 @@ def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int, uninformed: 
     """
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
     traced = [k for k, name in enumerate(problem.names) if name not in stated and not uninformed[k]]
-    work = partial(trace_profile, problem, optimum=mode, steps=PROFILE_STEPS)
+    work = partial(trace_profile, problem.near(mode.theta), optimum=mode, steps=PROFILE_STEPS)
     found = dict(run_side_by_side(work, traced, jobs, TaskStop(never_stop)))
     # without the optimum, which comes first
     points = [one for n in range(len(traced)) for one in found[n].points[1:]]
