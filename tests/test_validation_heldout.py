@@ -44,7 +44,7 @@ from needlefit.studies.held_out_predictions import (
     predict_held_out,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
-from needlefit.studies.planned_draws import draw_depth_errors, simulate_planned
+from needlefit.studies.planned_draws import PlannedInsertion, draw_depth_errors
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
@@ -128,14 +128,14 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
     typical = job.parameters.values(known.thetas.mean(axis=0))
     for drawn, tolerance in ((other, 0.05), ([typical] * len(sets), 0.02)):
-        together = simulate_planned(drawn, medium, needle, insertion, s, *errors)
+        together = PlannedInsertion(drawn, medium, needle, insertion, s, *errors).simulate()
         assert together.solved.all() and together.valid.all()
         for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths
             deep, wrong = (one[n] for one in errors)
             alone = predict_alone(drawn[n], medium, needle, insertion, s, wrong, deep)
             assert together.points[n] == pytest.approx(alone, abs=tolerance)
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
-    found = simulate_planned(failing, medium, needle, insertion, s, *errors)
+    found = PlannedInsertion(failing, medium, needle, insertion, s, *errors).simulate()
     assert found.solved[:-1].all() and not found.solved[-1]
 
 

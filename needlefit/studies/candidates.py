@@ -131,7 +131,7 @@ def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
     if found is None:
         (white,) = density.whitened_residuals(sets, jobs)
         return white
-    moved = first + found.reshape(len(sets), *moves.shape[1:])
+    moved = first + found(coordinates).reshape(len(sets), *moves.shape[1:])
     return append_pose_curves(one, np.concatenate([first, moved], axis=1))
 
 

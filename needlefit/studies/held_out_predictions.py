@@ -64,10 +64,10 @@ from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_frames import COLUMNS, NEW_SPECIMEN
 from needlefit.studies.job import Fold, Job, Settings, group_insertions
 from needlefit.studies.planned_draws import (
+    PlannedInsertion,
     PlannedNeedles,
     draw_depth_errors,
     scale_bevels,
-    simulate_planned,
     vary_bevels,
 )
 from needlefit.studies.score import Row
@@ -412,39 +412,52 @@ class _Predictor:
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        draws = self.known.draws_in(insertion)
-        # the width after one more insertion is estimated from neighbouring draws, which takes all of them
-        for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
-            some = replace(draws, thetas=draws.thetas[::stride])
-            found = self._predict(insertion, some, MAX_END_ERROR)
-            if found is not None:
-                return found
-        return self._predict(insertion, draws)
-
-    def _predict(
-        self, insertion: Insertion, draws: Draws, max_end_error: float = math.inf
-    ) -> HeldOutPrediction | None:
-        """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
-        known, job, fold = self.known, self.known.job, self.known.fold
-        rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
-        planes = job.dataset.planes
+        known, job, planes = self.known, self.known.job, self.known.job.dataset.planes
+        draws = known.draws_in(insertion)
         # in space the roll is drawn: it turns the needle as a whole
         points = replace(insertion, curvature=None, roll_sd=0.0 if planes == 2 else insertion.roll_sd)
         observation = make_observation(job.dataset, points, likelihood=self.likelihood)
-        tuned = any(insertion.specimen == one.specimen for one in fold.tune)
-        differing = known if known.differs(insertion) else None
-        about = describe_specimen(differing, "same" if tuned else "training only")
+        sets = [job.parameters.values(theta) for theta in draws.thetas]
+        needles = self._plan(insertion, observation, *self._vary(insertion, sets))
+        # the width after one more insertion is estimated from neighbouring draws, which takes all of them
+        for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
+            some = replace(draws, thetas=draws.thetas[::stride])
+            found = self._predict(insertion, observation, some, needles.simulate(stride), MAX_END_ERROR)
+            if found is not None:
+                return found
+        return self._predict(insertion, observation, draws, needles.simulate())
+
+    def _vary(
+        self, insertion: Insertion, sets: Sequence[Mapping[str, float]]
+    ) -> tuple[list[dict[str, float]], np.random.Generator]:
+        """Return sets of values with a bevel of this insertion, and what its depths are drawn by."""
+        known, job, fold = self.known, self.known.job, self.known.fold
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         # the depths of one insertion have one specimen and one bevel
         own = self.repeats.get(insertion.id)
         once = rng if own is None else random_stream(job.recipe.seed, job.name, fold.name, "foretold", *own)
-        sets = [job.parameters.values(theta) for theta in draws.thetas]
         deviations = once.standard_normal(len(sets))
-        if differing is not None and differing.separate:
-            deviations = differing.bevel_sd_in(insertion) * deviations
+        if known.differs(insertion) and known.separate:
+            deviations = known.bevel_sd_in(insertion) * deviations
         elif fold.tune and len(sets):
-            problem = known.problem_of(insertion)
-            deviations = _condition_bevels(problem, sets, own, deviations, self.jobs)
-        found = self._simulate(insertion, observation, scale_bevels(sets, deviations), rng)
+            deviations = _condition_bevels(known.problem_of(insertion), sets, own, deviations, self.jobs)
+        return scale_bevels(sets, deviations), rng
+
+    def _predict(
+        self,
+        insertion: Insertion,
+        observation: Observation,
+        draws: Draws,
+        found: PlannedNeedles,
+        max_end_error: float = math.inf,
+    ) -> HeldOutPrediction | None:
+        """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
+        known, job, fold = self.known, self.known.job, self.known.fold
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
+        planes = job.dataset.planes
+        tuned = any(insertion.specimen == one.specimen for one in fold.tune)
+        differing = known if known.differs(insertion) else None
+        about = describe_specimen(differing, "same" if tuned else "training only")
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
@@ -474,7 +487,7 @@ class _Predictor:
             **about,
         }
         if insertion.id in self.representatives:
-            some = [values for values, kept in zip(sets, solved, strict=True) if kept]
+            some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         row |= _score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         across: Floats = quantile(mixture, (0.5,)).T
@@ -494,17 +507,17 @@ class _Predictor:
         row = {name: row[name] for name in columns}
         return HeldOutPrediction(row, band, len(aligned), int(np.sum(~found.valid[solved])), median)
 
-    def _simulate(
+    def _plan(
         self,
         insertion: Insertion,
         observation: Observation,
         sets: Sequence[Mapping[str, float]],
         rng: np.random.Generator,
-    ) -> PlannedNeedles:
+    ) -> PlannedInsertion:
         """Return the needles of sets of values at the observed points, each with depths of its own."""
         (deep, wrong), s = draw_depth_errors(insertion, len(sets), rng), observation.nodes.s[0]
         medium, needle = self.known.job.medium, self.known.job.dataset.needle
-        return simulate_planned(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
+        return PlannedInsertion(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
 
     def _estimate_after_one(
         self,
@@ -522,7 +535,7 @@ class _Predictor:
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
-        found = self._simulate(insertion, observation, further, rng)
+        found = self._plan(insertion, observation, further, rng).simulate()
         again, tip = np.full(len(sets), np.nan), len(observation.measured) - 1
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]

@@ -87,62 +87,83 @@ def scale_bevels(sets: Sets, deviations: Floats) -> list[dict[str, float]]:
     ]
 
 
-def simulate_planned(
-    sets: Sets,
-    medium: MediumRecord,
-    needle: Needle,
-    insertion: Insertion,
-    s: Floats,
-    deep: Floats,
-    wrong: Floats,
-    jobs: int = 1,
-) -> PlannedNeedles:
-    """Return the needles of B sets of values at beam coordinates `s` (K,), through the layers each meets.
+class PlannedInsertion:
+    """The needles of B sets of values at beam coordinates `s` (K,), through the layers that each meets.
 
-    `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used.
+    `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used. What all sets have in
+    common is computed once, the needle of a set when it is first asked for.
     """
-    stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), s])
-    some = [sets[n] for n in choose_draws(make_coordinates(sets))]
 
-    def simulate(which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
+    def __init__(
+        self,
+        sets: Sets,
+        medium: MediumRecord,
+        needle: Needle,
+        insertion: Insertion,
+        s: Floats,
+        deep: Floats,
+        wrong: Floats,
+        jobs: int = 1,
+    ) -> None:
+        self._sets, self._medium, self._needle, self._insertion = sets, medium, needle, insertion
+        self._s, self._deep, self._wrong, self._jobs = s, deep, wrong, jobs
+        self._table: _SurfaceTable | None = None
+        self._draws: _InterpolatedDraws | None = None  # None where each draw is simulated by itself
+        self._prepare()
+
+    def _prepare(self) -> None:
+        insertion, sets = self._insertion, self._sets
+        stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), self._s])
+        some: Sets = [sets[n] for n in choose_draws(make_coordinates(sets))]
+        table = _tabulate_surfaces(insertion, 0.0, 0.0)
+        if table is None or max(table.sequence) > self._medium.layers:
+            return
+        straight = replace(insertion, boundaries=table.depths[len(table.y) // 2], sequence=table.sequence)
+        (paths,), _ = self._simulate(some, [(straight, stations)])
+        if insertion.surfaces:
+            # the few draws beyond are taken to cross where the outermost parallel does
+            low, high = np.nanquantile(paths[..., 1], OUTERMOST)
+            table = _tabulate_surfaces(insertion, float(low), float(high))
+            count = 0 if table is None else min(len(table.sequence), len(straight.sequence))
+            if table is None or table.sequence[:count] != straight.sequence[:count]:
+                return
+        crossed = table.find_crossings(paths[:, :PATH_POINTS])  # (C, n - 1) of the chosen draws
+        errors = self._wrong[:, : crossed.shape[1]]
+        met = np.nanmin(crossed, axis=0) + np.min(errors, axis=0) < insertion.depth + TABLE_MARGIN_MM
+        self._table = table.keep(met)
+        sequence = self._table.sequence
+        crossed, errors = (part[:, : len(sequence) - 1] for part in (crossed, errors))
+        centre = replace(straight, boundaries=np.nanmedian(crossed, axis=0), sequence=sequence)
+        spread = np.hypot(np.nanstd(crossed, axis=0), np.std(errors, axis=0))
+        self._reach, self._centre = np.maximum(NODE_SD * spread, MIN_NODE_MM), centre
+
+        def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
+            return self._simulate(which, [shift_depths(centre, stations, *one) for one in moves])
+
+        self._draws = _InterpolatedDraws(sets, move, self._reach, insertion.depth_sd)
+
+    def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
-        shapes = PreparedModel(medium, needle, [one for one, _ in nodes]).simulate(which, jobs)
+        shapes = PreparedModel(self._medium, self._needle, [one for one, _ in nodes]).simulate(
+            which, self._jobs
+        )
         found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
         return np.array(found), shapes[0].valid
 
-    table = _tabulate_surfaces(insertion, 0.0, 0.0)
-    if table is None or max(table.sequence) > medium.layers:
-        return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
-    straight = replace(insertion, boundaries=table.depths[len(table.y) // 2], sequence=table.sequence)
-    (paths,), _ = simulate(some, [(straight, stations)])
-    if insertion.surfaces:
-        # the few draws beyond are taken to cross where the outermost parallel does
-        low, high = np.nanquantile(paths[..., 1], OUTERMOST)
-        table = _tabulate_surfaces(insertion, float(low), float(high))
-        count = 0 if table is None else min(len(table.sequence), len(straight.sequence))
-        if table is None or table.sequence[:count] != straight.sequence[:count]:
-            return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
-    crossed = table.find_crossings(paths[:, :PATH_POINTS])  # (C, n - 1) of the chosen draws
-    errors = wrong[:, : crossed.shape[1]]
-    met = np.nanmin(crossed, axis=0) + np.min(errors, axis=0) < insertion.depth + TABLE_MARGIN_MM
-    table = table.keep(met)
-    crossed, errors = (part[:, : len(table.sequence) - 1] for part in (crossed, errors))
-    centre = replace(straight, boundaries=np.nanmedian(crossed, axis=0), sequence=table.sequence)
-    spread = np.hypot(np.nanstd(crossed, axis=0), np.std(errors, axis=0))
-    reach = np.maximum(NODE_SD * spread, MIN_NODE_MM)
-
-    def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
-        return simulate(which, [shift_depths(centre, stations, *one) for one in moves])
-
-    found = _interpolate_depths(sets, move, reach, insertion.depth_sd)
-    if found is None:
-        return _simulate_each(sets, medium, needle, insertion, s, deep, wrong)
-    whole, valid = found
-    shifts, still = np.zeros((len(sets), len(reach))), np.zeros(len(sets))
-    path = whole.take(slice(None, PATH_POINTS))
-    for _ in range(CROSSING_ROUNDS if insertion.surfaces else 0):
-        shifts = table.find_crossings(path.at(shifts, still)) - centre.boundaries
-    return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + errors, deep), valid)
+    def simulate(self, stride: int = 1) -> PlannedNeedles:
+        """Return the needles of every so many sets."""
+        rows = np.arange(0, len(self._sets), stride)
+        deep, wrong = self._deep[rows], self._wrong[rows]
+        if self._draws is None or self._draws.steps is None or self._table is None:
+            sets = self._sets[::stride]
+            return _simulate_each(sets, self._medium, self._needle, self._insertion, self._s, deep, wrong)
+        whole, valid = self._draws.take(rows)
+        count = len(self._reach)
+        shifts, still = np.zeros((len(rows), count)), np.zeros(len(rows))
+        path = whole.take(slice(None, PATH_POINTS))
+        for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
+            shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
+        return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + wrong[:, :count], deep), valid)
 
 
 def simulate_scene(
@@ -173,9 +194,9 @@ def simulate_scene(
         return np.array(points), shapes[0].valid
 
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
-    found = _interpolate_depths(sets, move, reach, float(np.std(deep)))
-    if found is not None:
-        whole, valid = found
+    draws = _InterpolatedDraws(sets, move, reach, float(np.std(deep)))
+    if draws.steps is not None:
+        whole, valid = draws.take(np.arange(len(sets)))
         return PlannedNeedles(whole.at(wrong, deep), valid)
     each = [move([one], [(wrong[n] + deep[n], float(deep[n]))]) for n, one in enumerate(sets)]
     return PlannedNeedles(
@@ -183,29 +204,42 @@ def simulate_scene(
     )
 
 
-def _interpolate_depths(
-    sets: Sets, move: Move, reach: Floats, depth_sd: float
-) -> "tuple[_Interpolation, Bools] | None":
-    """Return the needles of B sets of values, to be read at any depths, and their validity (B,).
+class _InterpolatedDraws:
+    """The needles of B sets of values at the middle of all depths, and how they change with these.
 
-    `reach` (n - 1,) are typical shifts, mm. None if too few of the sets that are chosen have a solution.
+    `reach` (n - 1,) are typical shifts of the boundaries, mm, `depth_sd` the deviation of the entry.
     """
-    coordinates = make_coordinates(sets)
-    chosen = choose_draws(coordinates)
-    entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
-    moves = [(row, 0.0) for row in np.diag(reach)]
-    moves += [(np.full(len(reach), entry), entry)] if entry else []
-    nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
-    (points,), valid = move(sets, [(np.zeros(len(reach)), 0.0)])
-    some = [sets[n] for n in chosen]
-    steps = move(some, nodes)[0] - points[chosen] if nodes else np.empty((0, *points[chosen].shape))
-    shape = (len(sets), len(nodes), *points.shape[1:])
-    known = steps.swapaxes(0, 1).reshape(len(chosen), -1)
-    found = interpolate_draws(coordinates, chosen, known)
-    if found is None:
-        return None
-    units = np.append(reach, entry) if entry else reach
-    return _Interpolation(points, found.reshape(shape), units), valid
+
+    def __init__(self, sets: Sets, move: Move, reach: Floats, depth_sd: float) -> None:
+        self._sets, self._move, self._middle = sets, move, (np.zeros(len(reach)), 0.0)
+        entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
+        self._units = np.append(reach, entry) if entry else reach
+        self._coordinates = make_coordinates(sets)
+        chosen = choose_draws(self._coordinates)
+        moves = [(row, 0.0) for row in np.diag(reach)]
+        moves += [(np.full(len(reach), entry), entry)] if entry else []
+        nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
+        points, valid = move([sets[n] for n in chosen], [self._middle, *nodes])  # (1 + 2 d, C, K, 2)
+        steps = (points[1:] - points[0]).swapaxes(0, 1).reshape(len(chosen), -1)
+        #: from coordinates (N, P) to what the nodes add to the points; None if too few have a solution
+        self.steps = interpolate_draws(self._coordinates, chosen, steps)
+        self._points = np.full((len(sets), *points.shape[2:]), np.nan)
+        self._valid, self._known = np.zeros((2, len(sets)), dtype=np.bool_)
+        self._keep(chosen, points[0], valid)
+
+    def take(self, rows: Ints) -> "tuple[_Interpolation, Bools]":
+        """Return some of the needles, to be read at any depths, and their validity."""
+        assert self.steps is not None
+        new = rows[~self._known[rows]]
+        if len(new):
+            (points,), valid = self._move([self._sets[n] for n in new], [self._middle])
+            self._keep(new, points, valid)
+        points = self._points[rows]
+        steps = self.steps(self._coordinates[rows]).reshape(len(rows), -1, *points.shape[1:])
+        return _Interpolation(points, steps, self._units), self._valid[rows]
+
+    def _keep(self, rows: Ints, points: Floats, valid: Bools) -> None:
+        self._points[rows], self._valid[rows], self._known[rows] = points, valid, True
 
 
 def make_coordinates(sets: Sets) -> Floats:
@@ -236,16 +270,18 @@ def choose_draws(coordinates: Floats) -> Ints:
     return np.sort(chosen)
 
 
-def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Floats | None:
-    """Return values (B, F) of all draws from those (C, F) of chosen ones; None if too few are finite."""
+def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Callable[[Floats], Floats] | None:
+    """Return a function of coordinates (N, P) that gives values (N, F), known (C, F) at chosen draws.
+
+    None if too few are finite.
+    """
     solved = np.isfinite(known).all(axis=1)
     if np.sum(solved) <= coordinates.shape[1]:  # not even a plane through them
         return None
     if not (coordinates.shape[1] and known.shape[1]):
-        return np.broadcast_to(known[solved][:1], (len(coordinates), known.shape[1]))
+        return lambda at: np.broadcast_to(known[solved][:1], (len(at), known.shape[1]))
     # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
-    return np.asarray(found, dtype=np.float64)
+    return RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")
 
 
 @dataclass(frozen=True)
@@ -286,10 +322,9 @@ def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _Surfac
     if not insertion.surfaces:
         return _SurfaceTable(np.zeros(1), insertion.boundaries[None], insertion.sequence)
     y = np.linspace(low - TABLE_MARGIN_MM, high + TABLE_MARGIN_MM, TABLE_POINTS)
-    x = np.linspace(0.0, insertion.depth + BEYOND_TIP_MM, PATH_POINTS)
     found = []
     for at in y:
-        local = np.column_stack([x, np.full(len(x), at), np.zeros(len(x))])
+        local = np.array([[0.0, at, 0.0], [insertion.depth + BEYOND_TIP_MM, at, 0.0]])
         found.append(find_layers(insertion.frame.to_world(local), insertion.frame, insertion.surfaces))
     count = min(len(depths) for depths, _ in found)
     sequences = {sequence[: count + 1] for _, sequence in found}
