@@ -164,9 +164,8 @@ class KernelProblem(ctypes.Structure):
         if given.arrays.keys() != self.arrays.keys() & _SET_ARRAYS or given.sizes != self.set_sizes:
             raise TypeError(f"arrays of {', '.join(given.arrays)} are not all that differ between sets")
         problem = KernelProblem.from_buffer_copy(self)
-        problem.sets, problem.arrays, problem.set_sizes = given.sets, self.arrays | given.arrays, given.sizes
-        problem.room, problem.nodes, problem.max_points = self.room, self.nodes, self.max_points
-        problem.max_quadrature = self.max_quadrature
+        problem.__dict__.update(self.__dict__)
+        problem.sets, problem.arrays = given.sets, self.arrays | given.arrays
         for name, address in given.addresses.items():
             setattr(problem, name, address)
         return problem
