@@ -6,7 +6,8 @@
 - model: SciPy's banded solver for as many systems as the kernel solves in one insertion (that of
   `reference_problem`), without their assembly, beside the whole insertion by the kernel.
 - fit: lmfit (L-BFGS-B, differences) on our log posterior, beside our least squares, from the same starts.
-- draws: emcee with its own moves on our log posterior, beside our importance sampling: for one independent draw.
+- draws: emcee with its own moves on our log posterior, beside our importance sampling, for each independent
+  draw.
 
 Both sides take turns in one process. `ratio` is the median over rounds of theirs over ours. `apart` is by how
 much the log posterior of lmfit's best point is lower, and the largest difference of means, in SDs.
