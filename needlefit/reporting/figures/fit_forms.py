@@ -20,12 +20,13 @@ from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
+    LETTER_WIDTH_IN,
     choose_vertical_scale,
     choose_width,
     count_legend_columns,
     describe_scale,
     draw_grid,
-    fit_height,
+    set_margins,
 )
 from needlefit.reporting.labels import (
     GREY,
@@ -43,13 +44,15 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table_files import Row, to_records
 
 _OURS = METHOD_COLOURS["fitted"]
+# Inches: of a legend's line, a title, the numbers below an axis, its label, and between panels and at edges.
+_LEGEND_LINE_IN, _TITLE_IN, _TICKS_IN, _LABEL_IN, _GAP_IN = 0.16, 0.19, 0.2, 0.16, 0.12
 
 
-def _add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
+def _add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> float:
+    """Draw a legend above all panels; return its height in inches."""
     columns = count_legend_columns(figure, [str(one.get_label()) for one in handles], most)
-    figure.legend(
-        handles=handles, ncols=columns, loc="outside upper left", handlelength=1.3, columnspacing=1.2
-    )
+    figure.legend(handles=handles, ncols=columns, loc="upper left", handlelength=1.3, columnspacing=1.2)
+    return 0.12 + _LEGEND_LINE_IN * math.ceil(len(handles) / columns)
 
 
 def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
@@ -63,8 +66,6 @@ INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
 """Opaque colours, the narrow band on the wide one: the same over every layer."""
-
-_ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its panel, and of a legend's line
 
 
 def insertions(
@@ -85,18 +86,25 @@ def insertions(
     left, right = _find_range(points[["x_mm"]])
     y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
-    high = min(factor * (y[1] - y[0]) / (right - left), 1.0) * ((width - 0.4) / columns - 0.12)
-    rows = math.ceil(len(heads) / columns)
-    figure = Figure(figsize=(width, rows * (high + _ROW_MARGIN_IN) + 0.75))
+    beside = _LABEL_IN * (height.count("\n") + 2) + 0.34
+    wide = (width - beside - columns * _GAP_IN) / columns
+    high, rows = min(factor * (y[1] - y[0]) / (right - left), 1.0) * wide, math.ceil(len(heads) / columns)
+    down = _TITLE_IN + _GAP_IN + (_TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
+    figure = Figure(figsize=(width, 1.0), layout="none")
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
         _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
         axes.set(xlim=(left, right), ylim=y, aspect=factor)
         axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
-    figure.supxlabel("depth (mm)")
-    figure.supylabel(f"{height},\n{describe_scale(factor)}")
-    _name_curves(figure, set(points["curve"]), names)
-    fit_height(figure)
+    above = _TITLE_IN + _name_curves(figure, set(points["curve"]), names)
+    below = _TICKS_IN + _LABEL_IN + 0.04
+    figure.set_figheight(above + rows * high + (rows - 1) * down + below)
+    set_margins(figure, (beside, _GAP_IN, below, above), (_GAP_IN, down))
+    middle = (below + figure.get_figheight() - above) / 2
+    figure.supxlabel("depth (mm)", x=0.5, y=0.0)
+    figure.supylabel(
+        f"{height},\n{describe_scale(factor)}", x=0.04 / width, y=middle / figure.get_figheight()
+    )
     return figure
 
 
@@ -121,8 +129,9 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     """
     tips = points[points["curve"] == TIP_ERROR]
     width = choose_width()
-    figure = Figure(figsize=(width, 2.0))
+    figure = Figure(figsize=(width, 2.0), layout="none")
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
+    set_margins(figure, (0.52, _GAP_IN, _TICKS_IN + _LABEL_IN, _TITLE_IN), (0.18, 0.0))
     curves = points[points["curve"] != TIP_ERROR]
     y = _find_limits(curves, curves["curve"].isin(["measured", method]))
     for axes, which in zip(grid, heads, strict=False):
@@ -184,7 +193,7 @@ def _draw_dots(axes: Axes, points: pd.DataFrame, size: float, edge: float) -> No
     axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=size, mew=edge, zorder=9)
 
 
-def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> None:
+def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> float:
     handles: list[Artist] = [_line("measured", color=INK, marker="o", ms=2.7, lw=0)]
     for method, name in names.items():
         if method in present:
@@ -192,7 +201,7 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
     for level in reversed(BANDS):
         if level in present:
             handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
-    _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
+    return _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:
@@ -218,7 +227,7 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     `marks` has a row per `group` and `mark` ("tip", "curve", "paper", "noise"), with its `te_mm`.
     """
     groups = list(dict.fromkeys(marks["group"]))
-    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)))
+    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)), layout="none")
     axes = figure.add_subplot()
     looks: dict[str, tuple[str, dict[str, Any]]] = {
         "noise": ("measurement noise", {"color": lighten(GREY, 0.6), "lw": 6, "solid_capstyle": "butt"}),
@@ -239,7 +248,8 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     axes.set_xlim(left=0)
     draw_grid(axes, "x")
     shown = [_line(label, **look) for mark, (label, look) in looks.items() if mark in set(marks["mark"])]
-    _add_legend(figure, shown, 4)
+    beside = LETTER_WIDTH_IN * max(map(len, groups)) + 2 * _GAP_IN
+    set_margins(figure, (beside, _GAP_IN, _TICKS_IN + _LABEL_IN, _add_legend(figure, shown, 4)), (0.0, 0.0))
     return figure
 
 
@@ -251,7 +261,7 @@ _BAND_COLOUR = lighten(GREY, 0.75)
 
 def predictive_check(rows: pd.DataFrame) -> Figure:
     """Draw the ECDFs of PIT values, and the band of uniform ones."""
-    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2), layout="none")
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
     axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
@@ -267,7 +277,8 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
     handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
     handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
-    _add_legend(figure, handles, 3)
+    above = _add_legend(figure, handles, 3) + _TITLE_IN
+    set_margins(figure, (0.42, _GAP_IN, _TICKS_IN + _LABEL_IN, above), (0.0, 0.0))
     return figure
 
 
@@ -310,8 +321,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
         across -= 1  # the last row is then fuller
     down = math.ceil(count / across)
-    figure = Figure(figsize=(width, 0.3 + 1.25 * down))
+    words = 2 * _TITLE_IN  # above each panel: the parameter, and its interval
+    figure = Figure(figsize=(width, _TITLE_IN + down * (0.7 + words + _TICKS_IN)), layout="none")
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
+    set_margins(figure, (0.42, 0.36, _TICKS_IN, _TITLE_IN + words), (2 * _GAP_IN, words + _TICKS_IN))
     for n, axes in enumerate(panels.flat):
         if n >= count:
             axes.axis("off")
@@ -326,10 +339,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
             axes.set_title(label, loc="left", color=INK)
         if n % across == 0:
             axes.set_ylabel("deviance")
-    figure.suptitle(" ")  # keeps the line free for the names of the curves
     second = 0.01 + 0.55 / figure.get_figwidth()
-    figure.text(0.01, 0.985, "profile", va="top", color=_OURS)
-    figure.text(second, 0.985, "information at the optimum", va="top", color=METHOD_COLOURS["hand_tuned"])
+    top = 1 - 0.04 / figure.get_figheight()
+    figure.text(0.01, top, "profile", va="top", color=_OURS)
+    figure.text(second, top, "information at the optimum", va="top", color=METHOD_COLOURS["hand_tuned"])
     last, threshold = panels[0, across - 1], float(frame["threshold"].iloc[0])
     last.text(1.02, threshold, "95 %", transform=last.get_yaxis_transform(), va="center", color=GREY)
     return figure
