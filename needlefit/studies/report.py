@@ -26,7 +26,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run, mark_faults
+from needlefit.studies.run import Run, mark_faults, once_per_run
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
@@ -79,8 +79,7 @@ class StudyReport:
 
     def lay_out(self, result: Run) -> list[TableLayout]:
         """Return the tables of a run."""
-        values, every = self.values(result), self.tables(result)
-        return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
+        return _lay_out_tables(result)
 
     def draw(self, result: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
@@ -100,6 +99,13 @@ class StudyReport:
         return document.format_html_part(
             Document(result.title, subtitle(result), result.synthetic, tuple(blocks))
         )
+
+
+@once_per_run
+def _lay_out_tables(result: Run) -> list[TableLayout]:
+    page = find_kind(result.kind).report
+    values, every = page.values(result), page.tables(result)
+    return [one if isinstance(one, TableLayout) else page.text.lay_out(one, values) for one in every]
 
 
 def answer_in_words(result: Run, status: Status, **numbers: float | str | None) -> Answer:
