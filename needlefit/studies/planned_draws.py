@@ -244,8 +244,10 @@ def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Float
     if not (coordinates.shape[1] and known.shape[1]):
         return np.broadcast_to(known[solved][:1], (len(coordinates), known.shape[1]))
     # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    found = RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")(coordinates)
-    return np.asarray(found, dtype=np.float64)
+    nodes = coordinates[chosen[solved]]
+    # its evaluation takes a value of each draw after the other: of weights, which a product then applies
+    weights = RBFInterpolator(nodes, np.eye(len(nodes)), kernel="cubic")(coordinates)
+    return np.asarray(weights @ known[solved], dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -286,10 +288,9 @@ def _tabulate_surfaces(insertion: Insertion, low: float, high: float) -> _Surfac
     if not insertion.surfaces:
         return _SurfaceTable(np.zeros(1), insertion.boundaries[None], insertion.sequence)
     y = np.linspace(low - TABLE_MARGIN_MM, high + TABLE_MARGIN_MM, TABLE_POINTS)
-    x = np.linspace(0.0, insertion.depth + BEYOND_TIP_MM, PATH_POINTS)
     found = []
     for at in y:
-        local = np.column_stack([x, np.full(len(x), at), np.zeros(len(x))])
+        local = np.array([[0.0, at, 0.0], [insertion.depth + BEYOND_TIP_MM, at, 0.0]])
         found.append(find_layers(insertion.frame.to_world(local), insertion.frame, insertion.surfaces))
     count = min(len(depths) for depths, _ in found)
     sequences = {sequence[: count + 1] for _, sequence in found}
