@@ -90,7 +90,7 @@ def insertions(
     wide = (width - beside - columns * _GAP_IN) / columns
     high, rows = min(factor * (y[1] - y[0]) / (right - left), 1.0) * wide, math.ceil(len(heads) / columns)
     down = _TITLE_IN + _GAP_IN + (_TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
-    figure = Figure(figsize=(width, 1.0), layout="none")
+    figure = Figure(figsize=(width, 1.0))
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
         _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
@@ -129,7 +129,7 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     """
     tips = points[points["curve"] == TIP_ERROR]
     width = choose_width()
-    figure = Figure(figsize=(width, 2.0), layout="none")
+    figure = Figure(figsize=(width, 2.0))
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
     set_margins(figure, (0.52, _GAP_IN, _TICKS_IN + _LABEL_IN, _TITLE_IN), (0.18, 0.0))
     curves = points[points["curve"] != TIP_ERROR]
@@ -227,7 +227,7 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     `marks` has a row per `group` and `mark` ("tip", "curve", "paper", "noise"), with its `te_mm`.
     """
     groups = list(dict.fromkeys(marks["group"]))
-    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)), layout="none")
+    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)))
     axes = figure.add_subplot()
     looks: dict[str, tuple[str, dict[str, Any]]] = {
         "noise": ("measurement noise", {"color": lighten(GREY, 0.6), "lw": 6, "solid_capstyle": "butt"}),
@@ -261,7 +261,7 @@ _BAND_COLOUR = lighten(GREY, 0.75)
 
 def predictive_check(rows: pd.DataFrame) -> Figure:
     """Draw the ECDFs of PIT values, and the band of uniform ones."""
-    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2), layout="none")
+    figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
     axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
@@ -322,7 +322,7 @@ def profiles(frame: pd.DataFrame) -> Figure:
         across -= 1  # the last row is then fuller
     down = math.ceil(count / across)
     words = 2 * _TITLE_IN  # above each panel: the parameter, and its interval
-    figure = Figure(figsize=(width, _TITLE_IN + down * (0.7 + words + _TICKS_IN)), layout="none")
+    figure = Figure(figsize=(width, _TITLE_IN + down * (0.7 + words + _TICKS_IN)))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
     set_margins(figure, (0.42, 0.36, _TICKS_IN, _TITLE_IN + words), (2 * _GAP_IN, words + _TICKS_IN))
     for n, axes in enumerate(panels.flat):

@@ -193,12 +193,15 @@ def set_margins(figure: Figure, sides: tuple[float, float, float, float], gaps: 
     The constrained layout measures every text twice, which takes half of the time of a figure.
     """
     (width, height), (left, right, bottom, top) = figure.get_size_inches(), sides
-    rows, columns = figure.axes[0].get_gridspec().get_geometry()
-    across = (width - left - right - (columns - 1) * gaps[0]) / columns
-    down = (height - bottom - top - (rows - 1) * gaps[1]) / rows
-    figure.subplots_adjust(
-        left / width, bottom / height, 1 - right / width, 1 - top / height, gaps[0] / across, gaps[1] / down
-    )
+    placed = [(axes, spec) for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
+    grid = placed[0][1].get_gridspec()
+    across = (width - left - right - (grid.ncols - 1) * gaps[0]) / grid.ncols
+    down = (height - bottom - top - (grid.nrows - 1) * gaps[1]) / grid.nrows
+    grid.update(left=left / width, right=1 - right / width, bottom=bottom / height, top=1 - top / height)
+    grid.update(wspace=gaps[0] / across, hspace=gaps[1] / down)
+    figure.set_layout_engine("none")
+    for axes, spec in placed:
+        axes.set_position(spec.get_position(figure))
 
 
 def _lay_out(figure: Figure) -> None:
