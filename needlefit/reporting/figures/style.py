@@ -194,7 +194,8 @@ def set_margins(figure: Figure, sides: tuple[float, float, float, float], gaps: 
     """
     (width, height), (left, right, bottom, top) = figure.get_size_inches(), sides
     placed = [(axes, spec) for axes in figure.axes if (spec := axes.get_subplotspec()) is not None]
-    grid = placed[0][1].get_gridspec()
+    grid = placed[0][0].get_gridspec()
+    assert grid is not None, "panels are of a grid"
     across = (width - left - right - (grid.ncols - 1) * gaps[0]) / grid.ncols
     down = (height - bottom - top - (grid.nrows - 1) * gaps[1]) / grid.nrows
     grid.update(left=left / width, right=1 - right / width, bottom=bottom / height, top=1 - top / height)
