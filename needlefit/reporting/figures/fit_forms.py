@@ -20,10 +20,14 @@ from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
+    GAP_IN,
+    LABEL_IN,
     LETTER_WIDTH_IN,
+    TICKS_IN,
+    TITLE_IN,
+    add_legend,
     choose_vertical_scale,
     choose_width,
-    count_legend_columns,
     describe_scale,
     draw_grid,
     set_margins,
@@ -44,15 +48,6 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table_files import Row, to_records
 
 _OURS = METHOD_COLOURS["fitted"]
-# Inches: of a legend's line, a title, the numbers below an axis, its label, and between panels and at edges.
-_LEGEND_LINE_IN, _TITLE_IN, _TICKS_IN, _LABEL_IN, _GAP_IN = 0.16, 0.19, 0.2, 0.16, 0.12
-
-
-def _add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> float:
-    """Draw a legend above all panels; return its height in inches."""
-    columns = count_legend_columns(figure, [str(one.get_label()) for one in handles], most)
-    figure.legend(handles=handles, ncols=columns, loc="upper left", handlelength=1.3, columnspacing=1.2)
-    return 0.12 + _LEGEND_LINE_IN * math.ceil(len(handles) / columns)
 
 
 def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
@@ -86,20 +81,22 @@ def insertions(
     left, right = _find_range(points[["x_mm"]])
     y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
-    beside = _LABEL_IN * (height.count("\n") + 2) + 0.34
-    wide = (width - beside - columns * _GAP_IN) / columns
+    locator = MaxNLocator(3, steps=[1, 2, 5, 10])
+    letters = max(len(f"{tick:.3g}") for tick in locator.tick_values(*y)[1:-1])
+    beside = LABEL_IN * (height.count("\n") + 2) + LETTER_WIDTH_IN * letters + GAP_IN
+    wide = (width - beside - columns * GAP_IN) / columns
     high, rows = min(factor * (y[1] - y[0]) / (right - left), 1.0) * wide, math.ceil(len(heads) / columns)
-    down = _TITLE_IN + _GAP_IN + (_TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
+    down = TITLE_IN + GAP_IN + (TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
     figure = Figure(figsize=(width, 1.0))
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
         _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
         axes.set(xlim=(left, right), ylim=y, aspect=factor)
-        axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
-    above = _TITLE_IN + _name_curves(figure, set(points["curve"]), names)
-    below = _TICKS_IN + _LABEL_IN + 0.04
+        axes.yaxis.set_major_locator(locator)
+    above = TITLE_IN + _name_curves(figure, set(points["curve"]), names)
+    below = TICKS_IN + LABEL_IN + 0.04
     figure.set_figheight(above + rows * high + (rows - 1) * down + below)
-    set_margins(figure, (beside, _GAP_IN, below, above), (_GAP_IN, down))
+    set_margins(figure, beside, above, bottom=below, gaps=(GAP_IN, down))
     middle = (below + figure.get_figheight() - above) / 2
     figure.supxlabel("depth (mm)", x=0.5, y=0.0)
     figure.supylabel(
@@ -131,7 +128,7 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     width = choose_width()
     figure = Figure(figsize=(width, 2.0))
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
-    set_margins(figure, (0.52, _GAP_IN, _TICKS_IN + _LABEL_IN, _TITLE_IN), (0.18, 0.0))
+    set_margins(figure, 0.52, TITLE_IN, gaps=(0.18, 0.0))
     curves = points[points["curve"] != TIP_ERROR]
     y = _find_limits(curves, curves["curve"].isin(["measured", method]))
     for axes, which in zip(grid, heads, strict=False):
@@ -201,7 +198,7 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
     for level in reversed(BANDS):
         if level in present:
             handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
-    return _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
+    return add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:
@@ -248,8 +245,8 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     axes.set_xlim(left=0)
     draw_grid(axes, "x")
     shown = [_line(label, **look) for mark, (label, look) in looks.items() if mark in set(marks["mark"])]
-    beside = LETTER_WIDTH_IN * max(map(len, groups)) + 2 * _GAP_IN
-    set_margins(figure, (beside, _GAP_IN, _TICKS_IN + _LABEL_IN, _add_legend(figure, shown, 4)), (0.0, 0.0))
+    beside = LETTER_WIDTH_IN * max(map(len, groups)) + 2 * GAP_IN
+    set_margins(figure, beside, add_legend(figure, shown, 4))
     return figure
 
 
@@ -277,8 +274,7 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
     handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
     handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
-    above = _add_legend(figure, handles, 3) + _TITLE_IN
-    set_margins(figure, (0.42, _GAP_IN, _TICKS_IN + _LABEL_IN, above), (0.0, 0.0))
+    set_margins(figure, 0.42, add_legend(figure, handles, 3) + TITLE_IN)
     return figure
 
 
@@ -321,10 +317,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
         across -= 1  # the last row is then fuller
     down = math.ceil(count / across)
-    words = 2 * _TITLE_IN  # above each panel: the parameter, and its interval
-    figure = Figure(figsize=(width, _TITLE_IN + down * (0.7 + words + _TICKS_IN)))
+    words = 2 * TITLE_IN  # above each panel: the parameter, and its interval
+    figure = Figure(figsize=(width, TITLE_IN + down * (0.7 + words + TICKS_IN)))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
-    set_margins(figure, (0.42, 0.36, _TICKS_IN, _TITLE_IN + words), (2 * _GAP_IN, words + _TICKS_IN))
+    set_margins(figure, 0.42, TITLE_IN + words, 0.36, TICKS_IN, (2 * GAP_IN, words + TICKS_IN))
     for n, axes in enumerate(panels.flat):
         if n >= count:
             axes.axis("off")

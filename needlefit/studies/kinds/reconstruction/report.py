@@ -253,7 +253,7 @@ def find_answer(found: Run) -> Answer:
 
 def draw(found: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its 95 % band."""
-    panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm", zero=True)
+    panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
     return {
         "deflections": Drawing("curves", found.frames["deflections"].assign(origin=found.origin), options)
