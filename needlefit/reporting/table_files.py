@@ -18,9 +18,9 @@ from needlefit.metrics import list_metrics
 from needlefit.project.json_values import to_json_values
 
 
-def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table as CSV, tidy; `digits` None writes all digits."""
-    path.write_text(format_csv(frame, digits), encoding="utf-8")
+def write_csv(frame: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV, tidy, to eight significant digits."""
+    path.write_text(format_csv(frame), encoding="utf-8")
 
 
 def format_csv(frame: pd.DataFrame, digits: str | None = "%.8g") -> str:

@@ -152,7 +152,6 @@ def simulate_scene(
     s: Floats,
     deep: Floats,
     wrong: Floats,
-    jobs: int = 1,
 ) -> PlannedNeedles:
     """Return the needles of B sets of values in a scene, at arc lengths `s` (K,), mm.
 
@@ -167,7 +166,7 @@ def simulate_scene(
             tissue = make_tissue(which[0], layers, boundaries, medium)
             steps = tuple(replace(step, depth=step.depth + deeper) for step in scene.steps)
             batches.append(Batch(scene.needle, tissue, steps, scene.rules, **given))
-        shapes = simulate_batches(batches, jobs)
+        shapes = simulate_batches(batches, 1)
         pairs = zip(shapes, moves, strict=True)
         points = [compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]
         return np.array(points), shapes[0].valid

@@ -244,11 +244,11 @@ def label_figures(figures: Mapping[str, Path], synthetic: bool) -> None:
             path.write_bytes(document.label_figure(path))
 
 
-def write_report(report: Document, folder: Path, name: str = "report") -> None:
+def write_report(report: Document, folder: Path) -> None:
     """Write a report as PDF and as HTML; it ends with the sections that its warnings link to."""
     report = replace(report, blocks=(*report.blocks, *_help_blocks(report.blocks)))
-    (folder / f"{name}.pdf").write_bytes(document.compile_pdf(report))
-    (folder / f"{name}.html").write_bytes(document.compile_html(report))
+    (folder / "report.pdf").write_bytes(document.compile_pdf(report))
+    (folder / "report.html").write_bytes(document.compile_html(report))
 
 
 def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
