@@ -147,15 +147,6 @@ def subtitle(result: Run) -> str:
     return result.answer.about or ". ".join(named)
 
 
-def compose_first_figure(result: Run, figures: Mapping[str, Path]) -> list[Block]:
-    """Return the first of the figures with its caption; nothing without any."""
-    page = find_kind(result.kind).report
-    return [
-        document.figure(path, page.text.sentence(f"figure_{name}", page.values(result)))
-        for name, path in list(figures.items())[:1]
-    ]
-
-
 def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Block]:
     """Return the first page: the answer, its table, its figure, the checks, what to do, what was determined.
 
@@ -256,11 +247,15 @@ def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
     page = find_kind(result.kind).report
     shown = {one.name for one in result.answer.tables}
     tables = [one for one in page.lay_out(result) if one.name not in shown]
-    further = dict(list(figures.items())[1:])
+    values, names = page.values(result), list(figures)
+    pictures = [
+        document.figure(figures[name], page.text.sentence(f"figure_{name}", values)) for name in names[:1]
+    ]
+    further = {name: figures[name] for name in names[1:]}
     blocks = [
-        *compose_first_page(result, compose_first_figure(result, figures)),
+        *compose_first_page(result, pictures),
         document.page_break(),
-        *page.text.compose("report", page.values(result), tables, further),
+        *page.text.compose("report", values, tables, further),
         *compose_warnings(read_warnings(result.run)),
         *_run_blocks(result),
     ]

@@ -107,12 +107,17 @@ def insertions(
 
 def _draw_panel(axes: Axes, points: pd.DataFrame, methods: Sequence[str]) -> None:
     """Draw one insertion: bands, the methods as lines, the first in front, and the measured points."""
-    _draw_bands(axes, points)
+    for order, (level, colour) in enumerate(BANDS.items()):
+        band = points[points["curve"] == level]
+        axes.fill_between(
+            band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
+        )
     for order, method in enumerate(reversed(methods)):
         curve, first = points[points["curve"] == method], method == methods[0]
         look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if first else 0.8}
         axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
-    _draw_dots(axes, points, 2.2, 0.3)
+    dots = points[points["curve"] == "measured"]
+    axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=2.2, mew=0.3, zorder=9)
 
 
 TIP_ERROR = "tip error"  #: in place of a curve: the row is a tip error of a method
@@ -175,19 +180,6 @@ def _iterate_panels(
     for axes, (fold, insertion) in zip(grid.flat, wanted, strict=False):
         axes.set_title(insertion, loc="left", pad=3)
         yield axes, (fold, insertion), points[(points["fold"] == fold) & (points["insertion"] == insertion)]
-
-
-def _draw_bands(axes: Axes, points: pd.DataFrame) -> None:
-    for order, (level, colour) in enumerate(BANDS.items()):
-        band = points[points["curve"] == level]
-        axes.fill_between(
-            band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
-        )
-
-
-def _draw_dots(axes: Axes, points: pd.DataFrame, size: float, edge: float) -> None:
-    dots = points[points["curve"] == "measured"]
-    axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=size, mew=edge, zorder=9)
 
 
 def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> float:
@@ -385,18 +377,14 @@ def _describe_state(row: Row, unit: float) -> tuple[str, bool]:
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end", False
     if not low and not high:
-        return f"{'flat' if _is_flat(row) else 'open'}: not identifiable", False
+        # flat: the deviance hardly rises over the whole range
+        return f"{'flat' if (row['rise'] or 0) < 1 else 'open'}: not identifiable", False
     end = typeset(format_number((row["low"] if low else row["high"]) / unit))
     return f"{'above' if low else 'below'} {end}, open", False
 
 
 def _is_of_draws(row: Row) -> bool:
     return row["draw_source"] not in (None, "", "profile")
-
-
-def _is_flat(row: Row) -> bool:
-    """Return whether the deviance hardly rises over the whole range of a parameter."""
-    return (row["rise"] or 0) < 1 and "closed" not in (row["end_low"], row["end_high"])
 
 
 def choose_log_ticks(low: float, high: float) -> list[float]:
