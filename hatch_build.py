@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -128,17 +129,21 @@ def build(folder: Path) -> None:
         caches = {name: str(Path(place, "cache")) for name in ("ZIG_GLOBAL_CACHE_DIR", "ZIG_LOCAL_CACHE_DIR")}
         commands = list_commands(folder, made_from["target"])
         libraries = {name: Path(place, name) for name in commands}
-        for name, command in commands.items():
-            compiler = " ".join(command[:4])
+
+        def compile_library(name: str) -> None:
+            compiler = " ".join(commands[name][:4])
             try:
                 made = subprocess.run(
-                    [*command, str(folder / "abi.cpp"), "-o", str(libraries[name])],
+                    [*commands[name], str(folder / "abi.cpp"), "-o", str(libraries[name])],
                     env=os.environ | caches, capture_output=True, text=True, check=False,
                 )  # fmt: skip
             except OSError as error:
                 sys.exit(f"needlefit: the compiler {compiler} could not be run: {error.strerror}")
             if made.returncode != 0:
                 sys.exit(f"needlefit: the kernel could not be compiled by {compiler}\n{made.stderr}")
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # each compiler uses one core
+            list(pool.map(compile_library, commands))
         for old in folder.glob("kernel*"):
             old.unlink()
         for name, library in libraries.items():

@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import (
-    Execution,
     begin,
     plan_studies,
     require_no_faults,
@@ -18,9 +17,6 @@ from needlefit.cli.execution import (
 )
 from needlefit.cli.options import argument, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
-
-if TYPE_CHECKING:
-    from needlefit.studies.run import Run
 
 
 def tune(
@@ -178,25 +174,21 @@ def validate(
         execution.prepare([*names, *combined], names)
         runs = run_studies(execution, todo)
         if combined:
-            _write_combined_report(execution, study, runs)
+            from needlefit.studies.combined_report import write_combined
+            from needlefit.studies.fit_tables import lay_out_matrix
+
+            write_combined(runs, execution.folder(study))
+            if not execution.invocation.json:
+                screen.print_written(execution.folder(study))
+                screen.print_line()
+                studies = [run for run in runs if run.kind == "cross_validation"]
+                screen.show_display(lay_out_matrix(studies), notes=False)
         execution.write_reference(runs)
         if execution.invocation.json:
             show_json_of(runs)
         for work in todo:  # not before all are done: a group is resumed as a whole
             execution.remove_checkpoint(work.name)
     require_no_faults(f"{run.name}: {fault}" for run in runs for fault in run.faults)
-
-
-def _write_combined_report(execution: Execution, study: str, runs: "list[Run]") -> None:
-    from needlefit.studies.combined_report import write_combined
-    from needlefit.studies.fit_tables import lay_out_matrix
-
-    folder = execution.folder(study)
-    write_combined(runs, folder)
-    if not execution.invocation.json:
-        screen.print_written(folder)
-        screen.print_line()
-        screen.show_display(lay_out_matrix([run for run in runs if run.kind == "cross_validation"]), False)
 
 
 def predict(

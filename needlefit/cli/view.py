@@ -3,13 +3,11 @@
 import shlex
 import threading
 from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
@@ -17,7 +15,6 @@ from needlefit.project.locate import find_view_target
 if TYPE_CHECKING:
     from needlefit.viewer.server import AccessControl
     from needlefit.viewer.steering_page import SteeringPage
-    from needlefit.viewer.trials import TrialRegistry
 
 
 def view(
@@ -51,9 +48,15 @@ def view(
     require_writable(folder)
     if target is not None:
         find_view_target(target)  # a wrong name ends it before a page opens
+    from needlefit.viewer.opening import open_recording, open_target
+    from needlefit.viewer.recording import read_recording
     from needlefit.viewer.steering_page import SteeringPage
+    from needlefit.viewer.trials import TrialRegistry
 
-    trials = _trials(context.find_root().obj, target, recording, folder, specimen or "shown")
+    source, into = None if recording is None else read_recording(recording), specimen or "shown"
+    shown = open_target(target, specimen=into) if source is None else open_recording(source)
+    screen.print_warnings(context.find_root().obj, shown.warnings)
+    trials = TrialRegistry(shown, folder, lambda choice: open_target(shown.name, choice, into), source)
     _serve(SteeringPage(trials), port, browser)
     for path in trials.written():
         screen.print_line(f"recorded: {path}")
@@ -77,21 +80,3 @@ def _serve(page: "SteeringPage", port: int, browser: bool) -> None:
 
     with suppress(KeyboardInterrupt):
         asyncio.run(serve(page, port, ready, stop))
-
-
-def _trials(
-    invocation: Invocation,
-    target: str | None,
-    recording: Path | None,
-    folder: Path,
-    specimen: str,
-) -> "TrialRegistry":
-    from needlefit.viewer.opening import open_recording, open_target
-    from needlefit.viewer.recording import read_recording
-    from needlefit.viewer.trials import TrialRegistry
-
-    source = None if recording is None else read_recording(recording)
-    shown = open_target(target, specimen=specimen) if source is None else open_recording(source)
-    screen.print_warnings(invocation, shown.warnings)
-
-    return TrialRegistry(shown, folder, lambda choice: open_target(shown.name, choice, specimen), source)

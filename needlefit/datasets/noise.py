@@ -15,7 +15,7 @@ from needlefit.geometry.curves import (
     compare_curves,
 )
 from needlefit.geometry.frames import align_lateral, align_rigid
-from needlefit.metrics import compute_metrics, list_metrics
+from needlefit.metrics import METRICS, list_metrics
 
 # Mean length of a 3-D normal vector of unit standard deviation per axis.
 MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
@@ -47,8 +47,11 @@ def estimate_noise_floor(
         again[..., 0] = curve[:, 0]  # depths are known; the best shifts and slopes are taken off
         again = align_lateral(again, whole)
     compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, free)
-    errors = [compute_metrics(compare(one), metrics) for one in again]
-    return {metric.name: float(np.mean([row[metric.name] for row in errors])) for metric in metrics}
+    compared, floor = [compare(one) for one in again], dict[str, float]()
+    for metric in metrics:
+        with METRICS.plugin_error_context(metric.name):
+            floor[metric.name] = float(np.mean([metric.compute(one) for one in compared]))
+    return floor
 
 
 def draw_measurement_errors(

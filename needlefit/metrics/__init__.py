@@ -1,6 +1,6 @@
 """Error metrics, here or of a plugin. Whatever shows errors iterates over them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -46,13 +46,13 @@ def headline_metrics(*, in_space: bool = False) -> tuple[Metric, ...]:
     return tuple(one for one in list_metrics() if one.headline and one.in_space == in_space)
 
 
-def compute_metrics(curves: ComparedCurves, metrics: "Sequence[Metric] | None" = None) -> dict[str, float]:
-    """Return the errors of one insertion, by metric: of some `metrics`, or of all.
+def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
+    """Return the errors of one insertion, by metric.
 
     Raises ConfigError if a metric of a plugin fails.
     """
     found = {}
-    for metric in list_metrics() if metrics is None else metrics:
+    for metric in list_metrics():
         with METRICS.plugin_error_context(metric.name):
             found[metric.name] = float(metric.compute(curves))
     return found

@@ -102,13 +102,10 @@ def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")
     figure.draw_without_rendering()  # the layout decides the scales
     for axes, words in ((left, "World: all needles from the side"), (right, "Each from its entry")):
-        axes.set_title(f"{words}\n(vertical scale × {_find_scale(axes):.2g})")
+        drawn, (start, end), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
+        scale = drawn.height / (high - low) / (drawn.width / (end - start))
+        axes.set_title(f"{words}\n(vertical scale × {scale:.2g})")
     return figure
-
-
-def _find_scale(axes: Axes) -> float:
-    drawn, (left, right), (low, high) = axes.get_window_extent(), axes.get_xlim(), axes.get_ylim()
-    return float(drawn.height / (high - low) / (drawn.width / (right - left)))
 
 
 def _draw_world(axes: Axes, insertions: Sequence[Insertion], surfaces: Sequence[Surface]) -> None:

@@ -52,19 +52,9 @@ def medium_name(name: str) -> str:
     return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
 
 
-def study_name(label: str | int) -> str:
-    """Return the printed name of a study: "study 3" for the paper's third; other studies keep their names."""
-    return f"study {label}" if isinstance(label, int) else str(label)
-
-
-def layers_name(layers: int) -> str:
-    """Return a number of layers as text: "1 layer", "3 layers"."""
-    return f"{layers} layer" if layers == 1 else f"{layers} layers"
-
-
 def group_name(medium: str, layers: int) -> str:
     """Return the printed name of the insertions across so many layers of a medium: "phantom 1 (3 layers)"."""
-    return f"{medium_name(medium)} ({layers_name(layers)})"
+    return f"{medium_name(medium)} ({layers} layer{'s' * (layers != 1)})"
 
 
 def method_colour(method: str) -> str:

@@ -96,7 +96,7 @@ def read_kernel() -> str:
 
 def compress(content: bytes) -> str:
     """Return bytes as base64 of a raw deflate stream."""
-    packed = zlib.compressobj(9, zlib.DEFLATED, -15)
+    packed = zlib.compressobj(6, zlib.DEFLATED, -15)
     return base64.b64encode(packed.compress(content) + packed.flush()).decode("ascii")
 
 

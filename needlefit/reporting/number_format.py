@@ -106,9 +106,9 @@ def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
     return format_percent(value) if metric.unit == "%" else format_mm(value, digits)
 
 
-def join_metrics(values: Mapping[str, float | None], digits: int = 2) -> str:
+def join_metrics(values: Mapping[str, float | None]) -> str:
     """Return errors by metric as text, "0.12 and 0.34 mm"."""
-    texts = [format_metric(METRICS[name], value, digits) for name, value in values.items()]
+    texts = [format_metric(METRICS[name], value) for name, value in values.items()]
     units = [METRICS[name].unit for name in values]
     each = [
         text if unit in units[k + 1 : k + 2] else f"{text} {unit}"

@@ -18,14 +18,9 @@ from needlefit.metrics import list_metrics
 from needlefit.project.json_values import to_json_values
 
 
-def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table as CSV, tidy; `digits` None writes all digits."""
-    path.write_text(format_csv(frame, digits), encoding="utf-8")
-
-
-def format_csv(frame: pd.DataFrame, digits: str | None = "%.8g") -> str:
-    """Return a table as CSV, tidy; `digits` None: with all digits."""
-    return str(to_tidy(frame).to_csv(index=False, float_format=digits, lineterminator="\n"))
+def write_csv(frame: pd.DataFrame, path: Path) -> None:
+    """Write a table as CSV, tidy, to eight significant digits."""
+    to_tidy(frame).to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:

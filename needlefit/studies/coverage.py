@@ -67,12 +67,6 @@ def tabulate_coverage(predictions: pd.DataFrame) -> Row:
 MAX_AIMING_WIDTH_MM = 2.0
 
 
-def measure_width(tips: Floats) -> float:
-    """Return how wide the central 95 % of tips (B,) are, mm; NaN are left out."""
-    low, high = np.nanquantile(tips, [0.025, 0.975])
-    return float(high - low)
-
-
 def estimate_width_after_one(tips: Floats, known: Floats) -> float:
     """Return how wide the central 95 % of tips are once the tip of another insertion is measured, mm.
 
@@ -82,4 +76,5 @@ def estimate_width_after_one(tips: Floats, known: Floats) -> float:
     """
     solved = np.isfinite(tips) & np.isfinite(known)
     (variance, shared), _ = np.cov(known[solved], tips[solved])
-    return measure_width(tips - shared / variance * known)
+    low, high = np.nanquantile(tips - shared / variance * known, [0.025, 0.975])
+    return float(high - low)

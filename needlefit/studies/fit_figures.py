@@ -149,9 +149,9 @@ def _list_group_errors(results: Run) -> Iterator[Row]:
     method = choose_method(results)
     errors = select_fitted(results.frames["errors"], "validate", method)
     for group in scores.list_held_out_groups(results):
-        layers = labels.group_name(group.head["medium"], group.head["layers"])
-        name = f"{labels.study_name(group.head['study'])}, {layers}"
-        about = {"group": name, "origin": results.origin}
+        layers, study = labels.group_name(group.head["medium"], group.head["layers"]), group.head["study"]
+        name = f"study {study}" if isinstance(study, int) else study  # of the paper's five the number
+        about = {"group": f"{name}, {layers}", "origin": results.origin}
         for tip in to_records(scores.select_group(errors, group)[["insertion", group.tip]]):
             yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[group.tip]}
         curve = find_closest_curve(group)

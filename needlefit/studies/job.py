@@ -239,9 +239,13 @@ class Job:
         return tuple(found.values())
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
-        return estimate_noise_floor(
-            self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
-        )
+        seed, data, known = self.recipe.seed, self.dataset, insertion.floors
+        key = (seed, data.noise, data.pose, data.drop_proximal)
+        if key not in known:
+            known[key] = estimate_noise_floor(
+                data, insertion, random_stream(seed, "noise floor", insertion.id)
+            )
+        return known[key]
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return the problem of one search of a fold: all parameters free, or the paper's bevel alone."""

@@ -173,7 +173,6 @@ def simulate_scene(
     s: Floats,
     deep: Floats,
     wrong: Floats,
-    jobs: int = 1,
 ) -> PlannedNeedles:
     """Return the needles of B sets of values in a scene, at arc lengths `s` (K,), mm.
 
@@ -188,7 +187,7 @@ def simulate_scene(
             tissue = make_tissue(which[0], layers, boundaries, medium)
             steps = tuple(replace(step, depth=step.depth + deeper) for step in scene.steps)
             batches.append(Batch(scene.needle, tissue, steps, scene.rules, **given))
-        shapes = simulate_batches(batches, jobs)
+        shapes = simulate_batches(batches, 1)
         pairs = zip(shapes, moves, strict=True)
         points = [compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]
         return np.array(points), shapes[0].valid
@@ -281,7 +280,10 @@ def interpolate_draws(coordinates: Floats, chosen: Ints, known: Floats) -> Calla
     if not (coordinates.shape[1] and known.shape[1]):
         return lambda at: np.broadcast_to(known[solved][:1], (len(at), known.shape[1]))
     # cubic: with 96 of 1000 draws it errs less than a thin plate, or a quadratic regression
-    return RBFInterpolator(coordinates[chosen[solved]], known[solved], kernel="cubic")
+    # its evaluation takes a value of each draw after the other: of weights, which a product then applies
+    nodes, values = coordinates[chosen[solved]], known[solved]
+    weigh = RBFInterpolator(nodes, np.eye(len(nodes)), kernel="cubic")
+    return lambda at: np.asarray(weigh(at) @ values, dtype=np.float64)
 
 
 @dataclass(frozen=True)

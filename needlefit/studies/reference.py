@@ -4,8 +4,6 @@ Lengths are rounded to 0.00001 mm, everything else to five significant digits: w
 0.01 mm or three digits, is then as if it were rounded once. Machines agree to 0.001 mm.
 """
 
-import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
@@ -28,8 +26,9 @@ def write_reference(one: Run, folder: Path) -> Path:
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
-        for name, wide in _collect_frames(one).items():
-            frame = to_tidy(wide)
+        tables = {name: file for name, file in list_files(one).items() if not isinstance(file, str)}
+        for name in REVIEWED_TABLES.get(one.kind, tables):
+            frame = to_tidy(tables.get(name, pd.DataFrame()))
             if 0 < len(frame) <= MAX_ROWS:
                 write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
         table = dict(one.run_json)
@@ -51,20 +50,9 @@ REVIEWED_TABLES = {
 """Tables that are kept, by kind; of other kinds all are."""
 
 
-def _collect_frames(one: Run) -> Mapping[str, pd.DataFrame]:
-    tables = {name: file for name, file in list_files(one).items() if not isinstance(file, str)}
-    return {name: tables[name] for name in REVIEWED_TABLES.get(one.kind, tables) if name in tables}
-
-
 def _round_column(column: pd.Series, name: str) -> pd.Series:
     if not pd.api.types.is_float_dtype(column):
         return column
     if name.endswith("_mm"):
         return column.round(LENGTH_DECIMALS) + 0.0  # no −0
-    return column.map(_round_significant)
-
-
-def _round_significant(value: float) -> float:
-    if not math.isfinite(value) or value == 0:
-        return value
-    return round(value, SIGNIFICANT_DIGITS - 1 - math.floor(math.log10(abs(value))))
+    return column.map(lambda value: float(f"{value:.{SIGNIFICANT_DIGITS}g}"))

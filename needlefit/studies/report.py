@@ -26,7 +26,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
-from needlefit.studies.run import Run, mark_faults
+from needlefit.studies.run import Run, mark_faults, once_per_run
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
@@ -79,8 +79,7 @@ class StudyReport:
 
     def lay_out(self, result: Run) -> list[TableLayout]:
         """Return the tables of a run."""
-        values, every = self.values(result), self.tables(result)
-        return [one if isinstance(one, TableLayout) else self.text.lay_out(one, values) for one in every]
+        return _lay_out_tables(result)
 
     def draw(self, result: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
@@ -100,6 +99,13 @@ class StudyReport:
         return document.format_html_part(
             Document(result.title, subtitle(result), result.synthetic, tuple(blocks))
         )
+
+
+@once_per_run
+def _lay_out_tables(result: Run) -> list[TableLayout]:
+    page = find_kind(result.kind).report
+    values, every = page.values(result), page.tables(result)
+    return [one if isinstance(one, TableLayout) else page.text.lay_out(one, values) for one in every]
 
 
 def answer_in_words(result: Run, status: Status, **numbers: float | str | None) -> Answer:
@@ -139,15 +145,6 @@ def subtitle(result: Run) -> str:
     """Return what stands under the title: what was fitted and predicted; else the name and the question."""
     named = dict.fromkeys((result.name, result.question or result.dataset_title))
     return result.answer.about or ". ".join(named)
-
-
-def compose_first_figure(result: Run, figures: Mapping[str, Path]) -> list[Block]:
-    """Return the first of the figures with its caption; nothing without any."""
-    page = find_kind(result.kind).report
-    return [
-        document.figure(path, page.text.sentence(f"figure_{name}", page.values(result)))
-        for name, path in list(figures.items())[:1]
-    ]
 
 
 def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Block]:
@@ -238,11 +235,11 @@ def label_figures(figures: Mapping[str, Path], synthetic: bool) -> None:
             path.write_bytes(document.label_figure(path))
 
 
-def write_report(report: Document, folder: Path, name: str = "report") -> None:
+def write_report(report: Document, folder: Path) -> None:
     """Write a report as PDF and as HTML; it ends with the sections that its warnings link to."""
     report = replace(report, blocks=(*report.blocks, *_help_blocks(report.blocks)))
-    (folder / f"{name}.pdf").write_bytes(document.compile_pdf(report))
-    (folder / f"{name}.html").write_bytes(document.compile_html(report))
+    (folder / "report.pdf").write_bytes(document.compile_pdf(report))
+    (folder / "report.html").write_bytes(document.compile_html(report))
 
 
 def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
@@ -250,11 +247,15 @@ def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
     page = find_kind(result.kind).report
     shown = {one.name for one in result.answer.tables}
     tables = [one for one in page.lay_out(result) if one.name not in shown]
-    further = dict(list(figures.items())[1:])
+    values, names = page.values(result), list(figures)
+    pictures = [
+        document.figure(figures[name], page.text.sentence(f"figure_{name}", values)) for name in names[:1]
+    ]
+    further = {name: figures[name] for name in names[1:]}
     blocks = [
-        *compose_first_page(result, compose_first_figure(result, figures)),
+        *compose_first_page(result, pictures),
         document.page_break(),
-        *page.text.compose("report", page.values(result), tables, further),
+        *page.text.compose("report", values, tables, further),
         *compose_warnings(read_warnings(result.run)),
         *_run_blocks(result),
     ]

@@ -140,7 +140,7 @@ def pack(table: Mapping[str, Any], folder: Path) -> Path:
     """Write a table of JSON values and arrays to `folder`."""
     path = folder / RESULTS_FILE
     text = json.dumps({"format": FORMAT_VERSION, **table}, ensure_ascii=False, default=to_json_value)
-    path.write_bytes(gzip.compress(text.encode("utf-8"), 6, mtime=0))
+    path.write_bytes(gzip.compress(text.encode("utf-8"), 4, mtime=0))  # 6 takes three times as long for 2 %
     return path
 
 

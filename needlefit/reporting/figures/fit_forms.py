@@ -20,12 +20,17 @@ from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (
     COLUMN_WIDTH_IN,
+    GAP_IN,
+    LABEL_IN,
+    LETTER_WIDTH_IN,
+    TICKS_IN,
+    TITLE_IN,
+    add_legend,
     choose_vertical_scale,
     choose_width,
-    count_legend_columns,
     describe_scale,
     draw_grid,
-    fit_height,
+    set_margins,
 )
 from needlefit.reporting.labels import (
     GREY,
@@ -45,13 +50,6 @@ from needlefit.reporting.table_files import Row, to_records
 _OURS = METHOD_COLOURS["fitted"]
 
 
-def _add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> None:
-    columns = count_legend_columns(figure, [str(one.get_label()) for one in handles], most)
-    figure.legend(
-        handles=handles, ncols=columns, loc="outside upper left", handlelength=1.3, columnspacing=1.2
-    )
-
-
 def _line(label: str, **style: Any) -> Line2D:  # noqa: ANN401
     return Line2D([], [], label=label, **style)
 
@@ -63,8 +61,6 @@ INSERTION_KEYS = ["fold", "insertion"]
 HEIGHT_COLUMNS = ["y_mm", "low_mm", "high_mm"]
 BANDS = {"95 %": lighten(_OURS, 0.8), "50 %": lighten(_OURS, 0.56)}
 """Opaque colours, the narrow band on the wide one: the same over every layer."""
-
-_ROW_MARGIN_IN, _LEGEND_LINE_IN = 0.32, 0.16  # inches of each row beside its panel, and of a legend's line
 
 
 def insertions(
@@ -85,29 +81,43 @@ def insertions(
     left, right = _find_range(points[["x_mm"]])
     y = _find_limits(points, points["curve"].isin(["measured", *names]))
     factor = choose_vertical_scale(right - left, y[1] - y[0])
-    high = min(factor * (y[1] - y[0]) / (right - left), 1.0) * ((width - 0.4) / columns - 0.12)
-    rows = math.ceil(len(heads) / columns)
-    figure = Figure(figsize=(width, rows * (high + _ROW_MARGIN_IN) + 0.75))
+    locator = MaxNLocator(3, steps=[1, 2, 5, 10])
+    letters = max(len(f"{tick:.3g}") for tick in locator.tick_values(*y)[1:-1])
+    beside = LABEL_IN * (height.count("\n") + 2) + LETTER_WIDTH_IN * letters + GAP_IN
+    wide = (width - beside - columns * GAP_IN) / columns
+    high, rows = min(factor * (y[1] - y[0]) / (right - left), 1.0) * wide, math.ceil(len(heads) / columns)
+    down = TITLE_IN + GAP_IN + (TICKS_IN if len(heads) % columns and rows > 1 else 0.0)
+    figure = Figure(figsize=(width, 1.0))
     for axes, which, mine in _iterate_panels(figure, points, columns, list(heads)):
         _draw_panel(axes, mine, list(names))
         axes.set_title(heads[which], loc="right", pad=3, color=_OURS)
         axes.set(xlim=(left, right), ylim=y, aspect=factor)
-        axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
-    figure.supxlabel("depth (mm)")
-    figure.supylabel(f"{height},\n{describe_scale(factor)}")
-    _name_curves(figure, set(points["curve"]), names)
-    fit_height(figure)
+        axes.yaxis.set_major_locator(locator)
+    above = TITLE_IN + _name_curves(figure, set(points["curve"]), names)
+    below = TICKS_IN + LABEL_IN + 0.04
+    figure.set_figheight(above + rows * high + (rows - 1) * down + below)
+    set_margins(figure, beside, above, bottom=below, gaps=(GAP_IN, down))
+    middle = (below + figure.get_figheight() - above) / 2
+    figure.supxlabel("depth (mm)", x=0.5, y=0.0)
+    figure.supylabel(
+        f"{height},\n{describe_scale(factor)}", x=0.04 / width, y=middle / figure.get_figheight()
+    )
     return figure
 
 
 def _draw_panel(axes: Axes, points: pd.DataFrame, methods: Sequence[str]) -> None:
     """Draw one insertion: bands, the methods as lines, the first in front, and the measured points."""
-    _draw_bands(axes, points)
+    for order, (level, colour) in enumerate(BANDS.items()):
+        band = points[points["curve"] == level]
+        axes.fill_between(
+            band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
+        )
     for order, method in enumerate(reversed(methods)):
         curve, first = points[points["curve"] == method], method == methods[0]
         look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if first else 0.8}
         axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
-    _draw_dots(axes, points, 2.2, 0.3)
+    dots = points[points["curve"] == "measured"]
+    axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=2.2, mew=0.3, zorder=9)
 
 
 TIP_ERROR = "tip error"  #: in place of a curve: the row is a tip error of a method
@@ -123,6 +133,7 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     width = choose_width()
     figure = Figure(figsize=(width, 2.0))
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
+    set_margins(figure, 0.52, TITLE_IN, gaps=(0.18, 0.0))
     curves = points[points["curve"] != TIP_ERROR]
     y = _find_limits(curves, curves["curve"].isin(["measured", method]))
     for axes, which in zip(grid, heads, strict=False):
@@ -171,20 +182,7 @@ def _iterate_panels(
         yield axes, (fold, insertion), points[(points["fold"] == fold) & (points["insertion"] == insertion)]
 
 
-def _draw_bands(axes: Axes, points: pd.DataFrame) -> None:
-    for order, (level, colour) in enumerate(BANDS.items()):
-        band = points[points["curve"] == level]
-        axes.fill_between(
-            band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
-        )
-
-
-def _draw_dots(axes: Axes, points: pd.DataFrame, size: float, edge: float) -> None:
-    dots = points[points["curve"] == "measured"]
-    axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=size, mew=edge, zorder=9)
-
-
-def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> None:
+def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> float:
     handles: list[Artist] = [_line("measured", color=INK, marker="o", ms=2.7, lw=0)]
     for method, name in names.items():
         if method in present:
@@ -192,7 +190,7 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
     for level in reversed(BANDS):
         if level in present:
             handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
-    _add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
+    return add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
 
 
 def _find_range(values: pd.DataFrame) -> tuple[float, float]:
@@ -239,7 +237,8 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     axes.set_xlim(left=0)
     draw_grid(axes, "x")
     shown = [_line(label, **look) for mark, (label, look) in looks.items() if mark in set(marks["mark"])]
-    _add_legend(figure, shown, 4)
+    beside = LETTER_WIDTH_IN * max(map(len, groups)) + 2 * GAP_IN
+    set_margins(figure, beside, add_legend(figure, shown, 4))
     return figure
 
 
@@ -267,7 +266,7 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
     handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
     handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
-    _add_legend(figure, handles, 3)
+    set_margins(figure, 0.42, add_legend(figure, handles, 3) + TITLE_IN)
     return figure
 
 
@@ -310,8 +309,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
     if across == MAX_PANEL_COLUMNS and -count % (across - 1) < -count % across:
         across -= 1  # the last row is then fuller
     down = math.ceil(count / across)
-    figure = Figure(figsize=(width, 0.3 + 1.25 * down))
+    words = 2 * TITLE_IN  # above each panel: the parameter, and its interval
+    figure = Figure(figsize=(width, TITLE_IN + down * (0.7 + words + TICKS_IN)))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
+    set_margins(figure, 0.42, TITLE_IN + words, 0.36, TICKS_IN, (2 * GAP_IN, words + TICKS_IN))
     for n, axes in enumerate(panels.flat):
         if n >= count:
             axes.axis("off")
@@ -326,10 +327,10 @@ def profiles(frame: pd.DataFrame) -> Figure:
             axes.set_title(label, loc="left", color=INK)
         if n % across == 0:
             axes.set_ylabel("deviance")
-    figure.suptitle(" ")  # keeps the line free for the names of the curves
     second = 0.01 + 0.55 / figure.get_figwidth()
-    figure.text(0.01, 0.985, "profile", va="top", color=_OURS)
-    figure.text(second, 0.985, "information at the optimum", va="top", color=METHOD_COLOURS["hand_tuned"])
+    top = 1 - 0.04 / figure.get_figheight()
+    figure.text(0.01, top, "profile", va="top", color=_OURS)
+    figure.text(second, top, "information at the optimum", va="top", color=METHOD_COLOURS["hand_tuned"])
     last, threshold = panels[0, across - 1], float(frame["threshold"].iloc[0])
     last.text(1.02, threshold, "95 %", transform=last.get_yaxis_transform(), va="center", color=GREY)
     return figure
@@ -376,18 +377,14 @@ def _describe_state(row: Row, unit: float) -> tuple[str, bool]:
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end", False
     if not low and not high:
-        return f"{'flat' if _is_flat(row) else 'open'}: not identifiable", False
+        # flat: the deviance hardly rises over the whole range
+        return f"{'flat' if (row['rise'] or 0) < 1 else 'open'}: not identifiable", False
     end = typeset(format_number((row["low"] if low else row["high"]) / unit))
     return f"{'above' if low else 'below'} {end}, open", False
 
 
 def _is_of_draws(row: Row) -> bool:
     return row["draw_source"] not in (None, "", "profile")
-
-
-def _is_flat(row: Row) -> bool:
-    """Return whether the deviance hardly rises over the whole range of a parameter."""
-    return (row["rise"] or 0) < 1 and "closed" not in (row["end_low"], row["end_high"])
 
 
 def choose_log_ticks(low: float, high: float) -> list[float]:

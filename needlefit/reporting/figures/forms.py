@@ -1,7 +1,6 @@
 """The forms of figures: each is a function of a tidy frame, whatever kind of study it comes from."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -13,9 +12,11 @@ from matplotlib.lines import Line2D
 from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.looks import Look, Panel
 from needlefit.reporting.figures.style import (
+    GAP_IN,
     TEXT_WIDTH_IN,
-    count_legend_columns,
+    add_legend,
     draw_grid,
+    set_margins,
 )
 from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR, medium_name, method_colour
 from needlefit.reporting.number_format import choose_printed_unit
@@ -37,51 +38,38 @@ def curves(
     x: str,
     by: str,
     panels: Sequence[Panel],
-    x_label: str = "",
+    x_label: str,
     looks: Mapping[str, Look] | None = None,
-    size: tuple[float, float] | None = None,
+    size: tuple[float, float] = (0.6 * TEXT_WIDTH_IN, 3.3),
 ) -> Figure:
-    """Draw columns over the column `x`, a series for each value of `by`."""
-    chosen = choose_looks(frame, by, looks)
-    figure = Figure(figsize=size or (0.6 * TEXT_WIDTH_IN, 3.3))
+    """Draw columns over the column `x`, a series for each value of `by`; a line marks 0."""
+    chosen, figure = choose_looks(frame, by, looks), Figure(figsize=size)
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False)
     for axes, panel in zip(grid.flat, panels, strict=True):
         for name, look in chosen.items():
-            _draw_curve(axes, frame[frame[by].astype(str) == name].sort_values(x), x, panel, look)
+            rows = frame[frame[by].astype(str) == name].sort_values(x)
+            low, high = (rows[end].astype(float) for end in (panel.low, panel.high))
+            axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
+            axes.plot(rows[x], rows[panel.line], lw=look.width, zorder=3, color=look.colour)
         axes.set_ylabel(panel.label)
         draw_grid(axes, "y")
-        if panel.zero:
-            axes.axhline(0.0, color=INK, lw=0.5)
-    grid[-1, 0].set_xlabel(x_label or x)
+        axes.axhline(0.0, color=INK, lw=0.5)
+    grid[-1, 0].set_xlabel(x_label)
+    above = GAP_IN
     if 1 < len(chosen) <= MAX_NAMED_SERIES:
-        add_legend(figure, chosen.values(), width=1.3)
+        handles = [
+            Line2D([], [], color=one.colour, lw=one.width, label=one.label, solid_capstyle="butt")
+            for one in chosen.values()
+        ]
+        above = add_legend(figure, handles, 5)
+    set_margins(figure, 0.58, above)
     return figure
-
-
-def _draw_curve(axes: Axes, rows: pd.DataFrame, x: str, panel: Panel, look: Look) -> None:
-    if panel.low:
-        low, high = (rows[end].astype(float) for end in (panel.low, panel.high))
-        axes.fill_between(rows[x], low, high, color=lighten(look.colour, look.white), lw=0, zorder=1)
-    if panel.line:
-        axes.plot(rows[x], rows[panel.line], lw=look.width, ls=look.dashes, zorder=3, color=look.colour)
 
 
 def lighten(colour: str, share: float) -> tuple[float, float, float]:
     """Return a colour with this share of white: opaque, so that it is the same over every background."""
     red, green, blue = (share + (1 - share) * part for part in to_rgb(colour))
     return red, green, blue
-
-
-def add_legend(figure: Figure, looks: Iterable[Look], width: float) -> None:
-    """Draw a legend above all panels; `width` is that of the lines."""
-    handles = [
-        Line2D([], [], color=one.colour, lw=one.width, ls=one.dashes, marker=one.marker, ms=one.size,
-               label=one.label, solid_capstyle="butt")
-        for one in looks
-    ]  # fmt: skip
-    columns = count_legend_columns(figure, [one.label for one in looks], min(len(handles), 5))
-    spacing: dict[str, Any] = {"handlelength": width, "handletextpad": 0.4, "columnspacing": 1.3}
-    figure.legend(handles=handles, loc="outside upper left", ncols=columns, **spacing)
 
 
 def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int = 4) -> Figure:
@@ -173,7 +161,7 @@ def _draw_readings(axes: Axes, run: pd.DataFrame) -> None:
 def histograms(bins: pd.DataFrame, counts: str) -> Figure:
     """Draw histograms of the column `counts` by `parameter`; `low` and `high` are edges in units of files."""
     groups = list(bins.groupby("parameter", sort=False))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9), layout="constrained")
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9))
     panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
     for axes, (name, rows) in zip(panels, groups, strict=True):
         label, unit = choose_printed_unit(str(name), rows["high"])

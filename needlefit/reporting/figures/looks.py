@@ -1,7 +1,6 @@
 """How series and panels of figures are drawn."""
 
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -10,21 +9,15 @@ class Look:
 
     label: str
     colour: str
-    marker: str = "o"  # as of matplotlib; "" none
-    dashes: Any = "-"  # line style
-    # `size`, `width`: of marks and lines, points
-    size: float = 3.4
-    width: float = 1.1
+    width: float = 1.1  # of lines, points
     white: float = 0.75  # share of white in the colour of bands
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A panel of `curves`: columns as a line, and as a band."""
+    """A panel of `curves`: the label of its y axis, and columns as a line, and as the ends of a band."""
 
-    label: str  # of the y axis
-    # `line`, `low`, `high`: columns; empty: not drawn
-    line: str = ""
-    low: str = ""
-    high: str = ""
-    zero: bool = False  # whether a line marks 0
+    label: str
+    line: str
+    low: str
+    high: str

@@ -434,19 +434,19 @@ def draw(found: Run) -> dict[str, Drawing]:
     title = f"{facts['title']} ({facts['faults']})" if found.faults else facts["title"]
     table = found.frames["forecast"].assign(origin=found.origin, scene=title)
     bands = {"needle_95": ("95 % of needles", "#BFDBEC"), "needle_50": ("50 % of needles", "#7FB8D8")}
-    names = {name: Look(*one, marker="", width=6.0, white=0.0) for name, one in bands.items()}
-    names["median"] = Look("median", METHOD_COLOURS["fitted"], marker="", width=1.4)
+    names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
+    names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
     if found.faults:  # whose bands are left out
         names = {"median": names["median"]}
     options: dict[str, Any] = {
         **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},
         "x_label": "x along the entry (mm)",
-        "panels": [Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm", zero=True)],
+        "panels": [Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm")],
     }
     if in_space := "needle_z_median_mm" in table:
         columns = {"line": "z_median_mm", "low": "z_low_mm", "high": "z_high_mm"}
         options |= {
-            "panels": [*options["panels"], Panel("z (mm)", **columns, zero=True)],
+            "panels": [*options["panels"], Panel("z (mm)", **columns)],
             "size": (7.16, 4.2),
         }
 

@@ -222,8 +222,9 @@ def lay_out_reconstructions(found: Run) -> TableLayout:
         crossings, remarks = (
             frame[frame["id"] == row["id"]] for frame in (found.frames["crossings"], found.frames["remarks"])
         )
-        depths = _list_depths(to_records(crossings)) or None
-        about = {"scan": row["id"], "crossing_depths": depths, "remark_count": len(remarks) or ""}
+        depths = (f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in to_records(crossings))
+        about = {"scan": row["id"], "remark_count": len(remarks) or ""}
+        about["crossing_depths"] = ", ".join(depths) or None
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
     table = Table("reconstruction", rows, _COLUMNS)
@@ -239,10 +240,6 @@ def _lay_out_refused(found: Run) -> list[TableLayout]:
     return [_TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
-def _list_depths(rows: Sequence[Row]) -> str:
-    return ", ".join(f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in rows)
-
-
 def find_answer(found: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
@@ -253,7 +250,7 @@ def find_answer(found: Run) -> Answer:
 
 def draw(found: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its 95 % band."""
-    panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm", zero=True)
+    panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
     return {
         "deflections": Drawing("curves", found.frames["deflections"].assign(origin=found.origin), options)
