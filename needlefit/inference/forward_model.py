@@ -186,7 +186,8 @@ class PreparedModel:
         starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
-        pairs = linearize_batches(self._make_batches(sets), kinds, jobs)
+        tracked = any(isinstance(one.insertion, TipTrack) for one in self._simulations)
+        pairs = linearize_batches(self._make_batches(sets), kinds, jobs, tracked=tracked)
         found = dict(zip(self._simulations, pairs, strict=True))
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each

@@ -290,7 +290,7 @@ class Jacobians:
     #: u, slope: (B, N, P)
     u: Floats
     slope: Floats
-    #: constraints, tip_track: (B, M + 1, P)
+    #: constraints, tip_track: (B, M + 1, P), tip_track empty where it was not asked for
     constraints: Floats
     tip_track: Floats
     converged: Bools  #: (B,) all derivatives of other sets are NaN
@@ -370,7 +370,8 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
         across = () if insertion.columns.planes == 1 else (2,)
         nodes, points = (np.empty((*across, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
-    arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
+    arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints")]
+    arrays.append(evaluation.shapes.arrays.get("track_by", arrays[-1][:, :, :0]))
     if not evaluation.valid.all():
         for array in arrays:
             array[:, ~evaluation.valid] = np.nan
@@ -470,7 +471,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
 
 def linearize_batches(
-    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None
+    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None, *, tracked: bool = True
 ) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
     """Simulate as `simulate_batches` does, and differentiate every shape.
 
@@ -480,28 +481,30 @@ def linearize_batches(
     ----------
     wrt : sequence of str
         Kinds of parameters, as `linearize` takes them.
+    tracked : bool
+        Whether `tip_track` is asked for; without it, derivatives in space take less time.
 
     Returns
     -------
     tuple of (NeedleShapes, Jacobians)
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
     """
-    pairs = _run(batches, tuple(wrt), threads)
+    pairs = _run(batches, tuple(wrt), threads, tracked)
     return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
 
 
 def _run(
-    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
+    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None, tracked: bool = False
 ) -> list[tuple[Evaluation, NeedleShapes]]:
     require_type("batches", batches, Sequence)
     for batch in batches:
         require_type("a batch", batch, Batch)
-    evaluations = [_evaluate(batch, wrt) for batch in batches]
+    evaluations = [_evaluate(batch, wrt, tracked) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
 
-def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
+def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool = True) -> Evaluation:
     """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
     # which sets are made of numbers that a tissue or needle may have, (B,)
     valid, deepest = np.ones(len(batch), dtype=bool), max(step.depth for step in batch.steps)
@@ -544,7 +547,7 @@ def _evaluate(batch: Batch, wrt: tuple[str, ...] | None) -> Evaluation:
             "shape": batch.tissue.shape,
         }
         values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
-    return Evaluation(insertion, len(batch), values, valid)
+    return Evaluation(insertion, len(batch), values, valid, tracked)
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:

@@ -23,7 +23,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
-ABI_VERSION = 2
+ABI_VERSION = 3
 #: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
@@ -202,8 +202,10 @@ class Shapes(ctypes.Structure):
     planes: int
 
     @classmethod
-    def make(cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1) -> "Shapes":
-        """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
+    def make(
+        cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1, tracked: bool = True
+    ) -> "Shapes":
+        """Return room for so many shapes, and columns of derivatives: of the tip's track if `tracked`."""
         sizes: dict[str, tuple[int, ...]] = {
             "nodes": (1 + 2 * planes, sets, room),
             "constraints": (sets, points, 1 + planes),
@@ -211,7 +213,8 @@ class Shapes(ctypes.Structure):
         }
         if columns:
             sizes |= dict.fromkeys(("u_by", "slope_by"), (planes, sets, room, columns))
-            sizes |= dict.fromkeys(("constraints_by", "track_by"), (planes, sets, points, columns))
+            names = ("constraints_by", "track_by")[: 1 + tracked]
+            sizes |= dict.fromkeys(names, (planes, sets, points, columns))
         # One piece of memory, which the allocator keeps from call to call: new pages take long.
         memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
         for name, size in sizes.items():
@@ -327,14 +330,14 @@ def measure_memory(problem: KernelProblem, lanes: int) -> int:
     return int(load_library().nf_memory(byref(problem), c_int64(lanes)))
 
 
-def make_shapes(problem: KernelProblem, points: int) -> Shapes:
+def make_shapes(problem: KernelProblem, points: int, tracked: bool = True) -> Shapes:
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
     if not 0 <= points <= problem.max_points:
         raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
     if problem.nodes == 0:
         x = np.empty(problem.room)
         problem.nodes = int(load_library().nf_nodes(byref(problem), _at(x)))
-    return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes)
+    return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes, tracked)
 
 
 class CutRay(NamedTuple):

@@ -405,11 +405,16 @@ class Evaluation:
     """Parameter sets of a prepared insertion, and room for their shapes.
 
     `values` are named as in `batch.Batch`. Sets that are not `valid` (B,), made of numbers that a tissue or
-    needle may have, are not computed.
+    needle may have, are not computed. `tracked`: with the derivatives of the tip at every constraint point.
     """
 
     def __init__(
-        self, insertion: PreparedInsertion, sets: int, values: Mapping[str, Floats], valid: Bools
+        self,
+        insertion: PreparedInsertion,
+        sets: int,
+        values: Mapping[str, Floats],
+        valid: Bools,
+        tracked: bool = True,
     ) -> None:
         self.insertion, self.valid, self.some = insertion, valid, int(np.argmax(valid))
         if not valid.all():  # what is no parameter is replaced by one; what it gives is discarded
@@ -417,7 +422,7 @@ class Evaluation:
             values = {name: array[rows] for name, array in values.items()}
         self.values = values
         self.problem = insertion.pack(sets, values)
-        self.shapes = native.make_shapes(self.problem, insertion.points)
+        self.shapes = native.make_shapes(self.problem, insertion.points, tracked)
 
     @property
     def sets(self) -> int:
