@@ -165,10 +165,7 @@ class PreparedModel:
     def read_points(
         self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
     ) -> list[Floats]:
-        """Return the points (B, K, 2) of each insertion at its `s` (K,), mm; NaN where a solve failed.
-
-        See `read_points`.
-        """
+        """Return `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
         shapes = simulate_batches(self._make_batches(sets), jobs)
         found = dict(zip(self._simulations, shapes, strict=True))
 

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ctypes import byref, c_double, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -87,7 +87,7 @@ BAD_POINTS = 7
 
 
 _RETURN_NUMBERS = (
-    "lanes", "check", "nodes", "memory", "simulate", "session_advance", "session_rays", "equilibrium",
+    "lanes", "check", "plan", "nodes", "memory", "simulate", "session_advance", "session_rays", "equilibrium",
     "quadrature", "balance",
 )  # fmt: skip
 
@@ -228,6 +228,22 @@ class Shapes(ctypes.Structure):
         made.arrays, made.nodes_of_sets = arrays, nodes
         made.sets, made.columns, made.planes = sets, columns, planes
         return made
+
+
+def plan_moves(first_cell: float, spacing: float, moves: Sequence[tuple[float, int, int]]) -> np.ndarray:
+    """Return the stops (S,) of type `STOP` of moves from first contact on.
+
+    Constraint points lie at `first_cell` and every `spacing` from there, mm; a move is the depth that it
+    leads to, mm, and the numbers of its bevel and of its other inputs.
+    """
+    given = np.array(list(moves), [("depth", "f8"), ("bevel", "i8"), ("inputs", "i8")])
+    room = 8 + 4 * len(given) + int(np.abs(np.diff(given["depth"], prepend=0.0)).sum() / spacing)
+    stops, rays = np.empty(room, STOP), np.empty(room, given.dtype)
+    count = load_library().nf_plan(
+        c_double(first_cell), c_double(spacing), _at(given), c_int64(len(given)), _at(rays), _at(stops),
+        c_int64(room),
+    )  # fmt: skip
+    return stops[:count]
 
 
 def make_memory(size: int) -> Floats:

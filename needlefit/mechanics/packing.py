@@ -197,9 +197,9 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
         flags = native.PERMANENT * stop.permanent + native.STARTS_RAY * stop.starts_ray
         flags += native.EXTRAPOLATES * stop.extrapolates
         places = bevels.index(stop.bevel_id), controls.index(stop.controls_id)
-        packed[n] = stop.tip, stop.cell, max(stop.ray, 0), *places, flags
+        packed[n] = stop.tip, stop.cell, stop.ray, *places, flags
     packed.flags.writeable = False  # kept for the next insertion of the same steps
-    return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
+    return PackedStops(packed, bevels, controls, stops[-1], 1 + max(stop.ray for stop in stops))
 
 
 #: what a set of `batch.Batch` may give of the base: its plane, and its place in `Controls.base`

@@ -120,22 +120,15 @@ struct Derivatives {
         if (final) {
             differentiate_shape();
         } else if (P == 2 && joined) {
-            follow_tip<P>(stop, problem.tangent * ((&stop)[1].tip - stop.tip));
+            double ahead = problem.tangent * ((&stop)[1].tip - stop.tip);
+            solve_adjoint<P>(ahead), sum_loads<P>(stop), differentiate_tip<P>(stop);
         } else {
-            follow_tip<N>(stop, 0.0);
+            solve_adjoint<N>(0.0), sum_loads<N>(stop), differentiate_tip<N>(stop);
         }
         for (Index p = 0; p < columns; p++) {
             track[(2 * stop.cell) * columns + p] = tip[p], track[(2 * stop.cell + 1) * columns + p] = tip[columns + p];
             cut[p] = stop.cell > 0 ? constraints[stop.cell * columns + p] : tip[p];
         }
-    }
-
-    // R rows: of the tip's deflections and slopes, or of the deflections `ahead` of it.
-    template <int R>
-    void follow_tip(const Stop& stop, double ahead) {
-        solve_adjoint<R>(ahead);
-        sum_loads<R>(stop);
-        differentiate_tip<R>(stop);
     }
 
     void linearize(bool whole) {
@@ -369,8 +362,9 @@ struct Derivatives {
 
     // ---- the tip ------------------------------------------------------------------------------------------------------
 
-    // Solve K^T lambda = load from tip to base, for a load on the tip's deflection and one on its slope. At a prescribed
-    // value, lambda is the derivative of the tip with respect to that value; it multiplies no load.
+    // Solve K^T lambda = load from tip to base, for R loads: on the tip's deflection and on its slope, or one that stands
+    // for the deflection `ahead` of it. At a prescribed value, lambda is the derivative of the tip with respect to that
+    // value; it multiplies no load.
     template <int R>
     void solve_adjoint(double ahead) {
         const auto& inverse = factor_of(tip_node()).inverse;
