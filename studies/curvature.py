@@ -85,6 +85,14 @@ def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:
     )
 
 
+def predict_readings(folder: Path, medium: str) -> pd.DataFrame:
+    """Return the readings of every second needle as predicted by a fit to the others."""
+    names = [one.id for one in load_dataset("twin").insertions if one.medium == medium]
+    study = {"schema": 2, "dataset": str(folder), "medium": medium, "same_specimen": True, "planes": 2}
+    study |= {"tune": {"insertions": names[::2]}, "validate": [{"insertions": names[1::2]}]}
+    return needlefit.validate(study, recipe={"metric": False}).frames["curvature"]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--media", nargs="+", default=["phantom1", "phantom2", "phantom3", "chicken"])
@@ -94,9 +102,11 @@ def main() -> None:
     with TemporaryDirectory() as temporary:
         write_sensors(Path(temporary), options.sd)
         rows = pd.concat([compare_shapes(Path(temporary), medium) for medium in options.media])
+        readings = pd.concat([predict_readings(Path(temporary), medium) for medium in options.media])
     means = rows.groupby("medium").mean(numeric_only=True)
     print(means.assign(needles=rows.groupby("medium").size()).to_string(float_format="%.3f"))
     print(rows.mean(numeric_only=True).to_string(float_format="%.3f"))
+    print(readings.groupby("direction")["kappa_in_95"].agg(["sum", "size"]))
     figure, axes = plt.subplots(figsize=(5, 4))
     for medium, some in rows.groupby("medium"):
         axes.plot(some["te_integrated_mm"], some["te_3d_mm"], ".", label=medium)

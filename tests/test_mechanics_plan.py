@@ -24,7 +24,7 @@ def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple
 
 
 def entry(held: int = 0) -> tuple:
-    return (0.0, 0, True, -1, False, 0, held)
+    return (0.0, 0, True, 0, False, 0, held)
 
 
 ENTRY, FIRST = entry(), (0.5, 1, True, 0, True, 0, 0)
@@ -107,7 +107,7 @@ CASES = {
     ),
     "all the way out there is no ray": (
         ((1.5, 0, 0), (0.0, 0, 0), (0.5, 1, 0)),
-        [(0.0, 0, True, -1, False, 0, 0), (0.5, 1, True, 0, True, 1, 0)],
+        [(0.0, 0, True, 0, False, 0, 0), (0.5, 1, True, 0, True, 1, 0)],
     ),
 }  # fmt: skip
 

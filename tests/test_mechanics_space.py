@@ -142,7 +142,11 @@ def test_derivatives_of_points_are_those_of_the_points() -> None:
     steps = Step(8.3, Bevel(0.2)), Step(17.3, Bevel(0.2, roll_deg=80.0))
     values = 0.2 + 1e-4 * np.array([-1.0, 0.0, 1.0])
     batch = Batch(NEEDLE, TISSUE, steps, ModelOptions(tolerance=FINE), offset=values)
-    ((shapes, jacobians),) = linearize_batches([batch], ("offset",))
+    ((shapes, jacobians),) = linearize_batches([batch], ("offset",), tracked=False)
+    ((_, tracked),) = linearize_batches([batch], ("offset",))
+    assert jacobians.tip_track.size == 0 and tracked.tip_track.size > 0
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(jacobians, name), getattr(tracked, name), atol=1e-12)
     s = np.linspace(-3.0, 17.3, 7)
     points = compute_batch_positions(shapes, s)
     found = differentiate_batch_positions(shapes, jacobians, s)[1, ..., 0]

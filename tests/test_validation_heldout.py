@@ -27,7 +27,7 @@ from needlefit.datasets.select import (
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
-from needlefit.inference.likelihood.observation import make_observation, pose_sds
+from needlefit.inference.likelihood.observation import append_sensors, make_observation, pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
@@ -102,6 +102,22 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
     assert tuple(row) == COLUMNS["predictive"] and row["draw_source"] == "importance" and row["certified"]
+
+
+def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job, known):
+    insertion, sd = exact(job.folds[0].validate[0]), np.array([1e-4, 2e-4])
+    insertion = replace(insertion, curvature=np.column_stack([[5.0, 20.0], np.zeros((2, 2)), sd]))
+    values, about = job.parameters.values(known.thetas[0]), append_sensors(insertion, np.empty(0))
+    args = job.medium, job.dataset.needle, insertion, about, np.zeros(5), 0.0
+    kappa = np.diff(predict_alone(values, *args)[:, 1].reshape(2, 3), n=2)[:, 0]
+    insertion.curvature[:, 1] = kappa + sd * (1.9, -2.0)
+    record = job.record.model_copy(update={"specimens": "training only"})
+    fold = of(job, insertion)
+    (one,) = predict_held_out(Specimens(replace(job, record=record), fold, sure(known)))
+    found = pd.DataFrame(one.sensors)
+    assert tuple(found) == COLUMNS["curvature"] and list(found["kappa_in_95"]) == [True, False]
+    np.testing.assert_allclose(found["kappa_predicted_1_per_mm"], kappa, atol=1e-6)
+    np.testing.assert_allclose(found["kappa_sd_1_per_mm"], sd, rtol=1e-3)
 
 
 def test_a_bevel_that_varies_between_insertions_widens_it(job, known):

@@ -161,10 +161,7 @@ class PreparedModel:
     def read_points(
         self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
     ) -> list[Floats]:
-        """Return the points (B, K, 2) of each insertion at its `s` (K,), mm; NaN where a solve failed.
-
-        See `read_points`.
-        """
+        """Return `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
         shapes = simulate_batches(self._make_batches(sets), jobs)
         found = dict(zip(self._simulations, shapes, strict=True))
 
@@ -182,7 +179,8 @@ class PreparedModel:
         starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
-        pairs = linearize_batches(self._make_batches(sets), kinds, jobs)
+        tracked = any(isinstance(one.insertion, TipTrack) for one in self._simulations)
+        pairs = linearize_batches(self._make_batches(sets), kinds, jobs, tracked=tracked)
         found = dict(zip(self._simulations, pairs, strict=True))
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each

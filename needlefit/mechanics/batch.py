@@ -296,7 +296,7 @@ class Jacobians:
     #: u, slope: (B, N, P)
     u: Floats
     slope: Floats
-    #: constraints, tip_track: (B, M + 1, P)
+    #: constraints, tip_track: (B, M + 1, P), tip_track empty where it was not asked for
     constraints: Floats
     tip_track: Floats
     converged: Bools  #: (B,) all derivatives of other sets are NaN
@@ -376,7 +376,8 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
         across = () if insertion.columns.planes == 1 else (2,)
         nodes, points = (np.empty((*across, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
-    arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints", "track")]
+    arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints")]
+    arrays.append(evaluation.shapes.arrays.get("track_by", arrays[-1][:, :, :0]))
     if not evaluation.all_valid:
         for array in arrays:
             array[:, ~evaluation.valid] = np.nan
@@ -476,7 +477,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
 
 
 def linearize_batches(
-    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None
+    batches: Sequence[Batch], wrt: Sequence[str], threads: int | None = None, *, tracked: bool = True
 ) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
     """Simulate as `simulate_batches` does, and differentiate every shape.
 
@@ -486,24 +487,26 @@ def linearize_batches(
     ----------
     wrt : sequence of str
         Kinds of parameters, as `linearize` takes them.
+    tracked : bool
+        Whether `tip_track` is asked for; without it, derivatives in space take less time.
 
     Returns
     -------
     tuple of (NeedleShapes, Jacobians)
         Solved to `MAX_TOLERANCE_MM` at least; what a set gives is what `linearize_steps` gives.
     """
-    pairs = _run(batches, tuple(wrt), threads)
+    pairs = _run(batches, tuple(wrt), threads, tracked)
     return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
 
 
 def _run(
-    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None
+    batches: Sequence[Batch], wrt: tuple[str, ...] | None, threads: int | None, tracked: bool = False
 ) -> list[tuple[Evaluation, NeedleShapes]]:
     require_type("batches", batches, Sequence)
     for batch in batches:
         require_type("a batch", batch, Batch)
     shared: tuple[dict[object, Bools], dict[object, native.SetArrays]] = {}, {}
-    evaluations = [_evaluate(batch, wrt, *shared) for batch in batches]
+    evaluations = [_evaluate(batch, wrt, *shared, tracked) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
@@ -513,6 +516,7 @@ def _evaluate(
     wrt: tuple[str, ...] | None,
     accepted: dict[object, Bools],
     shared: dict[object, native.SetArrays],
+    tracked: bool = True,
 ) -> Evaluation:
     """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`.
 
@@ -551,7 +555,7 @@ def _evaluate(
             "shape": batch.tissue.shape,
         }
         values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
-    return Evaluation(insertion, values, valid, shared)
+    return Evaluation(insertion, values, valid, shared, tracked)
 
 
 def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bools:

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ctypes import byref, c_double, c_int64, c_void_p
 from functools import cache, cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
-ABI_VERSION = 2
+ABI_VERSION = 3
 #: environment variable: a library to use instead of the package's own, such as one with sanitizers
 LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 
@@ -87,7 +87,7 @@ BAD_POINTS = 7
 
 
 _RETURN_NUMBERS = (
-    "lanes", "check", "nodes", "memory", "simulate", "session_advance", "session_rays", "equilibrium",
+    "lanes", "check", "plan", "nodes", "memory", "simulate", "session_advance", "session_rays", "equilibrium",
     "quadrature", "balance",
 )  # fmt: skip
 
@@ -221,8 +221,10 @@ class Shapes(ctypes.Structure):
     planes: int
 
     @classmethod
-    def make(cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1) -> "Shapes":
-        """Return room for the shapes of so many sets, nodes, constraint points and columns of derivatives."""
+    def make(
+        cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1, tracked: bool = True
+    ) -> "Shapes":
+        """Return room for so many shapes, and columns of derivatives: of the tip's track if `tracked`."""
         sizes: dict[str, tuple[int, ...]] = {
             "nodes": (1 + 2 * planes, sets, room),
             "constraints": (sets, points, 1 + planes),
@@ -230,7 +232,8 @@ class Shapes(ctypes.Structure):
         }
         if columns:
             sizes |= dict.fromkeys(("u_by", "slope_by"), (planes, sets, room, columns))
-            sizes |= dict.fromkeys(("constraints_by", "track_by"), (planes, sets, points, columns))
+            names = ("constraints_by", "track_by")[: 1 + tracked]
+            sizes |= dict.fromkeys(names, (planes, sets, points, columns))
         # One piece of memory, which the allocator keeps from call to call: new pages take long.
         memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
         counts = np.zeros(2 * sets + 1, np.int64)
@@ -247,6 +250,22 @@ class Shapes(ctypes.Structure):
         made.arrays, made.nodes_of_sets = arrays, nodes
         made.sets, made.columns, made.planes = sets, columns, planes
         return made
+
+
+def plan_moves(first_cell: float, spacing: float, moves: Sequence[tuple[float, int, int]]) -> np.ndarray:
+    """Return the stops (S,) of type `STOP` of moves from first contact on.
+
+    Constraint points lie at `first_cell` and every `spacing` from there, mm; a move is the depth that it
+    leads to, mm, and the numbers of its bevel and of its other inputs.
+    """
+    given = np.array(list(moves), [("depth", "f8"), ("bevel", "i8"), ("inputs", "i8")])
+    room = 8 + 4 * len(given) + int(np.abs(np.diff(given["depth"], prepend=0.0)).sum() / spacing)
+    stops, rays = np.empty(room, STOP), np.empty(room, given.dtype)
+    count = load_library().nf_plan(
+        c_double(first_cell), c_double(spacing), _at(given), c_int64(len(given)), _at(rays), _at(stops),
+        c_int64(room),
+    )  # fmt: skip
+    return stops[:count]
 
 
 def make_memory(size: int) -> Floats:
@@ -349,14 +368,14 @@ def measure_memory(problem: KernelProblem, lanes: int) -> int:
     return int(load_library().nf_memory(byref(problem), c_int64(lanes)))
 
 
-def make_shapes(problem: KernelProblem, points: int) -> Shapes:
+def make_shapes(problem: KernelProblem, points: int, tracked: bool = True) -> Shapes:
     """Return room for the shapes of a problem, with so many constraint points behind the tip and under it."""
     if not 0 <= points <= problem.max_points:
         raise TypeError(f"{points} constraint points; the problem has {problem.max_points}")
     if problem.nodes == 0:
         x = np.empty(problem.room)
         problem.nodes = int(load_library().nf_nodes(byref(problem), _at(x)))
-    return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes)
+    return Shapes.make(problem.sets, problem.nodes, points, problem.columns, problem.planes, tracked)
 
 
 class CutRay(NamedTuple):

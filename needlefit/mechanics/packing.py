@@ -205,9 +205,9 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
         flags = native.PERMANENT * stop.permanent + native.STARTS_RAY * stop.starts_ray
         flags += native.EXTRAPOLATES * stop.extrapolates
         places = bevels.index(stop.bevel_id), controls.index(stop.controls_id)
-        packed[n] = stop.tip, stop.cell, max(stop.ray, 0), *places, flags
+        packed[n] = stop.tip, stop.cell, stop.ray, *places, flags
     packed.flags.writeable = False  # kept for the next insertion of the same steps
-    return PackedStops(packed, bevels, controls, stops[-1], 1 + max(0, *(stop.ray for stop in stops)))
+    return PackedStops(packed, bevels, controls, stops[-1], 1 + max(stop.ray for stop in stops))
 
 
 #: what a set of `batch.Batch` may give of the base: its plane, and its place in `Controls.base`
@@ -457,7 +457,8 @@ class Evaluation:
     """Parameter sets of a prepared insertion, and room for their shapes.
 
     `values` are named as in `batch.Batch`. Sets that are not `valid` (B,), made of numbers that a tissue or
-    needle may have, are not computed. `shared` are arrays of sets that evaluations have in common.
+    needle may have, are not computed. `shared` are arrays of sets that evaluations have in common. `tracked`:
+    with the derivatives of the tip at every constraint point.
     """
 
     def __init__(
@@ -466,6 +467,7 @@ class Evaluation:
         values: Mapping[str, Floats],
         valid: Bools,
         shared: dict[object, native.SetArrays],
+        tracked: bool = True,
     ) -> None:
         self.insertion, self.valid, self.some = insertion, valid, int(valid.argmax())
         self.all_valid = bool(valid.all())
@@ -474,7 +476,7 @@ class Evaluation:
             values = {name: array[rows] for name, array in values.items()}
         self.values = values
         self.problem = insertion.pack(len(valid), values, shared)
-        self.shapes = native.make_shapes(self.problem, insertion.points)
+        self.shapes = native.make_shapes(self.problem, insertion.points, tracked)
 
     @property
     def sets(self) -> int:

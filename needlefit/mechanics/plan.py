@@ -1,18 +1,18 @@
 """Turn the steps of an insertion into stops: where the tip halts, which ray cut its path, what holds it.
 
 Which equilibria an insertion needs depends on depths and on changes of the inputs, never on the solution.
-They are therefore listed beforehand, and all solvers (the reference, the kernel, its lanes, the
-sensitivities, a session) follow the same list. How deep a needle can go, and for how many elements, is
-limited here too.
+They are therefore listed beforehand, by the kernel (`native/plan.hpp`), and all solvers follow the same list.
+How deep a needle can go, and for how many elements, is limited here too.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
 from needlefit.errors import ModelError
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS
 
@@ -94,7 +94,7 @@ class TipStop(NamedTuple):
     cell: int
     #: whether that point belongs to the lattice of constraint points, or only goes with the tip
     permanent: bool
-    ray: int  #: number of the ray that leads here, counted from the entry
+    ray: int  #: number of the ray that leads here, counted from the entry; 0 where there is none
     #: whether that ray begins where the tip stood at the stop before, along its tangent there
     starts_ray: bool
     bevel_id: int  #: number of the bevel that cuts, or has cut, the ray
@@ -102,20 +102,6 @@ class TipStop(NamedTuple):
     #: whether that ray follows one of equal length under the same inputs: an advance by the path angle then
     #: takes on the slope that the tip will have in the middle of the cell
     extrapolates: bool = False
-
-
-@dataclass(slots=True)  # not frozen, which takes twice as long: a session makes one at each step
-class Ray:
-    """The straight path that the tip cuts from `start` (mm) on, and the inputs under which it began.
-
-    Rays are linked from the tip back to the entry: a long session adds and drops them at no cost.
-    """
-
-    start: float
-    bevel_id: int
-    controls_id: int
-    number: int
-    before: "Ray | None" = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -152,84 +138,6 @@ class Lattice:
             return 0
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
-    def locate(self, depth: float) -> tuple[float, int, bool]:
-        """Return the depth of a tip, its `cell`, and whether it stands at that constraint point."""
-        cell = self.cell(depth)
-        point = self.depth(cell)
-        if abs(point - depth) <= SAME_DEPTH_MM:
-            return point, cell, True
-        return depth, cell, False
-
-
-class Position(NamedTuple):
-    """The present position in a plan: the last stop, and the rays that led to it."""
-
-    last: TipStop | None = None  #: the stop at which the tip stands; None before first contact
-    ray: Ray | None = None  #: the one that led there, and so all before it; None at the entry
-    move: Move | None = None  #: the move before, whose inputs the next one may change
-    inputs_changed: bool = False  #: whether inputs have changed since the tip came to this depth
-
-
-def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[TipStop]]:
-    """Return the position after a move, and its stops; the last is at the move's depth and inputs."""
-    ray = position.ray
-    stops: list[TipStop] = []
-
-    def halt(depth: float, *, starts_ray: bool = False, extrapolates: bool = False) -> TipStop:
-        bevel_id, number = (ray.bevel_id, ray.number) if ray else (move.bevel_id, -1)
-        tip, cell, permanent = lattice.locate(depth)
-        stop = TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id, extrapolates)
-        stops.append(stop)
-        return stop
-
-    here = position.last or halt(0.0)
-    before = position.move or move
-    inputs_changed = position.inputs_changed or (before.bevel_id, before.controls_id) != (
-        move.bevel_id,
-        move.controls_id,
-    )
-    if move.depth > here.tip + SAME_DEPTH_MM:
-        # a cell goes on along its ray unless something has changed; at a constraint point a new cell begins
-        begins = (
-            ray is None
-            or here.permanent
-            or inputs_changed
-            or (ray.bevel_id, ray.controls_id) != (move.bevel_id, move.controls_id)
-        )
-        if begins and here.controls_id != move.controls_id:
-            halt(here.tip)
-        at = here
-        while move.depth > at.tip + SAME_DEPTH_MM:
-            extrapolates = False
-            if begins:
-                ray = Ray(at.tip, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
-                extrapolates = at.permanent and _continues(ray, at.cell, lattice)
-            end_of_cell = lattice.depth(at.cell + 1 if at.permanent else at.cell)
-            at = halt(min(end_of_cell, move.depth), starts_ray=begins, extrapolates=extrapolates)
-            begins = True
-    elif move.depth < here.tip - SAME_DEPTH_MM:
-        # A retraction drops the rays that begin beyond the new depth; the tip then stands on the last ray
-        # that is left.
-        while ray and ray.start >= move.depth - SAME_DEPTH_MM:
-            ray = ray.before
-        halt(move.depth)
-    elif here.controls_id != move.controls_id:
-        halt(here.tip)
-    depth_changed = abs(move.depth - here.tip) > SAME_DEPTH_MM
-    return Position(stops[-1] if stops else here, ray, move, inputs_changed and not depth_changed), stops
-
-
-def _continues(ray: Ray, cell: int, lattice: Lattice) -> bool:
-    """Whether a ray from constraint point `cell` follows a whole cell that was cut under the same inputs."""
-    before = ray.before
-    return (
-        before is not None
-        and cell > 0
-        and lattice.is_at(cell - 1, before.start)
-        and abs(ray.start - before.start - lattice.spacing) <= 2 * SAME_DEPTH_MM
-        and (before.bevel_id, before.controls_id) == (ray.bevel_id, ray.controls_id)
-    )
-
 
 def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
     """Return the stops of all steps of a needle of `length` (mm), from first contact on.
@@ -258,11 +166,14 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
-    position, stops = Position(), list[TipStop]()
-    for move in moves:
-        position, more = plan_move(position, move, lattice)
-        stops += more
-    return tuple(stops)
+    found = native.plan_moves(lattice.first_cell, lattice.spacing, moves).tolist()
+    return tuple(
+        TipStop(
+            tip, cell, bool(flags & native.PERMANENT), ray, bool(flags & native.STARTS_RAY), bevel, controls,
+            bool(flags & native.EXTRAPOLATES),
+        )
+        for tip, cell, ray, bevel, controls, flags in found
+    )  # fmt: skip
 
 
 def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:

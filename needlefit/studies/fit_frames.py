@@ -34,6 +34,8 @@ predictive
     point, than the measured one.
 bands
     Where each insertion held out was predicted to be measured, point by point, at its measured x.
+curvature
+    The reading of every sensor of these insertions along y, and in space along z, as measured and predicted.
 draws
     Draws of each fold's parameters, with Pareto's k where by importance; `specimen` is "(tuned)" (of several
     that differ, their mean), one of several that differ, or "(new)"; then one column per parameter.
@@ -110,6 +112,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "bands": (
             *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
             *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+        ),
+        "curvature": (
+            *("fold", "insertion", "s_mm", "direction", "kappa_1_per_mm"),
+            *("kappa_predicted_1_per_mm", "kappa_sd_1_per_mm", "kappa_in_95"),
         ),
         "draws": DRAW_COLUMNS,
         "population": ("fold", "parameter", "between_sd", "between_correlation", "other_specimens"),

@@ -222,7 +222,8 @@ def lay_out_coverage(results: Run) -> TableLayout:
     }
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
-    return _lay_out(table, sources=sources, spread=spread if len(other) else None)
+    read = results.frames["curvature"]["kappa_in_95"].astype(float)
+    return _lay_out(table, sources=sources, spread=spread if len(other) else None, readings=read)
 
 
 def lay_out_baselines(results: Run, role: str) -> TableLayout:

@@ -29,7 +29,12 @@ from needlefit.inference.compared_points import Curve, align, pad_planes, turn_a
 from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
-from needlefit.inference.likelihood.observation import Observation, make_observation
+from needlefit.inference.likelihood.observation import (
+    SENSOR_STEP_MM,
+    Observation,
+    append_sensors,
+    make_observation,
+)
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
@@ -38,6 +43,7 @@ from needlefit.inference.predict import (
     cdf,
     crps,
     find_geometric_median,
+    interval,
     quantile,
     rms_noise_scale,
     simulate_shape_pit,
@@ -350,13 +356,14 @@ BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """The prediction of one needle: its row of the table "predictive", its rows of "bands" (`fit_frames`).
+    """The prediction of one needle: its rows of the tables "predictive", "bands", "curvature" (`fit_frames`).
 
     `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
     """
 
     row: Row
     band: tuple[Row, ...]
+    sensors: tuple[Row, ...]
     solved: int
     outside: int
     #: with bands, the predictive median as a curve: beam coordinates (K,) -> points (K, 2) in C, mm. x is the
@@ -418,7 +425,8 @@ class _Predictor:
         points = replace(insertion, curvature=None, roll_sd=0.0 if planes == 2 else insertion.roll_sd)
         observation = make_observation(job.dataset, points, likelihood=self.likelihood)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
-        needles = self._plan(insertion, observation, *self._vary(insertion, sets))
+        stations = append_sensors(insertion, observation.nodes.s[0])
+        needles = self._plan(insertion, stations, *self._vary(insertion, sets))
         # the width after one more insertion is estimated from neighbouring draws, which takes all of them
         for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
             some = replace(draws, thetas=draws.thetas[::stride])
@@ -458,12 +466,14 @@ class _Predictor:
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
+        s = observation.nodes.s[0]
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
         needles = pad_planes(found.points[solved], planes)
         if planes == 2:
             needles = turn_about_x(needles, insertion.roll_sd * rng.standard_normal(len(needles)))
+        needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         covariance = _measurement_covariance(observation, factor)
@@ -498,24 +508,25 @@ class _Predictor:
             errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
             row |= _score_tip_in_space(aligned[:, -1, 1:] + errors, across[-1], measured[tips])
             columns = (*columns, *SPATIAL_COLUMNS)
-        band, median = tuple[Row, ...](), None
+        band, median, where = tuple[Row, ...](), None, {"fold": fold.name, "insertion": insertion.id}
+        sensors = tuple({**where, **one} for one in _sensor_rows(insertion, about_sensors))
         if self.bands:
-            where = {"fold": fold.name, "insertion": insertion.id}
             band = tuple({**where, **point} for point in _band_rows(mixture, observation.measured))
             middle = np.column_stack([np.median(aligned[..., 0], axis=0), across])
-            median = partial(_interpolate, observation.nodes.s[0], middle)
+            median = partial(_interpolate, s, middle)
         row = {name: row[name] for name in columns}
-        return HeldOutPrediction(row, band, len(aligned), int(np.sum(~found.valid[solved])), median)
+        outside = int(np.sum(~found.valid[solved]))
+        return HeldOutPrediction(row, band, sensors, len(aligned), outside, median)
 
     def _plan(
         self,
         insertion: Insertion,
-        observation: Observation,
+        s: Floats,
         sets: Sequence[Mapping[str, float]],
         rng: np.random.Generator,
     ) -> PlannedInsertion:
-        """Return the needles of sets of values at the observed points, each with depths of its own."""
-        (deep, wrong), s = draw_depth_errors(insertion, len(sets), rng), observation.nodes.s[0]
+        """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
+        deep, wrong = draw_depth_errors(insertion, len(sets), rng)
         medium, needle = self.known.job.medium, self.known.job.dataset.needle
         return PlannedInsertion(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
 
@@ -535,7 +546,7 @@ class _Predictor:
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
-        found = self._plan(insertion, observation, further, rng).simulate()
+        found = self._plan(insertion, observation.nodes.s[0], further, rng).simulate()
         again, tip = np.full(len(sets), np.nan), len(observation.measured) - 1
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]
@@ -603,6 +614,25 @@ def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
             columns |= {f"low_{100 * level:.0f}_{ending}": low, f"high_{100 * level:.0f}_{ending}": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
+
+
+def _sensor_rows(insertion: Insertion, about: Floats) -> Iterator[Row]:
+    """Yield the curvature at each sensor, from simulated points (B, 3 n, 2 or 3) about the n sensors."""
+    if insertion.curvature is None:
+        return
+    from_tip, *measured, sd = insertion.curvature.T
+    across = about.reshape(len(about), len(sd), 3, -1)[..., 1:]
+    bent = np.diff(across, n=2, axis=2)[:, :, 0] / SENSOR_STEP_MM**2  # (B, n, planes)
+    for plane, direction in enumerate(("y", "z")[: bent.shape[-1]]):
+        mixture = PredictiveMixture(bent[..., plane], sd)
+        low, high = interval(mixture, 0.95)
+        for k, kappa in enumerate(measured[plane]):
+            yield {
+                **{"s_mm": insertion.depth - from_tip[k], "direction": direction, "kappa_1_per_mm": kappa},
+                "kappa_predicted_1_per_mm": mixture.means[:, k].mean(),
+                "kappa_sd_1_per_mm": math.hypot(mixture.means[:, k].std(), sd[k]),
+                "kappa_in_95": bool(low[k] <= kappa <= high[k]),
+            }
 
 
 def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:

@@ -379,7 +379,8 @@ def _simulate_each(
     wrong: Floats,
 ) -> PlannedNeedles:
     """Return the same, draw by draw."""
-    points, valid = np.full((len(sets), len(s), 2), np.nan), np.zeros(len(sets), dtype=np.bool_)
+    points, valid = np.full((len(sets), len(s), 3), np.nan), np.zeros(len(sets), dtype=np.bool_)
+    size = 2
     for n, values in enumerate(sets):
         met = with_planned_layers(insertion, values, medium, needle)
         if met is None:
@@ -387,5 +388,7 @@ def _simulate_each(
         entry = float(deep[n])
         moved, at = shift_depths(met, s, entry + wrong[n, : len(met.boundaries)], entry)
         shape = predict(values, medium, needle, moved)
-        points[n], valid[n] = read_points(moved, shape, at), shape.valid
-    return PlannedNeedles(points, valid)
+        read, valid[n] = read_points(moved, shape, at), shape.valid
+        size = max(size, read.shape[1])  # 3 in space
+        points[n, :, : read.shape[1]] = read
+    return PlannedNeedles(points[..., :size], valid)

@@ -25,7 +25,7 @@ struct Shapes {
     Index* passes;          // (S)
     Index* nodes;           // (1) nodes of the chain
     double *u_by, *slope_by;           // (P, S, room, columns); all null where no derivative is asked for
-    double *constraints_by, *track_by;  // (P, S, points, columns) of the place, and of the tip's deflection
+    double *constraints_by, *track_by;  // (P, S, points, columns) of the place, and of the tip's deflection, or null
 };
 
 // Call `work` with a vector of the problem's planes, of one needle.
@@ -93,8 +93,8 @@ void write_derivatives(const Derivatives<Vector>& derivatives, const Shapes& out
         Index set = insertion.set + lane;
         bool good = get_lane(*insertion.status, lane) == 0.0;
         auto value = [&](const Real& number) { return good ? canonical(get_lane(number, lane)) : NOT_A_NUMBER; };
-        for (Index p = 0; p < columns; p++) {
-            for (Index i = 0; i < count; i++) {
+        for (Index i = 0; i < count; i++)
+            for (Index p = 0; p < columns; p++) {
                 const Vector& u = derivatives.whole[2 * i * columns + p];
                 const Vector& slope = derivatives.whole[(2 * i + 1) * columns + p];
                 for (Index plane = 0; plane < P; plane++) {
@@ -102,16 +102,16 @@ void write_derivatives(const Derivatives<Vector>& derivatives, const Shapes& out
                     out.u_by[at] = value(part(u, int(plane))), out.slope_by[at] = value(part(slope, int(plane)));
                 }
             }
-            for (Index m = 0; m < out.points; m++) {
+        for (Index m = 0; m < out.points; m++)
+            for (Index p = 0; p < columns; p++) {
                 const Vector& point = derivatives.constraints[m * columns + p];
                 const Vector& tip = derivatives.track[2 * m * columns + p];
                 for (Index plane = 0; plane < P; plane++) {
                     Index at = ((plane * sets + set) * out.points + m) * columns + p;
                     out.constraints_by[at] = value(part(point, int(plane)));
-                    out.track_by[at] = value(part(tip, int(plane)));
+                    if (out.track_by) out.track_by[at] = value(part(tip, int(plane)));
                 }
             }
-        }
     }
 }
 
@@ -122,7 +122,7 @@ Fault simulate(const Problem& problem, Index first, char* memory, const Shapes& 
     insertion.set = first;
     lay_out(insertion, derivatives, memory);
     insertion.prepare(), insertion.begin();
-    if (problem.columns > 0) derivatives.begin();
+    if (problem.columns > 0) derivatives.begin(out.track_by);
     for (Index s = 0; s < problem.stop_count; s++) {
         if (problem.columns > 0)
             derivatives.advance(problem.stops[s], s + 1 == problem.stop_count);
@@ -147,7 +147,7 @@ inline Fault check_output(const Problem& problem, const Shapes& out) {
     return good ? SOUND : BAD_OUTPUT;
 }
 
-EXPORT Index nf_abi_version() { return 2; }
+EXPORT Index nf_abi_version() { return 3; }
 EXPORT Index nf_lanes() { return LANES; }
 EXPORT Index nf_processor_level() { return find_processor_level(); }
 

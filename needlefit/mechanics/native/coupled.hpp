@@ -8,8 +8,22 @@ namespace needlefit {
 
 constexpr int UNKNOWNS = 4;  // of a node: v, w, v', w'; number 2 * component + plane
 
-// The equations of an element for (d, b), and loads on (a, b).
+// The reaction at a quadrature point: e, and with the point's weight d(k e g)/de and k e g.
+template <class Vector, class Pull>
+struct Reaction {
+    Vector e;
+    Pull pull;
+    Vector force;
+};
+
+// In space with d(k e g)/du', plain times friction, and with what stands on the right-hand side.
 template <class Real>
+struct CoupledPoint : Reaction<Pair<Real>, SymmetricMatrix<Real>> {
+    Pair<Real> plain, friction, load;
+};
+
+// The equations of an element for (d, b), and loads on (a, b).
+template <class Real, bool General>
 struct CoupledElement {
     Real dd[UNKNOWNS][UNKNOWNS]{}, db[UNKNOWNS][UNKNOWNS]{}, bd[UNKNOWNS][UNKNOWNS]{}, bb[UNKNOWNS][UNKNOWNS]{};
     Real f[2][UNKNOWNS]{};
@@ -23,52 +37,52 @@ struct CoupledElement {
         }
     }
 
-    // What the tissue adds at a point `behind` mm after node b (below 0): the weighted derivatives of its force by e, and
-    // by the slope, and what stands on the right-hand side.
+    // What the tissue adds at two points `behind` and `then` mm after node b (below 0).
     template <class Shape>
-    INLINE void add_point(
-        const Hermite<Shape>& shape, const Shape& behind, const Real (&pull)[2][2], const Real (&by_slope)[2][2],
-        const Pair<Real>& load
+    INLINE void add_pair(
+        const Hermite<Shape>& first, const Hermite<Shape>& second, const Shape& behind, const Shape& then,
+        const CoupledPoint<Real>& one, const CoupledPoint<Real>& two
     ) {
+        add_point(first, behind, one), add_point(second, then, two);
+    }
+    template <class Shape>
+    INLINE void add_point(const Hermite<Shape>& shape, const Shape& behind, const CoupledPoint<Real>& at) {
         Shape one = Shape() + 1.0, n[4] = {shape.n[0], shape.n[1], one, behind};
         Shape m[4] = {shape.m[0], shape.m[1], Shape(), one};
         for (int i = 0; i < 4; i++)
-            for (int j = 0; j < 4; j++) {
-                auto& block = i < 2 ? (j < 2 ? dd : db) : (j < 2 ? bd : bb);
-                for (int p = 0; p < 2; p++)
-                    for (int q = 0; q < 2; q++)
-                        block[2 * (i % 2) + p][2 * (j % 2) + q] += n[i] * (pull[p][q] * n[j] + by_slope[p][q] * m[j]);
+            for (int p = 0; p < 2; p++) {
+                for (int j = 0; j < 4; j++)
+                    for (int q = 0; q < 2; q++) {
+                        auto& block = i < 2 ? (j < 2 ? dd : db) : (j < 2 ? bd : bb);
+                        Real rubbing = part(at.plain, p) * part(at.friction, q) * m[j];
+                        block[2 * (i % 2) + p][2 * (j % 2) + q] += n[i] * (part(at.pull, p, q) * n[j] + rubbing);
+                    }
+                f[i / 2][2 * (i % 2) + p] += part(at.load, p) * shape.n[i];
             }
-        add_load(shape, load);
     }
-    template <class Shape>
-    INLINE void add_load(const Hermite<Shape>& shape, const Pair<Real>& load) {
-        for (int j = 0; j < 4; j++)
-            for (int p = 0; p < 2; p++) f[j / 2][2 * (j % 2) + p] += part(load, p) * shape.n[j];
-    }
+};
 
-    // The same without friction, whose stiffness is symmetric: the rest follows from `mirror`.
-    template <class Shape>
-    INLINE void add_point(
-        const Hermite<Shape>& shape, const Shape& behind, const SymmetricMatrix<Real>& pull, const Pair<Real>& load
-    ) {
-        Shape n[4] = {shape.n[0], shape.n[1], Shape() + 1.0, behind};
-        for (int i = 0; i < 4; i++)
-            for (int j = i; j < 4; j++) {
-                auto& block = i < 2 ? (j < 2 ? dd : db) : bb;
-                int row = 2 * (i % 2), column = 2 * (j % 2);
-                Shape product = n[i] * n[j];
-                Real across = product * pull.yz;
-                block[row][column] += product * pull.yy, block[row + 1][column + 1] += product * pull.zz;
-                block[row][column + 1] += across, block[row + 1][column] += across;
-            }
-        add_load(shape, load);
+// The same without friction and loads: the blocks (i, j), i <= j, for the deflection and slope of d, then of b. Each is
+// symmetric in the planes too.
+template <class Real>
+struct CoupledElement<Real, false> {
+    SymmetricMatrix<Real> k[4][4]{};
+
+    INLINE void add_bending(const Real& rigidity, const Real& length) {
+        Element<Real> one;
+        one.add_bending(rigidity, length);
+        auto add = [](SymmetricMatrix<Real>& block, const Real& more) { block.yy += more, block.zz += more; };
+        add(k[0][0], one.k00), add(k[0][1], one.k01), add(k[1][1], one.k11);
     }
-    INLINE void mirror() {
-        for (int i = 0; i < UNKNOWNS; i++)
-            for (int j = 0; j < UNKNOWNS; j++) bd[i][j] = db[j][i];
-        for (int i = 2; i < UNKNOWNS; i++)
-            for (int j = 0; j < 2; j++) dd[i][j] = dd[j][i], bb[i][j] = bb[j][i];
+    // Both points at once, for each sum goes through memory.
+    template <class Shape>
+    INLINE void add_pair(
+        const Hermite<Shape>& first, const Hermite<Shape>& second, const Shape& behind, const Shape& then,
+        const CoupledPoint<Real>& one, const CoupledPoint<Real>& two
+    ) {
+        Shape n[4] = {first.n[0], first.n[1], Shape() + 1.0, behind}, m[4] = {second.n[0], second.n[1], n[2], then};
+        for (int i = 0; i < 4; i++)
+            for (int j = i; j < 4; j++) k[i][j] = k[i][j] + ((n[i] * n[j]) * one.pull + (m[i] * m[j]) * two.pull);
     }
 };
 
@@ -82,39 +96,20 @@ struct CoupledCarried {
     Real s[UNKNOWNS][UNKNOWNS]{}, r[UNKNOWNS]{};
 };
 
+// Invert a matrix in place, by Gauss-Jordan elimination. No pivoting, as in `eliminate` of one plane.
 template <class Real>
-INLINE void invert(const Real (&a)[2][2], Real (&out)[2][2]) {
-    Real inverse = 1.0 / (a[0][0] * a[1][1] - a[0][1] * a[1][0]);
-    out[0][0] = a[1][1] * inverse, out[0][1] = -a[0][1] * inverse;
-    out[1][0] = -a[1][0] * inverse, out[1][1] = a[0][0] * inverse;
-}
-template <class Real>
-INLINE void multiply(const Real (&a)[2][2], const Real (&b)[2][2], Real (&out)[2][2]) {
-    for (int i = 0; i < 2; i++)
-        for (int j = 0; j < 2; j++) out[i][j] = a[i][0] * b[0][j] + a[i][1] * b[1][j];
-}
-
-// The inverse of a matrix, by its 2 x 2 blocks: of deflections, and of what they leave to the slopes.
-template <class Real>
-INLINE void invert(const Real (&a)[UNKNOWNS][UNKNOWNS], Real (&out)[UNKNOWNS][UNKNOWNS]) {
-    Real p[2][2], q[2][2], r[2][2], s[2][2], p_inverse[2][2], pq[2][2], rp[2][2], rest[2][2], t[2][2], u[2][2];
-    for (int i = 0; i < 2; i++)
-        for (int j = 0; j < 2; j++)
-            p[i][j] = a[i][j], q[i][j] = a[i][2 + j], r[i][j] = a[2 + i][j], s[i][j] = a[2 + i][2 + j];
-    invert(p, p_inverse);
-    multiply(p_inverse, q, pq), multiply(r, p_inverse, rp), multiply(r, pq, rest);
-    for (int i = 0; i < 2; i++)
-        for (int j = 0; j < 2; j++) rest[i][j] = s[i][j] - rest[i][j];
-    invert(rest, t);
-    multiply(pq, t, u), multiply(t, rp, r), multiply(u, rp, s);
-    for (int i = 0; i < 2; i++)
-        for (int j = 0; j < 2; j++) {
-            out[i][j] = p_inverse[i][j] + s[i][j], out[i][2 + j] = -u[i][j];
-            out[2 + i][j] = -r[i][j], out[2 + i][2 + j] = t[i][j];
+INLINE void invert(Real (&a)[UNKNOWNS][UNKNOWNS]) {
+    for (int k = 0; k < UNKNOWNS; k++) {
+        Real inverse = 1.0 / a[k][k];
+        for (int j = 0; j < UNKNOWNS; j++) a[k][j] = j == k ? inverse : inverse * a[k][j];
+        for (int i = 0; i < UNKNOWNS; i++) {
+            Real share = a[i][k];
+            for (int j = 0; i != k && j < UNKNOWNS; j++) a[i][j] = j == k ? -share * inverse : a[i][j] - share * a[k][j];
         }
+    }
 }
 
-// The inverse of a symmetric matrix.
+// The inverse of a symmetric matrix by its 2 x 2 blocks: of deflections, and of what they leave to the slopes.
 template <class Real>
 INLINE void invert_symmetric(const Real (&a)[UNKNOWNS][UNKNOWNS], Real (&out)[UNKNOWNS][UNKNOWNS]) {
     Real scale = 1.0 / (a[0][0] * a[1][1] - a[0][1] * a[0][1]);
@@ -146,7 +141,7 @@ INLINE Real read_component(const Node<Pair<Real>>& node, int i) {
 // As `eliminate` of one plane.
 template <class Real>
 void eliminate(
-    CoupledCarried<Real>& carried, CoupledElement<Real>& k, const Real& h, Kind kind, const Node<Pair<Real>>& value,
+    CoupledCarried<Real>& carried, CoupledElement<Real, true>& k, const Real& h, Kind kind, const Node<Pair<Real>>& value,
     CoupledFactor<Real>& factor
 ) {
     constexpr int N = UNKNOWNS;
@@ -173,15 +168,15 @@ void eliminate(
         }
         if (held) d[i][i] = all_lanes<Real>(1.0), r[i] = read_component(value, i);
     }
-    invert(d, factor.inverse);
+    invert(d);
     for (int i = 0; i < N; i++) {
         Real z{};
         for (int j = 0; j < N; j++) {
             Real g{}, onward{};
             for (int l = 0; l < N; l++)
-                g += factor.inverse[i][l] * e[l][j], onward += f[i][l] * factor.inverse[l][j];
-            factor.g[i][j] = g, factor.onward[i][j] = onward;
-            z += factor.inverse[i][j] * r[j];
+                g += d[i][l] * e[l][j], onward += f[i][l] * d[l][j];
+            factor.inverse[i][j] = d[i][j], factor.g[i][j] = g, factor.onward[i][j] = onward;
+            z += d[i][j] * r[j];
         }
         factor.z[i] = z;
     }
@@ -197,40 +192,36 @@ void eliminate(
     }
 }
 
-// The same of a free node and a symmetric element: then onward = -g^T, and half of the rest follows from the other half.
+// The same of a free node and a symmetric element: then onward = -G^T, which is all that is kept.
 template <class Real>
-INLINE void eliminate_symmetric(
-    CoupledCarried<Real>& carried, const CoupledElement<Real>& k, const Real& h, CoupledFactor<Real>& factor
+INLINE void eliminate(
+    CoupledCarried<Real>& carried, const CoupledElement<Real, false>& element, const Real& h, CoupledFactor<Real>& factor
 ) {
     constexpr int N = UNKNOWNS;
-    Real d[N][N], e[N][N], w[N][N], r[N];  // w = bd + T^T s
+    const auto& k = element.k;
+    SymmetricMatrix<Real> e[2][2] = {{k[0][2] - k[0][0], k[0][3] - (k[0][1] - h * k[0][0])},
+                                     {k[1][2] - k[0][1], k[1][3] - (k[1][1] - h * k[0][1])}};
+    SymmetricMatrix<Real> rest[2][2] = {{k[2][2] - k[0][2], k[2][3] - (k[1][2] - h * k[0][2])},
+                                        {{}, k[3][3] - (k[1][3] - h * k[0][3])}};
+    auto entry = [](const auto& blocks, int i, int j) -> const Real& { return part(blocks[i / 2][j / 2], i % 2, j % 2); };
+    Real d[N][N], inverse[N][N], w[N][N], g[N][N];  // w = bd + T^T s
     auto& s = carried.s;
-    for (int i = 0; i < N; i++) {
-        r[i] = carried.r[i] + k.f[0][i];
+    for (int i = 0; i < N; i++)
         for (int j = 0; j < N; j++) {
-            d[i][j] = k.dd[i][j] + s[i][j];
-            e[i][j] = k.db[i][j] - (j < 2 ? k.dd[i][j] : k.dd[i][j] - h * k.dd[i][j - 2]);
-            w[i][j] = k.db[j][i] + (i < 2 ? s[i][j] : s[i][j] - h * s[i - 2][j]);
+            if (i <= j) d[i][j] = entry(k, i, j) + s[i][j];
+            w[i][j] = entry(k, j, 4 + i) + (i < 2 ? s[i][j] : s[i][j] - h * s[i - 2][j]);
         }
-    }
-    invert_symmetric(d, factor.inverse);
-    const auto& inverse = factor.inverse;
-    for (int i = 0; i < N; i++) {
-        factor.z[i] = inverse[i][0] * r[0] + inverse[i][1] * r[1] + (inverse[i][2] * r[2] + inverse[i][3] * r[3]);
+    invert_symmetric(d, inverse);
+    for (int i = 0; i < N; i++)
         for (int j = 0; j < N; j++) {
-            Real g = inverse[i][0] * e[0][j] + inverse[i][1] * e[1][j] + (inverse[i][2] * e[2][j] + inverse[i][3] * e[3][j]);
-            factor.g[i][j] = g, factor.onward[j][i] = -g;
+            g[i][j] = inverse[i][0] * entry(e, 0, j) + inverse[i][1] * entry(e, 1, j) +
+                      (inverse[i][2] * entry(e, 2, j) + inverse[i][3] * entry(e, 3, j));
+            factor.onward[j][i] = -g[i][j];
         }
-    }
-    const auto& g = factor.g;
-    for (int i = 0; i < N; i++) {
-        for (int j = i; j < N; j++) {
-            Real rest = k.bb[i][j] - (j < 2 ? k.db[j][i] : k.db[j][i] - h * k.db[j - 2][i]);
+    for (int i = 0; i < N; i++)
+        for (int j = i; j < N; j++)
             s[i][j] = s[j][i] =
-                rest - (w[i][0] * g[0][j] + w[i][1] * g[1][j] + (w[i][2] * g[2][j] + w[i][3] * g[3][j]));
-        }
-        carried.r[i] = k.f[1][i] - (g[0][i] * r[0] + g[1][i] * r[1] + (g[2][i] * r[2] + g[3][i] * r[3]));
-    }
+                entry(rest, i, j) - (w[i][0] * g[0][j] + w[i][1] * g[1][j] + (w[i][2] * g[2][j] + w[i][3] * g[3][j]));
 }
 
 template <class Real>

@@ -18,16 +18,6 @@ enum ColumnKind {
     COLUMN_KINDS
 };
 
-// What a pass over all elements keeps of a quadrature point.
-template <class Vector>
-struct Linearized {
-    using Point = Reaction<Vector>;
-};
-template <class Real>
-struct Linearized<Pair<Real>> {
-    using Point = CoupledReaction<Real>;
-};
-
 template <class Vector>
 struct Derivatives {
     static constexpr int W = Traits<Vector>::lanes, P = Traits<Vector>::planes;
@@ -49,7 +39,7 @@ struct Derivatives {
     Vector* whole;        // (chain, 2, columns) of every node, at the last stop
 
     // Room to work in.
-    typename Linearized<Vector>::Point* points;
+    Reaction<Vector, Matrix<Vector>>* points;
     Vector* by_constraint;  // (cells + 1, N) adjoint rows times loads
     Real* by_layer;         // (layers, N, shapes + 2): of the force, of friction, of each shape parameter
     Node<Vector> (*rows)[N];       // (chain) the adjoint rows, 0 where prescribed
@@ -60,6 +50,7 @@ struct Derivatives {
     };
     Entry* entries;  // right-hand sides that touch few nodes
     Index entry_count;
+    bool joined;  // in place of the tip's deflection and slope the next constraint point is followed
 
     explicit Derivatives(Insertion<Vector>& given) : needle(given), problem(given.problem), columns(problem.columns) {}
 
@@ -70,7 +61,7 @@ struct Derivatives {
         constraints = arena.take<Vector>(cells * columns), rays = arena.take<Vector>(problem.rays * 2 * columns);
         tip = arena.take<Vector>(2 * columns), track = arena.take<Vector>(cells * 2 * columns);
         cut = arena.take<Vector>(columns), whole = arena.take<Vector>(chain * 2 * columns);
-        points = arena.take<typename Linearized<Vector>::Point>(problem.points());
+        points = arena.take<Reaction<Vector, Matrix<Vector>>>(problem.points());
         by_constraint = arena.take<Vector>(cells * N);
         by_layer = arena.take<Real>(problem.layers * N * (problem.shapes + 2));
         rows = arena.take<Node<Vector>[N]>(chain), held_rows = arena.take<Node<Vector>[N]>(chain);
@@ -81,8 +72,13 @@ struct Derivatives {
 
     Index column(ColumnKind kind) const { return problem.column_of[kind]; }
 
-    void begin() {
+    // `tracked`: the tip's own derivatives are asked for at every stop. If not, half of the rows do in space where each
+    // constraint point has a ray of its own.
+    void begin(bool tracked) {
         Index cells = problem.cells() + 1, shapes = problem.shapes;
+        joined = P == 2 && !tracked && problem.part != LINEAR_CUT;
+        for (Index s = 0; s < problem.stop_count; s++)
+            if (problem.stops[s].cell > 0 && !(problem.stops[s].flags & STARTS_RAY)) joined = false;
         for (Index i = 0; i < cells * columns; i++) constraints[i] = Vector{};
         for (Index i = 0; i < cells * 2 * columns; i++) track[i] = Vector{};
         for (Index i = 0; i < problem.rays * 2 * columns; i++) rays[i] = Vector{};
@@ -117,16 +113,17 @@ struct Derivatives {
     // Bring the needle to a stop, and all derivatives with it; `final`: fill `whole`.
     void advance(const Stop& stop, bool final) {
         needle.reach(stop);
-        linearize();
+        linearize(final);
         needle.record(stop);
         place_constraint(stop);
         list_entries(stop);
         if (final) {
             differentiate_shape();
+        } else if (P == 2 && joined) {
+            double ahead = problem.tangent * ((&stop)[1].tip - stop.tip);
+            solve_adjoint<P>(ahead), sum_loads<P>(stop), differentiate_tip<P>(stop);
         } else {
-            solve_adjoint();
-            sum_loads(stop);
-            differentiate_tip(stop);
+            solve_adjoint<N>(0.0), sum_loads<N>(stop), differentiate_tip<N>(stop);
         }
         for (Index p = 0; p < columns; p++) {
             track[(2 * stop.cell) * columns + p] = tip[p], track[(2 * stop.cell + 1) * columns + p] = tip[columns + p];
@@ -134,13 +131,13 @@ struct Derivatives {
         }
     }
 
-    void linearize() {
+    void linearize(bool whole) {
         Seen<Real> seen;
-        auto keep = [&](Index q, const typename Linearized<Vector>::Point& found) { points[q] = found; };
-        if constexpr (P == 2)
-            needle.constants->friction ? needle.template sweep_coupled<true>(needle.state(), seen, keep)
-                                       : needle.template sweep_coupled<false>(needle.state(), seen, keep);
-        else if (needle.constants->friction)
+        auto keep = [&](Index q, const Reaction<Vector, Matrix<Vector>>& found) { points[q] = found; };
+        if constexpr (P == 2) {
+            needle.constants->friction || whole ? needle.template sweep_coupled<true>(needle.state(), seen, keep)
+                                                : needle.template sweep_coupled<false>(needle.state(), seen, keep);
+        } else if (needle.constants->friction)
             needle.template sweep<true>(needle.state(), 0, seen, keep);
         else
             needle.template sweep<false>(needle.state(), 0, seen, keep);
@@ -173,15 +170,18 @@ struct Derivatives {
 
     // ---- right-hand sides -------------------------------------------------------------------------------------------
 
-    // Visit all quadrature points with their element, number and shape functions; those of element 0 depend on the lane.
+    // Visit all pairs of quadrature points with their element, the number of the first, and the shape functions of both;
+    // those of element 0 depend on the lane. Both points of a pair have the same layer and constraint points.
     template <class Visit>
-    INLINE void visit_points(Visit visit) const {
+    INLINE void visit_pairs(Visit visit) const {
         const Grid& grid = *needle.grid;
         Real start = needle.front_x[needle.front - 1];
-        for (Index q = 0; q < grid.first[1]; q++)
-            visit(Index(0), q, Hermite<Real>(grid.points[q].x - start, grid.x[0] - start));
+        for (Index q = 0; q < grid.first[1]; q += 2)
+            visit(Index(0), q, Hermite<Real>(grid.points[q].x - start, grid.x[0] - start),
+                  Hermite<Real>(grid.points[q + 1].x - start, grid.x[0] - start));
         for (Index e = 1; e <= needle.last; e++)
-            for (Index q = grid.first[e]; q < grid.first[e + 1]; q++) visit(e, q, grid.points[q].shape);
+            for (Index q = grid.first[e]; q < grid.first[e + 1]; q += 2)
+                visit(e, q, grid.points[q].shape, grid.points[q + 1].shape);
     }
     INLINE bool rubs() const { return needle.constants->friction || column(FRICTION) >= 0; }
 
@@ -362,17 +362,20 @@ struct Derivatives {
 
     // ---- the tip ------------------------------------------------------------------------------------------------------
 
-    // Solve K^T lambda = load from tip to base, for a load on the tip's deflection and one on its slope. At a prescribed
-    // value, lambda is the derivative of the tip with respect to that value; it multiplies no load.
-    void solve_adjoint() {
+    // Solve K^T lambda = load from tip to base, for R loads: on the tip's deflection and on its slope, or one that stands
+    // for the deflection `ahead` of it. At a prescribed value, lambda is the derivative of the tip with respect to that
+    // value; it multiplies no load.
+    template <int R>
+    void solve_adjoint(double ahead) {
         const auto& inverse = factor_of(tip_node()).inverse;
-        Node<Vector> arriving[N];
-        for (int r = 0; r < N; r++)
-            for (int j = 0; j < N; j++) unknown_of(arriving[r], j) = inverse[r][j];
+        Node<Vector> arriving[R];
+        for (int r = 0; r < R; r++)
+            for (int j = 0; j < N; j++)
+                unknown_of(arriving[r], j) = R == N ? inverse[r][j] : inverse[r][j] + ahead * inverse[P + r][j];
         for (Index i = tip_node(); i >= 0; i--)
-            for (int r = 0; r < N; r++) {
-                Node<Vector> row = held_rows[i][r] = arriving[r];
-                if (needle.kinds[i] != FREE) row.u = Vector{};
+            for (int r = 0; r < R; r++) {
+                Node<Vector> row = arriving[r];
+                if (needle.kinds[i] != FREE) held_rows[i][r] = row, row.u = Vector{};
                 if (needle.kinds[i] == CLAMPED) row.slope = Vector{};
                 rows[i][r] = row;
                 if (i == 0) continue;
@@ -386,40 +389,48 @@ struct Derivatives {
     }
 
     // Sum adjoint rows times loads over the quadrature points, by constraint point and by layer.
+    template <int R>
     void sum_loads(const Stop& stop) {
         Index shapes = problem.shapes, width = shapes + 2;
-        for (Index m = 0; m < N * (stop.cell + 1); m++) by_constraint[m] = Vector{};
-        for (Index i = 0; i < problem.layers * N * width; i++) by_layer[i] = Real{};
-        Vector by_shape[MAX_SHAPES];
-        visit_points([&](Index e, Index q, const auto& shape) {
+        for (Index m = 0; m < R * (stop.cell + 1); m++) by_constraint[m] = Vector{};
+        for (Index i = 0; i < problem.layers * R * width; i++) by_layer[i] = Real{};
+        Vector by_shape[2][MAX_SHAPES];
+        visit_pairs([&](Index e, Index q, const auto& first, const auto& second) {
             Index i = e + needle.front - 1;
             const Point& point = needle.grid->points[q];
-            PointLoads loads = find_loads(e, q, shape, by_shape);
-            for (int r = 0; r < N; r++) {
+            PointLoads one = find_loads(e, q, first, by_shape[0]), two = find_loads(e, q + 1, second, by_shape[1]);
+            for (int r = 0; r < R; r++) {
                 const Node<Vector>&a = rows[i][r], &b = rows[i + 1][r];
-                Vector at = shape.n[0] * a.u + shape.n[1] * a.slope + shape.n[2] * b.u + shape.n[3] * b.slope;
-                by_constraint[N * point.near + r] += loads.near * at;
-                if (point.share != 0.0) by_constraint[N * point.other + r] += loads.other * at;
-                Real* sums = by_layer + (N * point.layer + r) * width;
-                sums[0] += dot(at, loads.force);
-                if (rubs()) sums[1] += dot(at, loads.friction);
+                auto interpolate = [&](const auto& n) { return n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope; };
+                Vector at = interpolate(first.n), then = interpolate(second.n);
+                Vector& near = by_constraint[R * point.near + r];
+                near = near + one.near * at + two.near * then;
+                if (point.share != 0.0) {
+                    Vector& other = by_constraint[R * point.other + r];
+                    other = other + one.other * at + two.other * then;
+                }
+                Real* sums = by_layer + (R * point.layer + r) * width;
+                sums[0] = sums[0] + dot(at, one.force) + dot(then, two.force);
+                if (rubs()) sums[1] = sums[1] + dot(at, one.friction) + dot(then, two.friction);
                 if (column(SHAPE) >= 0)
-                    for (Index p = 0; p < shapes; p++) sums[2 + p] += dot(at, by_shape[p]);
+                    for (Index p = 0; p < shapes; p++)
+                        sums[2 + p] = sums[2 + p] + dot(at, by_shape[0][p]) + dot(then, by_shape[1][p]);
             }
         });
     }
 
+    template <int R>
     void differentiate_tip(const Stop& stop) {
         Index shapes = problem.shapes, width = shapes + 2;
         auto tip_at = [&](int r, Index p) -> Real& { return part(tip[r / P * columns + p], r % P); };
         for (Index p = 0; p < 2 * columns; p++) tip[p] = Vector{};
         for (Index m = 0; m <= stop.cell; m++)
-            for (int r = 0; r < N; r++)
+            for (int r = 0; r < R; r++)
                 for (Index p = 0; p < columns; p++)
-                    tip_at(r, p) += dot(by_constraint[N * m + r], constraints[m * columns + p]);
+                    tip_at(r, p) += dot(by_constraint[R * m + r], constraints[m * columns + p]);
         for (Index i = 0; i < problem.layers; i++)
-            for (int r = 0; r < N; r++) {
-                const Real* sums = by_layer + (N * i + r) * width;
+            for (int r = 0; r < R; r++) {
+                const Real* sums = by_layer + (R * i + r) * width;
                 if (column(MU) >= 0) tip_at(r, column(MU) + i) -= sums[0] / needle.layers[i].mu;
                 // In equilibrium the beam's own load is minus the tissue's.
                 if (column(RIGIDITY) >= 0) tip_at(r, column(RIGIDITY)) += sums[0] / needle.constants->rigidity;
@@ -430,7 +441,7 @@ struct Derivatives {
         for (Index n = 0; n < entry_count; n++) {
             const Entry& entry = entries[n];
             bool held = needle.kinds[entry.node] > entry.unknown / P;
-            for (int r = 0; r < N; r++) {
+            for (int r = 0; r < R; r++) {
                 Node<Vector>& row = (held ? held_rows : rows)[entry.node][r];
                 tip_at(r, entry.column) += entry.amount * unknown_of(row, int(entry.unknown));
             }
@@ -445,7 +456,7 @@ struct Derivatives {
         Index size = tip_node() + 1, shapes = problem.shapes;
         for (Index i = 0; i < size * 2 * columns; i++) whole[i] = Vector{};
         Vector by_shape[MAX_SHAPES];
-        visit_points([&](Index e, Index q, const auto& shape) {
+        auto add = [&](Index e, Index q, const auto& shape) {
             const Point& point = needle.grid->points[q];
             PointLoads loads = find_loads(e, q, shape, by_shape);
             const Vector *near = constraints + point.near * columns, *other = constraints + point.other * columns;
@@ -463,7 +474,8 @@ struct Derivatives {
                     for (Index p = 0; p < shapes; p++)
                         into[column(SHAPE) + p * problem.layers + point.layer] -= n * by_shape[p];
             }
-        });
+        };
+        visit_pairs([&](Index e, Index q, const auto& first, const auto& second) { add(e, q, first), add(e, q + 1, second); });
         for (Index i = 0; i < size; i++)  // what is prescribed has no equation that could be loaded
             for (Index component = 0; component < needle.kinds[i]; component++)
                 for (Index p = 0; p < columns; p++) row_of(i, component)[p] = Vector{};

@@ -92,22 +92,6 @@ inline Grid take_grid(Arena& arena, const Problem& problem) {
     return {0, arena.take<double>(nodes), arena.take<Index>(nodes + 1), arena.take<Point>(problem.points())};
 }
 
-// The reaction at a quadrature point: e, and with the point's weight d(k e g)/de and k e g.
-template <class Vector>
-struct Reaction {
-    Vector e;
-    Scalar<Vector> pull;
-    Vector force;
-};
-
-// The same of both planes together.
-template <class Real>
-struct CoupledReaction {
-    Pair<Real> e;
-    SymmetricMatrix<Real> pull;
-    Pair<Real> force;
-};
-
 // The straight path that the tip cuts, in all lanes.
 template <class Vector>
 struct Ray {
@@ -361,7 +345,7 @@ struct Insertion {
 
     // Add a quadrature point, linearised about the element's ends `a` and `b`.
     template <class Shape>
-    INLINE Reaction<Vector> add_point(
+    INLINE Reaction<Vector, Real> add_point(
         Element<Vector>& k, Rubbing<Real>* rubbing, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
         const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
     ) const {
@@ -431,67 +415,66 @@ struct Insertion {
     }
     template <bool Friction>
     INLINE void sweep(const Node<Vector>* state, Index condensed, Seen<Real>& seen) {
-        sweep<Friction>(state, condensed, seen, [](Index, const Reaction<Vector>&) {});
+        sweep<Friction>(state, condensed, seen, [](Index, const Reaction<Vector, Real>&) {});
     }
 
-    // The same of both planes together, all elements linearised.
-    template <bool Friction, class Keep>
+    // The same of both planes together, all elements linearised. Unless `General`, nothing has friction, and of free nodes
+    // only `onward` is found.
+    template <bool General, class Keep>
     void sweep_coupled(const Node<Vector>* state, Seen<Real>& seen, Keep keep) {
         CoupledCarried<Real> carried;
         for (Index i = 0; i < front + last; i++) {
-            CoupledElement<Real> k;
             Index e = i + 1 - front;
             const Node<Vector>&a = i < front ? fronts[i] : state[e - 1], &b = i + 1 < front ? fronts[i + 1] : state[e];
             Real begin = i < front ? front_x[i] : all_lanes<Real>(grid->x[e - 1]);
             Real end = i + 1 < front ? front_x[i + 1] : all_lanes<Real>(grid->x[e]), length = end - begin;
-            for (Index q = e < 0 ? 0 : grid->first[e]; e >= 0 && q < grid->first[e + 1]; q++) {
-                const Point& point = grid->points[q];
-                if (e == 0)
-                    keep(q, add_coupled_point<Friction>(
-                        k, Hermite<Real>(point.x - begin, length), point.x - end, point, a, b, seen
-                    ));
-                else
-                    keep(q, add_coupled_point<Friction>(k, point.shape, point.x - grid->x[e], point, a, b, seen));
+            auto add_pair = [&](auto& k, Index q, const auto& first, const auto& second, const auto& end)
+                                __attribute__((always_inline)) {
+                const Point* points = grid->points + q;
+                auto one = linearize_coupled<General>(first, points[0], a, b, seen);
+                auto two = linearize_coupled<General>(second, points[1], a, b, seen);
+                k.add_pair(first, second, points[0].x - end, points[1].x - end, one, two);
+                keep(q, one), keep(q + 1, two);
+            };
+            auto linearize = [&](auto& k) __attribute__((always_inline)) {
+                for (Index q = e < 0 ? 0 : grid->first[e]; e >= 0 && q < grid->first[e + 1]; q += 2) {
+                    const Point &one = grid->points[q], &two = grid->points[q + 1];
+                    if (e == 0)
+                        add_pair(k, q, Hermite<Real>(one.x - begin, length), Hermite<Real>(two.x - begin, length), end);
+                    else
+                        add_pair(k, q, one.shape, two.shape, grid->x[e]);
+                }
+                k.add_bending(constants->rigidity, length);
+            };
+            if (General || kinds[i] != FREE) {
+                CoupledElement<Real, true> k;
+                linearize(k), eliminate(carried, k, length, kinds[i], values[i], coupled[i]);
+            } else {
+                CoupledElement<Real, false> k;
+                linearize(k), eliminate(carried, k, length, coupled[i]);
             }
-            if constexpr (!Friction) k.mirror();
-            k.add_bending(constants->rigidity, length);
-            if (!Friction && kinds[i] == FREE)
-                eliminate_symmetric(carried, k, length, coupled[i]);
-            else
-                eliminate(carried, k, length, kinds[i], values[i], coupled[i]);
         }
-        CoupledElement<Real> nothing;
+        if (!General && kinds[front + last] == FREE) return invert_symmetric(carried.s, coupled[front + last].inverse);
+        CoupledElement<Real, true> nothing;
         eliminate(carried, nothing, Real{}, kinds[front + last], values[front + last], coupled[front + last]);
     }
     template <bool Friction, class Shape>
-    INLINE CoupledReaction<Real> add_coupled_point(
-        CoupledElement<Real>& k, const Hermite<Shape>& shape, const Shape& behind, const Point& point,
-        const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
+    INLINE CoupledPoint<Real> linearize_coupled(
+        const Hermite<Shape>& shape, const Point& point, const Node<Vector>& a, const Node<Vector>& b, Seen<Real>& seen
     ) const {
         const Shape *n = shape.n, *m = shape.m;
         Vector u = n[0] * a.u + n[1] * a.slope + n[2] * b.u + n[3] * b.slope;
         Vector slope = m[0] * a.u + m[1] * a.slope + m[2] * b.u + m[3] * b.slope;
-        CoupledReaction<Real> found;
+        CoupledPoint<Real> found;
         found.e = u - cut_at(point);
         Force<Vector> force = find_force(layers[point.layer], found.e, Friction ? &slope : nullptr, seen);
-        found.force = point.weight * force.value;
         const Vector& along = force.direction;
         Vector stiffening = (force.along - force.across) * along;
         found.pull = point.weight * SymmetricMatrix<Real>{
             force.across + stiffening.y * along.y, stiffening.y * along.z, force.across + stiffening.z * along.z
         };
-        Vector load = found.pull * u - found.force;
-        if constexpr (Friction) {
-            Real pull[2][2] = {{found.pull.yy, found.pull.yz}, {found.pull.yz, found.pull.zz}}, by_slope[2][2];
-            for (int p = 0; p < 2; p++)
-                for (int q = 0; q < 2; q++) {
-                    by_slope[p][q] = point.weight * (part(force.plain, p) * part(force.friction, q));
-                    part(load, p) += by_slope[p][q] * part(slope, q);
-                }
-            k.add_point(shape, behind, pull, by_slope, load);
-        } else {
-            k.add_point(shape, behind, found.pull, load);
-        }
+        found.force = point.weight * force.value, found.plain = point.weight * force.plain, found.friction = force.friction;
+        found.load = found.pull * u - found.force + found.plain * dot(force.friction, slope);
         return found;
     }
 
@@ -519,7 +502,7 @@ struct Insertion {
     // Linearise elements `from` to `to` of the past about `state`, in the chosen lanes.
     void condense(const Node<Vector>* state, Index from, Index to, const M& chosen, Seen<Real>& seen) {
         for (Index e = from; e <= to; e++) {
-            auto keep = [&](Index q, const Reaction<Vector>& found) {
+            auto keep = [&](Index q, const Reaction<Vector, Real>& found) {
                 pulls[q] = select<Real>(chosen, found.pull, pulls[q]);
             };
             Element<Vector> k = linearize(e, state, nullptr, seen, keep), found = *super;
@@ -701,7 +684,7 @@ struct Insertion {
             if (!coupled_pass)
                 sweep<Friction>(next, 0, seen);
             else if constexpr (P == 2)
-                sweep_coupled<Friction>(next, seen, [](Index, const CoupledReaction<Real>&) {});
+                sweep_coupled<true>(next, seen, [](Index, const CoupledPoint<Real>&) {});
             // A guess may lie beyond what the tissue bears, and the answer not: go on. Later, go half the way back to
             // the last state that some tissue bore.
             M back = seen.crushed & borne, onward = busy & !seen.crushed;

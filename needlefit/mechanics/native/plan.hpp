@@ -1,5 +1,5 @@
-// The stops of a needle's moves: where the tip halts, and which ray cuts its path there. `mechanics/plan.py` lists the
-// same ones. They depend on depths and on changes of the inputs, never on the solution.
+// The stops of a needle's moves: where the tip halts, and which ray cuts its path there. They depend on depths and on
+// changes of the inputs, never on the solution.
 #pragma once
 
 #include "needle.hpp"

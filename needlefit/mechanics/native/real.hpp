@@ -233,12 +233,21 @@ INLINE SymmetricMatrix<Real> operator*(const Number& by, const SymmetricMatrix<R
     return {by * a.yy, by * a.yz, by * a.zz};
 }
 template <class Real>
+INLINE SymmetricMatrix<Real> operator+(const SymmetricMatrix<Real>& a, const SymmetricMatrix<Real>& b) {
+    return {a.yy + b.yy, a.yz + b.yz, a.zz + b.zz};
+}
+template <class Real>
 INLINE SymmetricMatrix<Real> operator-(const SymmetricMatrix<Real>& a, const SymmetricMatrix<Real>& b) {
     return {a.yy - b.yy, a.yz - b.yz, a.zz - b.zz};
 }
 template <class Real>
 INLINE Pair<Real> operator*(const SymmetricMatrix<Real>& a, const Pair<Real>& b) {
     return {a.yy * b.y + a.yz * b.z, a.yz * b.y + a.zz * b.z};
+}
+
+template <class Real>
+INLINE const Real& part(const SymmetricMatrix<Real>& matrix, int row, int column) {
+    return row != column ? matrix.yz : row == 0 ? matrix.yy : matrix.zz;
 }
 
 INLINE bool is_finite(double value) { return value - value == 0.0; }

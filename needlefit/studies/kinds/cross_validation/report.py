@@ -214,7 +214,8 @@ def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
         "identify": result.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(result),
     }
-    written |= {name: result.frames[name] for name in ("predictive", "error_fit", "population", "draws")}
+    names = ("predictive", "curvature", "error_fit", "population", "draws")
+    written |= {name: result.frames[name] for name in names}
     found: dict[str, pd.DataFrame | str] = {
         name: result.frames[name] for name in ("errors", "shapes", "starts", "directions")
     }

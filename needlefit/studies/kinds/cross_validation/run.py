@@ -405,6 +405,7 @@ class _StudyRun:
         for one in drawn.predicted:
             self.rows["predictive"].append(one.row)
             self.rows["bands"] += one.band
+            self.rows["curvature"] += one.sensors
             self.counts.predicted.add(one.solved, one.outside)
         job, specimens, draws = self.job, drawn.specimens, drawn.specimens.replace_mean(drawn.made.shown)
         about = {"fold": fold.name, **draws.describe()}
