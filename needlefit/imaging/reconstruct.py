@@ -6,12 +6,12 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, TypeVar, cast
+from typing import Literal
 
 import numpy as np
 from scipy.special import chdtrc
@@ -322,7 +322,6 @@ def _note_shifted_markers(
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
-T = TypeVar("T")
 
 
 class VolumeSearch:
@@ -330,37 +329,27 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = volume, recipe
-        self._found: dict[tuple[str, float | None, bytes], object] = {}
+        self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
 
-    def find_tubes(self) -> list[Component]:
-        """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
+    @cached_property
+    def tubes(self) -> list[Component]:
+        """The components that may be the needle; DataError as `segmentation.find_tubes`."""
+        return find_tubes(self.volume, self.recipe, self.bright)
 
-    @property
+    @cached_property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
-        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
+        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU)
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
-        work = partial(fit_sphere, volume, blob, radius)
-        return self._once(f"ball above {blob.level}", work, radius, blob.voxels.tobytes())
-
-    def _once(self, name: str, work: Callable[[], T], radius: float | None = None, own: bytes = b"") -> T:
-        key = name, radius, own
-        if key not in self._found:
-            try:
-                self._found[key] = work()
-            except DataError as error:
-                self._found[key] = error
-        found: Any = self._found[key]
-        if isinstance(found, DataError):
-            raise found
-        return cast(T, found)
+        key = blob.level, radius, blob.voxels.tobytes()
+        if key not in self._balls:
+            self._balls[key] = fit_sphere(volume, blob, radius)
+        return self._balls[key]
 
 
 def estimate_first_contact(
@@ -566,7 +555,7 @@ def examine(
             listed = is_list_of_points(scan.mask)
             points = read_markers(scan.mask) if listed else read_mask_points(volume, scan.mask)
         if points is None:
-            found.selection = select_needle(volume, recipe, scan.needle_at, search.find_tubes())
+            found.selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
         else:
             axis = follow_points(volume, points, recipe)
             found.selection = NeedleSelection(select_rod(volume, axis, recipe), axis=axis)
