@@ -8,10 +8,12 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.sparse import csr_array
 
 from needlefit.arrays import Floats, Ints
-from needlefit.imaging.point_spread import read_spread
+from needlefit.imaging.point_spread import PointSpread
 
 COLUMN_MM, CELL_MM = 0.75, 0.25  # pieces of the rod along it, and cells of the detector, mm
 PLANE_MM, PLANE_STEP = 0.17, 6  # distance of planes at most, mm; a slice has a multiple of so many
+# Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
+SENSITIVITY_AT = np.arange(6) / 6
 # Angle between views along the needle, and how much it grows with the angle to the needle, rad.
 VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
@@ -147,12 +149,12 @@ class Rod:
     def show(self, metal: csr_array, scan: Floats, aside: float = 0.0) -> Floats:
         """Return the slices (K, S, U), water 1, over their surroundings, where `metal` is on their rays.
 
-        `scan`: (7,); see `slice_fit`.
+        `scan`: (11,); see `slice_fit`.
         """
-        (attenuation, variance, scatter, linear), spread = np.exp(scan[:4]), read_spread(scan[4:])
-        profile = spread.weigh_planes(
-            np.arange(1 - self.in_slice, self.in_slice) * self.thick / self.in_slice
-        )
+        attenuation, variance, scatter, linear, blur = np.exp(scan[:5])
+        spread = PointSpread(float(blur), float(scan[5]), self.thick)
+        away = np.abs(np.arange(1 - self.in_slice, self.in_slice)) / self.in_slice
+        profile = np.exp(np.interp(away, SENSITIVITY_AT, [0.0, *scan[6:]]))
         mix = np.zeros((len(self.heights), len(self.planes)), dtype=np.float32)
         for k, row in enumerate(mix):
             row[k * self.in_slice : k * self.in_slice + len(profile)] = profile / profile.sum()

@@ -21,7 +21,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
-from needlefit.imaging.needle.rod_projection import COLUMN_MM, Rod
+from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
 from needlefit.imaging.point_spread import PointSpread, expected_spread
 from needlefit.imaging.refusals import refusal
@@ -47,9 +47,10 @@ SHEAR_SD_N, STEEL_MPA = 8.0, 200e3
 END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip itself carries no moment, mm
 # What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
 # scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
-# Means and deviations. Then follow the parameters of the point spread.
+# Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
+# planes of a slice over that of its middle; both as the point spread has them.
 BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
-BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])
+BEAM_SDS, PROFILE_SDS = np.array([0.25, 0.35, 0.6, 0.3]), (0.4, 0.4, 0.5, 1.0, 1.5)
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 # Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, by so many steps
@@ -272,13 +273,14 @@ class _SliceProblem:
 
     @cached_property
     def means(self) -> Floats:
-        """Expected parameters of the scan (7,)."""
-        return np.concatenate([BEAM_MEANS, self.spread.parameters])
+        """Expected parameters of the scan (11,)."""
+        profile = np.log(self.spread.weigh_planes(SENSITIVITY_AT[1:] * self.rod.thick))
+        return np.concatenate([BEAM_MEANS, self.spread.parameters[:2], profile])
 
     @cached_property
     def sds(self) -> Floats:
-        """Their deviations (7,)."""
-        return np.concatenate([BEAM_SDS, self.spread.sds])
+        """Their deviations (11,)."""
+        return np.concatenate([BEAM_SDS, self.spread.sds[:2], PROFILE_SDS])
 
     def split(self, theta: Floats) -> list[Floats]:
         """Return the parameters of each kind."""
