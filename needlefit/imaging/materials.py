@@ -166,15 +166,6 @@ def find_rises(profile: IntensityProfile) -> tuple[tuple[int, float, float], ...
     return tuple(found)
 
 
-def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
-    """Return where along the needle air changes to tissue, mm, and its deviation; None if there is no edge.
-
-    Of several rises it is the last: a guide is left again, the tissue holds the tip.
-    """
-    rises = find_rises(profile)
-    return rises[-1][1:] if rises else None
-
-
 def _fit_edge(
     profile: IntensityProfile, runs: tuple[MaterialRun, ...], target: int
 ) -> tuple[float, float] | None:

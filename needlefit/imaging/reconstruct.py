@@ -44,7 +44,7 @@ from needlefit.imaging.markers import (
     read_markers,
     refine_fiducials,
 )
-from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
+from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
@@ -70,7 +70,6 @@ from needlefit.imaging.registration.register import (
     predict_mean_target_error,
     register,
     scan_frame,
-    to_world,
 )
 from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
@@ -165,13 +164,11 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     own = any(surface.into == 1 for surface in one.layers.surfaces)
     source = "its own surface (into = 1)" if own else ""
     source = "the stage's entry" if one.pose.source == "stage" else source
-    edge = find_tissue_edge(one.profile)
-    if edge is None or not source:
-        return
-    off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
-    if abs(off) > MAX_DISAGREEMENT_SD * sd:
-        side = "after" if off > 0 else "before"
-        yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
+    for _, off, edge_sd in find_rises(one.profile)[-1:] if source else ():  # a guide is left again
+        sd = float(np.hypot(edge_sd, one.pose.along_sd))
+        if abs(off) > MAX_DISAGREEMENT_SD * sd:
+            side = "after" if off > 0 else "before"
+            yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
 
 
 def _plane_warnings(one: Reconstruction) -> Iterator[str]:
@@ -305,7 +302,7 @@ def _note_shifted_markers(
     pairs, number = fit.pairs[:, 0], len(fit.pairs)
     heights = to_index(volume, markers.centers[pairs])[:, 2]
     sd = np.hypot(markers.sd[pairs], recipe.markers.reference_sd_mm)[:, None, None]
-    moved = motion_jacobian(to_world(fit, markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
+    moved = motion_jacobian(scan_frame(fit).to_world(markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
     order = np.sort(heights)
     for low, high in pairwise(order[MIN_SHIFTED_MARKERS - 1 : number - MIN_SHIFTED_MARKERS + 1]):
         beyond = (heights > (low + high) / 2)[:, None, None] * np.eye(3)

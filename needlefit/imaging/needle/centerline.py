@@ -24,7 +24,6 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
     fit_sections,
     sample_planes,
-    select_sections,
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
@@ -279,12 +278,7 @@ def refine_axis(
         axis = fit_axis(s, points, weights, rules.knot_spacing_mm, s[-1] + heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, reach)
-    return replace(
-        axis,
-        shared_sd=estimate_shared_sd(
-            select_sections(rough, good), select_sections(found, good), rules.station_spacing_mm
-        ),
-    )
+    return replace(axis, shared_sd=estimate_shared_sd(rough, found, good, rules.station_spacing_mm))
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:

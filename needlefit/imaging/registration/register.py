@@ -198,14 +198,9 @@ def scan_frame(registration: Registration) -> Frame:
     return Frame(registration.translation, registration.rotation)
 
 
-def to_world(registration: Registration, points: ArrayLike) -> Floats:
-    """Return scan `points` (N, 3), LPS, in world coordinates, mm."""
-    return scan_frame(registration).to_world(points)
-
-
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
-    moved = motion_jacobian(to_world(registration, points) - registration.centre)
+    moved = motion_jacobian(scan_frame(registration).to_world(points) - registration.centre)
     return np.asarray(moved @ registration.covariance @ np.swapaxes(moved, -1, -2))
 
 
