@@ -34,9 +34,7 @@ MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed betwe
 LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
 # Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
 END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
-MAX_SHORT_STATIONS = (
-    4  # an end so much before the one that a threshold sees is not believed; others: 1 at most
-)
+MAX_SHORT_STATIONS = 4  # an end so far before that of a threshold is not believed; of others 1 at most
 MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
 REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices are looked at
@@ -70,6 +68,10 @@ FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
 SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.0, 1.26, 1.5
 SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.05, 0.02, 4.0
 TIP_ERROR_MM = 0.03  # across, where the bevel is
+# A hub or holder in view hides the shaft before it, from rays along it, too: deviation along the normal, in
+# slices, where a needle begins farther than that from the volume's face, and the length over which it fades.
+# Set on nine needles with a hub among `benchmarks/real_scanners.py --seeds 12000:12037, 13000:13030`.
+HELD_ERROR, HELD_LENGTH_MM, MAX_EDGE_MM = 0.25, 6.0, 3.0
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
 BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
@@ -124,7 +126,10 @@ def place_in_slices(
     sds = factors * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
     # with what no residual shows; the tip's stands for that of the last section
     side, upright = np.delete(np.hypot(sds, np.hypot([[SIDE_ERROR_MM], [hidden]], missed)), -2, axis=1)
-    s = arc_length(points)
+    s, first = arc_length(points), to_index(volume, points[:1])[0]
+    edge = np.minimum(first, np.array(volume.grid.size) - 1 - first) * volume.spacing
+    if edge[:2].min() > MAX_EDGE_MM:
+        upright = np.hypot(upright, HELD_ERROR * thick * np.exp(-np.delete(s, -2) / HELD_LENGTH_MM))
     placed = fit_axis(s[:-1], points[:-1], axis.weights, knot, max(s[-1], s[-2] + MIN_END_MM))
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(side**2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
