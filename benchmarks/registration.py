@@ -26,8 +26,8 @@ from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
     register,
+    scan_frame,
     target_covariance,
-    to_world,
 )
 
 Floats = NDArray[np.float64]
@@ -122,7 +122,7 @@ def accuracy(cases: int, rng: np.random.Generator) -> dict[str, object]:
             continue
         wrong += not right(result, case)
         local = case.pose.to_local(TARGETS)
-        realised.append(np.linalg.norm(to_world(result, local) - TARGETS, axis=1))
+        realised.append(np.linalg.norm(scan_frame(result).to_world(local) - TARGETS, axis=1))
         predicted.append(predict_mean_target_error(result, local))
         squares.append(np.trace(target_covariance(result, local), axis1=1, axis2=2))
         turn = result.rotation

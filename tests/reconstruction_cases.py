@@ -11,7 +11,7 @@ from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
 from needlefit.geometry.surfaces import make_sheet, transform_surface
-from needlefit.imaging.materials import find_tissue_edge, sample_profile
+from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction, render_views
@@ -62,7 +62,7 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
     forward = normalize(needle_axis.points[-1] - needle_axis.points[-4])
     along = np.vstack([needle_axis.points, needle_axis.points[-1] + beyond[:, None] * forward])
     shown = sample_profile(volume, along, np.concatenate([s, s[-1] + beyond]))
-    entry, entry_sd = find_tissue_edge(shown)
+    _, entry, entry_sd = find_rises(shown)[-1]
     shown = dataclasses.replace(shown, s=shown.s - entry)
     inserted = interpolate_at_arc(needle_axis.points, np.linspace(entry, s[-1], 60))
     points = patient.to_world(inserted)

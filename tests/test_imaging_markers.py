@@ -10,7 +10,6 @@ from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging import spheres
 from needlefit.imaging.markers import (
     find_markers,
     refine_fiducials,
@@ -97,20 +96,6 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     caught = refusal(DataError, "", find_markers, dull, RECIPE)
     assert caught.expected
     assert caught.fix
-
-
-def test_derivatives_of_the_model_are_those_of_the_model():
-    rng = np.random.default_rng(2)
-    places, spacing = rng.uniform(-3, 3, (200, 3)), np.array([0.4, 0.5, 0.9])
-    near = spheres.SphereVoxels(places, np.zeros(200), spacing, np.eye(3), -np.inf, np.inf)
-    background = [-900.0, 950.0, 0.5, -0.4, 0.9, 0.3]
-    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.2, -0.8, 0.7, -0.9, *background, np.log(1.5)])
-    for n in range(len(theta)):
-        h = 1e-4 * max(1.0, abs(theta[n]))
-        step = np.eye(len(theta))[n] * h
-        up, down = (spheres.render_sphere(near, theta + sign * step)[0] for sign in (1, -1))
-        mine = spheres.render_sphere(near, theta)[1][:, n]
-        assert np.abs((up - down) / (2 * h) - mine).max() <= 0.01 * np.abs(mine).max()
 
 
 # files

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import make_entry_frame
-from needlefit.imaging.materials import find_tissue_edge, sample_profile
+from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import require_hounsfield
 from needlefit.synthetic.design import Phantom
@@ -26,7 +26,8 @@ def edge(at, width=0.6, tissue=40.0, noise=5.0, seed=1):
 
 
 def found(around):
-    return find_tissue_edge(IntensityProfile(S, np.full(len(S), 3000.0), around))
+    rises = find_rises(IntensityProfile(S, np.full(len(S), 3000.0), around))
+    return rises[-1][1:] if rises else None
 
 
 # the edge of the tissue
@@ -68,7 +69,7 @@ def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
     volume = render_scan(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
     s = np.arange(-11.0, 20.0, 0.5)
     shown = sample_profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s)
-    place, sd = find_tissue_edge(shown)
+    _, place, sd = find_rises(shown)[-1]
     assert abs(place) < max(0.08, 2.5 * sd)
     assert sd < 0.12
 

@@ -12,11 +12,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration import pairing
-from needlefit.imaging.registration.register import (
-    check_axis_signs,
-    register,
-    to_world,
-)
+from needlefit.imaging.registration.register import check_axis_signs, register, scan_frame
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -46,7 +42,9 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     pose, order = pose_of(rng), rng.permutation(6)
     registration = register(pose.to_local(LAYOUT)[order], LAYOUT, 0.1)
     assert registration.pairs[:, 1].tolist() == order.tolist()
-    np.testing.assert_allclose(to_world(registration, pose.to_local(3 * SQUARE)), 3 * SQUARE, atol=1e-9)
+    np.testing.assert_allclose(
+        scan_frame(registration).to_world(pose.to_local(3 * SQUARE)), 3 * SQUARE, atol=1e-9
+    )
     assert proper(registration.rotation)
     assert registration.fre < 1e-9
     assert registration.warnings == ()

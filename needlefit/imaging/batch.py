@@ -132,7 +132,7 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        tubes = search.find_tubes()
+        tubes = search.tubes
         parts = list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
         points = [to_patient(search.volume, part.voxels) for part in parts]
         middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]

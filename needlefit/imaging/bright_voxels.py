@@ -58,17 +58,30 @@ class BrightVoxels:
             self._labels[level, corners] = at, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]
 
-    def list_parts(self, level: float, *, corners: bool = False) -> Iterator[Ints]:
-        """Yield the voxels (n, 3), i, j, k, of each part that hangs together above a level, HU."""
-        at, labels = self.label(level, corners=corners)
-        order = np.argsort(labels, kind="stable")
-        for members in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
-            if len(members):
-                yield self.place(at[members])
+    def list_parts(
+        self,
+        level: float,
+        sizes: tuple[float, float] = (1, np.inf),
+        *,
+        corners: bool = False,
+        without: Ints | None = None,
+    ) -> Iterator[Ints]:
+        """Yield the voxels (n, 3), i, j, k, of each part of a size that hangs together above a level, HU.
 
-    def place(self, members: Ints) -> Ints:
-        """Return the indices i, j, k (n, 3) of some of the voxels."""
-        return np.stack(np.unravel_index(self.flat[members], self.shape)[::-1], axis=1)
+        Parts that hold one of the voxels `without` (M, 3) are left out.
+        """
+        at, labels = self.label(level, corners=corners)
+        size = np.bincount(labels)
+        fits = (size >= sizes[0]) & (size <= sizes[1])
+        if without is not None and len(at):
+            wanted = np.ravel_multi_index(tuple(without.T[::-1]), self.shape)
+            found = np.minimum(np.searchsorted(self.flat[at], wanted), len(at) - 1)
+            fits[labels[found[self.flat[at[found]] == wanted]]] = False
+        members = np.flatnonzero(fits[labels])
+        members = members[np.argsort(labels[members], kind="stable")]
+        for group in np.split(at[members], np.flatnonzero(np.diff(labels[members])) + 1):
+            if len(group):
+                yield np.stack(np.unravel_index(self.flat[group], self.shape)[::-1], axis=1)
 
 
 def list_bright_voxels(volume: Volume, level: float) -> BrightVoxels:

@@ -44,29 +44,18 @@ def find_blobs(
 
     `exclude`: (N, 3) or None; voxels of the needle: what holds one of them is left out.
     """
-    needle = np.empty((0, 3), dtype=np.int64) if exclude is None else exclude
-    forbidden = np.isin(bright.flat, np.ravel_multi_index(tuple(needle.T[::-1]), volume.values.shape))
     low = _voxel_count(volume, MIN_DIAMETER_RATIO * diameter)
     high = _voxel_count(volume, max(MAX_DIAMETER_RATIO * diameter, diameter + MAX_BLOOM_MM))
     steps, found = volume.direction * volume.spacing, list[Blob]()
     for level in levels:
-        at, labels = bright.label(level)
-        size = np.bincount(labels)
-        fits = (size >= low) & (size <= high)
-        fits[labels[forbidden[at]]] = False
-        members = np.flatnonzero(fits[labels])
-        members = members[np.argsort(labels[members], kind="stable")]
-        for group in np.split(members, np.flatnonzero(np.diff(labels[members])) + 1):
-            if not len(group):
-                continue
+        for voxels in bright.list_parts(level, (low, high), without=exclude):
             # diameter of a ball of the same volume
-            own = (6 / np.pi * len(group) * float(np.prod(volume.spacing))) ** (1 / 3)
-            blob = Blob(bright.place(at[group]), level, own)
+            own = (6 / np.pi * len(voxels) * float(np.prod(volume.spacing))) ** (1 / 3)
             # 1/12 is the variance within a voxel: a single layer of voxels still has a thickness
-            moments = steps @ (np.cov(blob.voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
+            moments = steps @ (np.cov(voxels.T, bias=True) + np.eye(3) / 12) @ steps.T
             extents = np.sqrt(np.linalg.eigvalsh(moments))
             if extents[-1] <= MAX_ELONGATION * extents[0] + BLOOM_EXTENT_MM:
-                found.append(blob)
+                found.append(Blob(voxels, level, own))
     return sorted(found, key=lambda blob: abs(np.log(blob.diameter / diameter)))
 
 

@@ -118,21 +118,7 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
     names: tuple[Kind, ...] = ("air", "soft", "metal")
     parts = [names[kinds[n]] for n in (0, *ends)]
     levels = [float(np.median(part)) for part in np.split(values, ends)]
-    # runs meet half way between their levels, of metal between two stations, mm
     between = [float(s[at - 1] + s[at]) / 2 for at in ends]
-    known = [AIR_HU if part == "air" else level for part, level in zip(parts, levels, strict=True)]
-    edges = [between[0] - EDGE_REACH_MM, *between, between[-1] + EDGE_REACH_MM] if between else []
-    for n, at in enumerate(between):
-        if "metal" in parts[n : n + 2]:
-            continue
-        half = (known[n] + known[n + 1]) / 2
-        above = values > half
-        crossed = np.flatnonzero(above[1:] != above[:-1])
-        part = (half - values[crossed]) / (values[crossed + 1] - values[crossed])
-        places = s[crossed] + part * (s[crossed + 1] - s[crossed])
-        places = places[(places > (edges[n] + at) / 2) & (places < (at + edges[n + 2]) / 2)]
-        if len(places):
-            between[n] = float(places[np.argmin(np.abs(places - at))])
     bounds = [float(s[0]), *between, float(s[-1])]
     return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
 
@@ -178,15 +164,6 @@ def find_rises(profile: IntensityProfile) -> tuple[tuple[int, float, float], ...
             if edge is not None:
                 found.append((n, *edge))
     return tuple(found)
-
-
-def find_tissue_edge(profile: IntensityProfile) -> tuple[float, float] | None:
-    """Return where along the needle air changes to tissue, mm, and its deviation; None if there is no edge.
-
-    Of several rises it is the last: a guide is left again, the tissue holds the tip.
-    """
-    rises = find_rises(profile)
-    return rises[-1][1:] if rises else None
 
 
 def _fit_edge(

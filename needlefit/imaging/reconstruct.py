@@ -6,12 +6,12 @@ Reconstruct one scan step by step; what was found is kept, also where a step fai
 be right, and list warnings for the user.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, TypeVar, cast
+from typing import Literal
 
 import numpy as np
 from scipy.special import chdtrc
@@ -44,7 +44,7 @@ from needlefit.imaging.markers import (
     read_markers,
     refine_fiducials,
 )
-from needlefit.imaging.materials import find_rises, find_tissue_edge, sample_profile
+from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
@@ -70,7 +70,6 @@ from needlefit.imaging.registration.register import (
     predict_mean_target_error,
     register,
     scan_frame,
-    to_world,
 )
 from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
@@ -165,13 +164,11 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
     own = any(surface.into == 1 for surface in one.layers.surfaces)
     source = "its own surface (into = 1)" if own else ""
     source = "the stage's entry" if one.pose.source == "stage" else source
-    edge = find_tissue_edge(one.profile)
-    if edge is None or not source:
-        return
-    off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
-    if abs(off) > MAX_DISAGREEMENT_SD * sd:
-        side = "after" if off > 0 else "before"
-        yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
+    for _, off, edge_sd in find_rises(one.profile)[-1:] if source else ():  # a guide is left again
+        sd = float(np.hypot(edge_sd, one.pose.along_sd))
+        if abs(off) > MAX_DISAGREEMENT_SD * sd:
+            side = "after" if off > 0 else "before"
+            yield f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}"
 
 
 def _plane_warnings(one: Reconstruction) -> Iterator[str]:
@@ -305,7 +302,7 @@ def _note_shifted_markers(
     pairs, number = fit.pairs[:, 0], len(fit.pairs)
     heights = to_index(volume, markers.centers[pairs])[:, 2]
     sd = np.hypot(markers.sd[pairs], recipe.markers.reference_sd_mm)[:, None, None]
-    moved = motion_jacobian(to_world(fit, markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
+    moved = motion_jacobian(scan_frame(fit).to_world(markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
     order = np.sort(heights)
     for low, high in pairwise(order[MIN_SHIFTED_MARKERS - 1 : number - MIN_SHIFTED_MARKERS + 1]):
         beyond = (heights > (low + high) / 2)[:, None, None] * np.eye(3)
@@ -322,7 +319,6 @@ def _note_shifted_markers(
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
-T = TypeVar("T")
 
 
 class VolumeSearch:
@@ -330,37 +326,27 @@ class VolumeSearch:
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
         self.volume, self.recipe = volume, recipe
-        self._found: dict[tuple[str, float | None, bytes], object] = {}
+        self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
 
-    def find_tubes(self) -> list[Component]:
-        """Return the components that may be the needle; DataError as `segmentation.find_tubes`."""
-        return self._once("tubes", lambda: find_tubes(self.volume, self.recipe, self.bright))
+    @cached_property
+    def tubes(self) -> list[Component]:
+        """The components that may be the needle; DataError as `segmentation.find_tubes`."""
+        return find_tubes(self.volume, self.recipe, self.bright)
 
-    @property
+    @cached_property
     def bright(self) -> BrightVoxels:
         """The bright voxels, in which needle and balls are looked for."""
-        level = median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU
-        return self._once("bright", lambda: list_bright_voxels(self.volume, level))
+        return list_bright_voxels(self.volume, median_tissue_hu(self.volume) + BRIGHT_CONTRAST_HU)
 
     def find_markers(self, needle: Ints | None) -> MarkerResult:
         """Return the balls beside the needle (N, 3); DataError if nothing is bright enough."""
         return find_markers(self.volume, self.recipe, needle, self._fit_sphere, self.bright)
 
     def _fit_sphere(self, volume: Volume, blob: Blob, radius: float | None) -> SphereFit:
-        work = partial(fit_sphere, volume, blob, radius)
-        return self._once(f"ball above {blob.level}", work, radius, blob.voxels.tobytes())
-
-    def _once(self, name: str, work: Callable[[], T], radius: float | None = None, own: bytes = b"") -> T:
-        key = name, radius, own
-        if key not in self._found:
-            try:
-                self._found[key] = work()
-            except DataError as error:
-                self._found[key] = error
-        found: Any = self._found[key]
-        if isinstance(found, DataError):
-            raise found
-        return cast(T, found)
+        key = blob.level, radius, blob.voxels.tobytes()
+        if key not in self._balls:
+            self._balls[key] = fit_sphere(volume, blob, radius)
+        return self._balls[key]
 
 
 def estimate_first_contact(
@@ -566,7 +552,7 @@ def examine(
             listed = is_list_of_points(scan.mask)
             points = read_markers(scan.mask) if listed else read_mask_points(volume, scan.mask)
         if points is None:
-            found.selection = select_needle(volume, recipe, scan.needle_at, search.find_tubes())
+            found.selection = select_needle(volume, recipe, scan.needle_at, search.tubes)
         else:
             axis = follow_points(volume, points, recipe)
             found.selection = NeedleSelection(select_rod(volume, axis, recipe), axis=axis)

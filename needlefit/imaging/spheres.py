@@ -37,10 +37,6 @@ FREQUENCY_STEP_PER_MM = 0.25  # spacing of the angular frequencies, 1/mm: images
 MAX_FREQUENCY_SD = 4.5  # angular frequencies end at so many over the narrowest blur, 1/mm
 STEP_SIZE = 1e-5  # of the parameters of which derivatives are differences
 MAX_PASSED_SD = 6.5  # in the slices, those beyond so many over the blur are left out: 1e-9 of them passes
-# The tables: ball; shortfall; and the derivatives of ball + `shortfall` x shortfall by the distances across
-# and along, over these distances, 1/mm^2, and by the logarithm of the blur in the slices, b, and the
-# logarithms of the blur across them and of the radius.
-BALL, SHORTFALL, ACROSS, ALONG = range(4)
 
 
 def _list_frequencies() -> tuple[Floats, Floats]:
@@ -62,54 +58,24 @@ def _transform_sphere(radius: float) -> tuple[Floats, Floats]:
     return 4 * np.pi * measure * (np.sin(x) / x - np.cos(x)) / x**2, 2 * np.pi**2 * measure * second
 
 
-@dataclass(frozen=True)
-class SphereTables:
-    """Tables of balls out to `reach`, mm."""
-
-    reach: float
-
-    @cached_property
-    def _waves(self) -> tuple[Floats, Floats, Floats, Floats]:
-        across, along = _list_frequencies()
-        grid = np.arange(0.0, self.reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
-        kr, kz = np.outer(grid, across), np.outer(along, grid)
-        # (J1(x) / x) is 1/2 at 0
-        sloped = np.divide(j1(kr), kr, out=np.full_like(kr, 0.5), where=kr > 0)
-        return j0(kr), -(across**2) * sloped, np.cos(kz), -(along[:, None] ** 2) * np.sinc(kz / np.pi)
-
-    def render(self, radius: float, shortfall: float, spread: PointSpread) -> list[Floats]:
-        """Return the eight tables (G, G) of a ball of `radius`, mm, as splines."""
-        across, along = _list_frequencies()
-        # a wide blur lets only the lowest frequencies pass
-        kept = np.searchsorted(across, MAX_PASSED_SD / spread.blur)
-
-        def transfer(change: Floats) -> Floats:
-            moved = read_spread(spread.parameters + change)
-            return np.outer(moved.pass_in_slices(across[:kept] ** 2), moved.pass_across(along))
-
-        ball, dark = (part[:kept] for part in _transform_sphere(radius))
-        grown_ball, grown_dark = (
-            part[:kept] for part in _transform_sphere(radius * float(np.exp(STEP_SIZE)))
-        )
-        both, passed = ball + shortfall * dark, transfer(np.zeros(3))
-        growth = (grown_ball + shortfall * grown_dark - both) / STEP_SIZE
-        wave, sloped, cosine, sine = self._waves
-        wave, sloped = wave[:, :kept], sloped[:, :kept]
-        tables = [
-            wave @ (ball * passed) @ cosine,
-            wave @ (dark * passed) @ cosine,
-            sloped @ (both * passed) @ cosine,
-            wave @ (both * passed) @ sine,
-            *(
-                wave @ (both * (transfer(step) - passed)) @ cosine / STEP_SIZE
-                for step in STEP_SIZE * np.eye(3)
-            ),
-            wave @ (growth * passed) @ cosine,
-        ]
-        return [spline_filter(table, mode="mirror") for table in tables]
+@lru_cache(maxsize=16)  # of a step's derivatives most are of one table
+def make_tables(reach: float, radius: float, spread: PointSpread) -> tuple[Floats, Floats]:
+    """Return the images (G, G) of a ball of `radius` and of its shortfall out to `reach`, mm, as splines."""
+    across, along = _list_frequencies()
+    # a wide blur lets only the lowest frequencies pass
+    kept = np.searchsorted(across, MAX_PASSED_SD / spread.blur)
+    passed = np.outer(spread.pass_in_slices(across[:kept] ** 2), spread.pass_across(along))
+    wave, cosine = _list_waves(reach)
+    ball, dark = (wave[:, :kept] @ (part[:kept] * passed) @ cosine for part in _transform_sphere(radius))
+    return spline_filter(ball, mode="mirror"), spline_filter(dark, mode="mirror")
 
 
-make_tables = lru_cache(maxsize=8)(SphereTables)
+@lru_cache(maxsize=8)
+def _list_waves(reach: float) -> tuple[Floats, Floats]:
+    """Return the waves of all frequencies at distances across (G, F) and along (F, G)."""
+    across, along = _list_frequencies()
+    grid = np.arange(0.0, reach + 4 * TABLE_STEP_MM, TABLE_STEP_MM)
+    return j0(np.outer(grid, across)), np.cos(np.outer(along, grid))
 
 
 # What the 15 parameters are: centre of the ball, mm; logarithm of its own HU; by which part the hardened beam
@@ -129,7 +95,7 @@ class Blob:
     diameter: float  # of a ball of as many voxels, mm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SphereVoxels:
     """The voxels around a ball."""
 
@@ -147,35 +113,33 @@ class SphereVoxels:
         return float(np.ceil(1.5 * np.linalg.norm(self.places, axis=1).max()))
 
 
-def render_sphere(near: SphereVoxels, theta: Floats) -> tuple[Floats, Floats]:
-    """Return the image (N,), HU, of a ball, and its derivatives (N, 15)."""
-    tables = make_tables(near.reach).render(
-        float(np.exp(theta[RADIUS])), theta[DARK], read_spread(theta[SPREAD])
+@lru_cache(maxsize=16)  # of a step's derivatives half are of one ball
+def _show_ball(
+    near: SphereVoxels, center: tuple[float, ...], radius: float, spread: PointSpread
+) -> tuple[Floats, Floats]:
+    """Return the images (N,) of a ball of height 1, and of its shortfall."""
+    d = near.places - center
+    at = np.stack([np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])]) / TABLE_STEP_MM
+    ball, dark = (
+        map_coordinates(table, at, order=3, mode="mirror", prefilter=False)
+        for table in make_tables(near.reach, radius, spread)
     )
-    d = near.places - theta[CENTER]
-    across, along = np.hypot(d[:, 0], d[:, 1]), np.abs(d[:, 2])
-    at = np.stack([across, along]) / TABLE_STEP_MM
-    seen = [map_coordinates(table, at, order=3, mode="mirror", prefilter=False) for table in tables]
-    part, dark = seen[BALL] + theta[DARK] * seen[SHORTFALL], seen[SHORTFALL]
-    moved = -np.column_stack([seen[ACROSS][:, None] * d[:, :2], seen[ALONG] * d[:, 2]])
-    *shapes, grown = seen[ALONG + 1 :]
-    shaped = np.column_stack(shapes)
-    depth = near.places @ theta[FACE] + theta[OFFSET]
-    beyond = ndtr(depth)
-    rise = theta[STEP] * np.exp(-(depth**2) / 2) / np.sqrt(2 * np.pi)
-    turned = np.column_stack([beyond, rise[:, None] * near.places, rise])
-    around = theta[LEVEL] + theta[STEP] * beyond
-    height, void = float(np.exp(theta[HEIGHT])), 1 - part
-    over = (height - around)[:, None]
-    shown = around + over[:, 0] * part
-    slopes = np.column_stack(
-        [
-            *(moved * over, height * part, over[:, 0] * dark, shaped * over, void),
-            *(turned * void[:, None], over[:, 0] * grown),
-        ]
-    )
-    slopes[(shown > near.ceiling) | (shown < near.floor)] = 0.0
-    return np.clip(shown, near.floor, near.ceiling), slopes
+    return ball, dark
+
+
+def render_sphere(near: SphereVoxels, theta: Floats) -> Floats:
+    """Return the image (N,), HU, of a ball."""
+    radius, spread = float(np.exp(theta[RADIUS])), read_spread(theta[SPREAD])
+    ball, dark = _show_ball(near, tuple(theta[CENTER].tolist()), radius, spread)
+    around = theta[LEVEL] + theta[STEP] * ndtr(near.places @ theta[FACE] + theta[OFFSET])
+    shown = around + (float(np.exp(theta[HEIGHT])) - around) * (ball + theta[DARK] * dark)
+    return np.clip(shown, near.floor, near.ceiling)
+
+
+def differentiate(near: SphereVoxels, theta: Floats, count: int) -> Floats:
+    """Return the derivatives (N, count) of the image by the first parameters."""
+    here, steps = render_sphere(near, theta), STEP_SIZE * np.eye(len(theta))[:count]
+    return np.stack([(render_sphere(near, theta + step) - here) / STEP_SIZE for step in steps], axis=1)
 
 
 # How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
@@ -262,7 +226,7 @@ def _fit_model(near: SphereVoxels, first: Floats, count: int) -> tuple[Floats, F
     noise = max(1.0, noise * _spread(best.fun[: len(near.values)]))
     best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
     theta, residuals = np.append(best.x, first[count:]), noise * np.asarray(best.fun[: len(near.values)])
-    slopes = render_sphere(near, theta)[1][:, :count]
+    slopes = differentiate(near, theta, count)
     known = np.zeros(count)
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
     bread = np.linalg.pinv(slopes.T @ slopes + np.diag(known), hermitian=True)
@@ -344,16 +308,12 @@ def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, ro
     held[np.arange(len(PRIOR_COLUMNS)), PRIOR_COLUMNS] = 1 / sds
     free = slice(count)
 
-    @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
-    def seen(theta: tuple[float, ...]) -> tuple[Floats, Floats]:
-        return render_sphere(near, np.append(theta, first[count:]))
-
     def residuals(theta: Floats) -> Floats:
-        left = (seen(tuple(theta.tolist()))[0] - near.values) / noise
+        left = (render_sphere(near, np.append(theta, first[count:])) - near.values) / noise
         return np.append(left, (theta[PRIOR_COLUMNS] - means) / sds)
 
     def slopes(theta: Floats) -> Floats:
-        return np.vstack([seen(tuple(theta.tolist()))[1][:, free] / noise, held])
+        return np.vstack([differentiate(near, np.append(theta, first[count:]), count) / noise, held])
 
     best: OptimizeResult = least_squares(
         residuals,

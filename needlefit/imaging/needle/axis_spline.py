@@ -270,24 +270,19 @@ def fit_sections(values: Floats, plane: Floats, rough: CrossSections) -> CrossSe
     return CrossSections(rough.shifts + np.clip(moved, -0.5, 0.5), solved[:, 0], noise, solved[:, 2:4])
 
 
-def select_sections(sections: CrossSections, which: NDArray[np.bool_]) -> CrossSections:
-    """Return the sections of a mask."""
-    return CrossSections(
-        sections.shifts[which], sections.amplitude[which], sections.noise[which], sections.tilt[which]
-    )
-
-
-def estimate_shared_sd(rough: CrossSections, found: CrossSections, station: float) -> float:
-    """Return the deviation (mm) that neighbouring sections share, so that their scatter does not show it.
+def estimate_shared_sd(
+    rough: CrossSections, found: CrossSections, good: NDArray[np.bool_], station: float
+) -> float:
+    """Return the deviation (mm) that `good` neighbours share, so that their scatter does not show it.
 
     It shows in how two ways to place them differ, centroids and fits, and in how far the background slopes:
     rays that run along a needle pull at many sections alike, and both stay when they are averaged over
     `SHARED_ERROR_LENGTH_MM`.
     """
-    window = np.ones(max(1, min(len(found.shifts), round(SHARED_ERROR_LENGTH_MM / station))))
-    count = np.convolve(np.ones(len(found.shifts)), window, "same")
-    bent = SHIFT_PER_TILT_MM * found.tilt / np.median(found.amplitude)
-    both = np.hstack([rough.shifts - found.shifts, bent])  # (S, 4)
+    bent = SHIFT_PER_TILT_MM * found.tilt / np.median(found.amplitude[good])
+    both = np.hstack([rough.shifts - found.shifts, bent])[good]  # (S, 4)
+    window = np.ones(max(1, min(len(both), round(SHARED_ERROR_LENGTH_MM / station))))
+    count = np.convolve(np.ones(len(both)), window, "same")
     shared = np.stack([np.convolve(side, window, "same") / count for side in both.T])
     return float(np.sqrt(np.sum(np.mean(shared**2, axis=1)) / 2))  # in one direction of two
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -25,15 +24,12 @@ from needlefit.imaging.needle.axis_spline import (
     fit_axis,
     fit_sections,
     sample_planes,
-    select_sections,
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
-from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, TIP_ERROR_MM, fit_slices, runs_in_slices
+from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
 from needlefit.imaging.needle.tip import (
-    MAX_BEVEL_DEG,
     MAX_DISAGREEMENT_MM,
-    MIN_BEVEL_PROBABILITY,
     TipFit,
     TipSource,
     bevel_length,
@@ -47,13 +43,12 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 BIN_LENGTH_MM = 2.0  # length of the pieces whose centroids are the first axis, mm
 BEVEL_MARGIN_MM = 1.2  # length at its end by which a needle may look shorter than it is, mm
 AXIS_FIT_ROUNDS = 3  # rounds of fits across the axis, each on the axis of the one before
-MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
 MIN_SECTIONS = 8  # fewer do not make an axis
 MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has left it
 # A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
 # is moved onto the axis.
 MAX_PLACED_TIP_DISTANCE_MM = 0.7
-MAX_TIPS = 4  # how often a tip is looked for: rays may hide a stretch of the shaft before it
+MAX_TIPS = 4  # how often a tip is looked for: rays may hide the shaft before it
 END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
@@ -67,6 +62,7 @@ MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
 # that are refused, the latter also where the needle runs in thick slices. Of needles alone at most 0.02, in
 # slices 0.24 (once 0.63); with balls of 3 and 5 mm 0.15 to 0.8, of 2 mm 0.05. Air there is darker.
 MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.04, 0.15, 0.65
+BESIDE_SD_MM = 1.7  # deviation of the tip by what is spoken of, over that part, mm
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
 WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
 # Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
@@ -134,7 +130,7 @@ def trace_needle(
             ends.append(fit_tip(volume, axis, recipe.needle, guess, spread, rough=True))
         end = min(ends, key=lambda one: abs(one.disagreement))
         axis = refine_axis(volume, axis, recipe, heel, end.at)
-        placed = _place_in_slices(volume, axis, recipe, end.at, spread)
+        placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
         dark, wide = _measure_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
         if wide > (MAX_WIDE_PART if axis.normal_sd is None else MAX_WIDE_PART_IN_SLICES):
@@ -147,7 +143,7 @@ def trace_needle(
         base, last = np.linalg.norm(axis.spline(np.array([0.0, axis.length])) - tip, axis=1)
         axis = axis if last <= base else _reverse_axis(axis, recipe)
         axis = refine_axis(volume, axis, recipe, heel, _project_tip(axis, tip)[0])
-        if (placed := _place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
+        if (placed := place_in_slices(volume, axis, recipe, _project_tip(axis, tip)[0], spread)) is not None:
             axis = placed[0]
         place, beside = _project_tip(axis, tip)
         limit = MAX_PLACED_TIP_DISTANCE_MM + recipe.needle.diameter_mm / 2
@@ -167,6 +163,8 @@ def trace_needle(
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
+    if alone and (wide > MIN_WIDE_PART or dark < MAX_DARK_PART):
+        end = replace(end, sd=np.hypot(end.sd, BESIDE_SD_MM * max(wide, -dark)))
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
@@ -283,42 +281,7 @@ def refine_axis(
         axis = fit_axis(s, points, weights, rules.knot_spacing_mm, s[-1] + heel)
         stop = axis.length + 1e-6
     good = _find_usable_sections(found, reach)
-    return replace(
-        axis,
-        shared_sd=estimate_shared_sd(
-            select_sections(rough, good), select_sections(found, good), rules.station_spacing_mm
-        ),
-    )
-
-
-def _place_in_slices(
-    volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, tip: float, spread: PointSpread | None
-) -> tuple[AxisSpline, TipFit] | None:
-    """Return axis and tip as thick slices show them as a whole; `tip`: about where it is, mm along `axis`.
-
-    None where the needle does not run near thick slices, or too little of it shows.
-    """
-    knot = recipe.centerline.knot_spacing_mm
-    if not runs_in_slices(volume, axis, knot):
-        return None
-    found = fit_slices(volume, axis, recipe.needle, knot, tip, spread)
-    if found is None:
-        return None
-    points = found.place(axis.points)
-    s = arc_length(points)
-    length = float(s[-1] + np.linalg.norm(found.tip - points[-1]))
-    side, normal = found.sds(np.vstack([axis.points[:-1], found.tip]))
-    placed = fit_axis(s, points, axis.weights, knot, max(length, s[-1] + MIN_END_MM))
-    # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
-    wider = np.mean(side**2) / np.mean(axis_sd(placed, s) ** 2)
-    variance, covariance = placed.variance * wider, placed.covariance * wider
-    placed = replace(placed, variance=variance, covariance=covariance, normal_sd=normal)
-    across = float(np.hypot(np.hypot(side[-1], normal[-1]) / np.sqrt(2), TIP_ERROR_MM))
-    rolled = recipe.needle.bevel_deg < MAX_BEVEL_DEG
-    probability = float(erf(np.pi / 2 / np.sqrt(2) / found.end_sd[1])) if rolled else np.nan
-    bevel = found.bevel if probability >= MIN_BEVEL_PROBABILITY else np.full(3, np.nan)
-    sd = np.array([found.end_sd[0], across])
-    return placed, TipFit(length, found.tip, sd, bevel, probability, 0.0, "model")
+    return replace(axis, shared_sd=estimate_shared_sd(rough, found, good, rules.station_spacing_mm))
 
 
 def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:

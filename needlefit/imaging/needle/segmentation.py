@@ -225,8 +225,8 @@ def find_components(
         bright = list_bright_voxels(volume, low)
     parts = [
         measure_component(volume, ijk)
-        for ijk in bright.list_parts(low, corners=True)
-        if len(ijk) >= MIN_COMPONENT_VOXELS and np.any(volume.values[tuple(ijk.T[::-1])] > high)
+        for ijk in bright.list_parts(low, (MIN_COMPONENT_VOXELS, np.inf), corners=True)
+        if np.any(volume.values[tuple(ijk.T[::-1])] > high)
     ]
     if not parts:
         raise refusal(f"""no voxels exceed {high:.0f} HU

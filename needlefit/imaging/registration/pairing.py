@@ -128,6 +128,7 @@ Pairs = NDArray[np.int64]  # (P, 2): number of the found marker, number of the k
 class Alignment:
     """The fitted motion of paired points."""
 
+    pairs: Pairs
     frame: Frame  # the scan's axes and origin in the world
     centre: Floats  # (3,); mean of the paired markers in the world, mm
     covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about the centre, world axes
@@ -159,18 +160,7 @@ def align_pairs(sets: MarkerSets, pairs: Pairs) -> Alignment:
     chi2 = float(np.sum(np.sum(residuals**2, axis=1) / variance))
     # on a line, one turn is free: the pseudo-inverse leaves it alone
     covariance = np.asarray(pinvh(information_matrix(here - centre, variance)), dtype=np.float64)
-    return Alignment(frame, centre, covariance, residuals, variance, chi2)
-
-
-def expected_fre(alignment: Alignment, found: Floats) -> float:
-    """Return the root mean square residual, mm, that the noise predicts; `found` (P, 3), scan.
-
-    A residual has the covariance of its pair less what the fit follows of it, v_i I - J_i cov(theta) J_i^T.
-    """
-    moved = motion_jacobian(alignment.frame.to_world(found) - alignment.centre)
-    followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
-    left = 3 * alignment.variance - np.trace(followed, axis1=1, axis2=2)
-    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
+    return Alignment(pairs, frame, centre, covariance, residuals, variance, chi2)
 
 
 # Probability that the noise as stated makes the right pairing look too bad to be believed.
@@ -185,25 +175,8 @@ MIN_PAIRED_FRACTION = 0.6
 MAX_PARTIAL_PAIRINGS = 50_000
 
 
-@dataclass(frozen=True)
-class MarkerPairingCandidate:
-    """A pairing within the limits, and its fit."""
-
-    pairs: Pairs
-    alignment: Alignment
-
-
-@dataclass(frozen=True)
-class Pairing:
-    """The selected pairing, with its alternatives."""
-
-    best: MarkerPairingCandidate  # the likeliest
-    alternatives: tuple[MarkerPairingCandidate, ...]  # those as large that contradict it, likeliest first
-    wrong_pairing_probability: float  # that one of them is right instead
-
-
-def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
-    """Return the candidates with the largest number of pairs at which one fits; empty if none does.
+def find_largest_pairings(sets: MarkerSets) -> list[Alignment]:
+    """Return the pairings with the largest number of pairs at which one fits; empty if none does.
 
     Those up to `MIN_CHI2_GAP` beyond the limit come with them, as alternatives. The best is the first. Fewer
     pairs than `MIN_PAIRED_FRACTION` of the smaller set are not looked for, nor three where both sets have
@@ -212,33 +185,14 @@ def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
     least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * sets.smaller_count)))
     for count in (sets.smaller_count, *range(sets.smaller_count - 1, least - 1, -1)):
         limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
-        bound, candidates = limit + MIN_CHI2_GAP, list[MarkerPairingCandidate]()
+        bound, candidates = limit + MIN_CHI2_GAP, list[Alignment]()
         for row in search_pairings(sets.found, sets.known, sets.variance, count, bound):
             taken = np.flatnonzero(row >= 0)
-            pairs = np.column_stack([taken, row[taken]])
-            candidates.append(MarkerPairingCandidate(pairs, align_pairs(sets, pairs)))
-        within = [candidate for candidate in candidates if candidate.alignment.chi2 <= bound]
-        within.sort(key=lambda candidate: candidate.alignment.chi2)
-        if within and within[0].alignment.chi2 <= limit:
+            candidates.append(align_pairs(sets, np.column_stack([taken, row[taken]])))
+        within = sorted((one for one in candidates if one.chi2 <= bound), key=lambda one: one.chi2)
+        if within and within[0].chi2 <= limit:
             return within
     return []
-
-
-def select_likeliest(candidates: list[MarkerPairingCandidate]) -> Pairing:
-    """Return the likeliest candidate, the alternatives that contradict it, and their probability.
-
-    Two contradict each other that give a marker, found or known, to different ones.
-    """
-    best, alternatives, share = candidates[0], list[MarkerPairingCandidate](), 0.0
-    for one in candidates[1:]:
-        if any(
-            dict(map(tuple, best.pairs[:, order])).get(key, value) != value
-            for order in ([0, 1], [1, 0])
-            for key, value in one.pairs[:, order].tolist()
-        ):
-            alternatives.append(one)
-            share += float(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2))
-    return Pairing(best, tuple(alternatives), share / (1 + share))
 
 
 def search_pairings(

@@ -24,18 +24,15 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
     MIN_CHI2_GAP,
-    MarkerPairingCandidate,
+    Alignment,
     MarkerSets,
-    Pairing,
     Pairs,
     align_pairs,
-    expected_fre,
     find_largest_pairings,
     information_matrix,
     make_marker_sets,
     mirror,
     motion_jacobian,
-    select_likeliest,
 )
 
 # By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
@@ -64,12 +61,16 @@ def _root_mean_square(difference: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
 
 
-def select_pairing(sets: MarkerSets) -> Pairing:
-    """Return the most likely pairing; DataError if none fits or several do."""
+def select_pairing(sets: MarkerSets) -> tuple[Alignment, float]:
+    """Return the likeliest pairing, and the probability that another one is right.
+
+    Others are those of as many pairs that give a marker, found or known, to a different one. DataError if
+    none fits or several do.
+    """
     candidates = find_largest_pairings(sets)
     reached = len(candidates[0].pairs) if candidates else 0
     if reached < sets.smaller_count:
-        reflected: list[MarkerPairingCandidate] = []
+        reflected: list[Alignment] = []
         with suppress(DataError):  # the search would take too long
             reflected = find_largest_pairings(mirror(sets))
         if reflected and len(reflected[0].pairs) > reached:
@@ -88,20 +89,28 @@ def select_pairing(sets: MarkerSets) -> Pairing:
             fix: look at the markers found in the scan; check the known ones and their unit, mm, and the
                 spacing of the voxels; state larger deviations
             where: markers""")
-    chosen = select_likeliest(candidates)
-    if chosen.wrong_pairing_probability > MAX_WRONG_PAIRING_PROBABILITY:
-        two = (chosen.best, chosen.alternatives[0])
-        left, other = (_root_mean_square(one.alignment.residuals) for one in two)
+    best, alternatives, share = candidates[0], list[Alignment](), 0.0
+    for one in candidates[1:]:
+        if any(
+            dict(map(tuple, best.pairs[:, order])).get(key, value) != value
+            for order in ([0, 1], [1, 0])
+            for key, value in one.pairs[:, order].tolist()
+        ):
+            alternatives.append(one)
+            share += float(np.exp((best.chi2 - one.chi2) / 2))
+    if (wrong := share / (1 + share)) > MAX_WRONG_PAIRING_PROBABILITY:
+        two = (best, alternatives[0])
+        left, other = (_root_mean_square(one.residuals) for one in two)
         pairs, others = (", ".join(f"{i}->{j}" for i, j in one.pairs.tolist()) for one in two)
-        raise refusal(f"""{1 + len(chosen.alternatives)} pairings of {len(two[1].pairs)} markers are likely,
+        raise refusal(f"""{1 + len(alternatives)} pairings of {len(two[1].pairs)} markers are likely,
                 the best two leave {left:.2f} and {other:.2f} mm: {pairs} or {others}
             expected: one pairing that is at least 1000 times as likely as all others together
             fix: move or add a marker so that no two distances are alike
             where: markers""")
-    return chosen
+    return best, wrong
 
 
-def _list_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[str]:
+def _list_warnings(sets: MarkerSets, best: Alignment) -> Iterator[str]:
     """Yield the warnings about a pairing, the most important first."""
     found = np.setdiff1d(np.arange(len(sets.found)), best.pairs[:, 0])
     known = np.setdiff1d(np.arange(len(sets.known)), best.pairs[:, 1])
@@ -110,7 +119,7 @@ def _list_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[s
         yield f"found markers {listed} (counted from 0) belong to no known one"
     if known.size:
         yield f"known markers {missing} (counted from 0) were not found"
-    here = best.alignment.frame.to_world(sets.found[found])
+    here = best.frame.to_world(sets.found[found])
     for i, place in zip(found, here, strict=True):
         away = np.linalg.norm(sets.known[known] - place, axis=1)
         if away.size and away.min() < 0.1 * sets.extent:
@@ -119,7 +128,7 @@ def _list_warnings(sets: MarkerSets, best: MarkerPairingCandidate) -> Iterator[s
                 "one of them has moved, or is measured wrongly"
             )
     # flat layouts always fit a mirrored scan nearly as well
-    if align_pairs(mirror(sets), best.pairs).chi2 - best.alignment.chi2 <= MIN_CHI2_GAP:
+    if align_pairs(mirror(sets), best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
         yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
 
 
@@ -160,23 +169,27 @@ def register(
     """
     sets = make_marker_sets(found, known, found_sd, known_sd)
     _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
-    chosen = select_pairing(sets)
-    alignment, paired = chosen.best.alignment, chosen.best.pairs
+    best, wrong = select_pairing(sets)
+    paired = best.pairs
     # the residuals of markers on a line say nothing of the turn about it
-    _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.variance.max())))
+    _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(best.variance.max())))
+    # a residual has the covariance of its pair less what the fit follows of it, v_i I - J_i cov(theta) J_i^T
+    moved = motion_jacobian(best.frame.to_world(sets.found[paired[:, 0]]) - best.centre)
+    followed = np.trace(moved @ best.covariance @ np.swapaxes(moved, -1, -2), axis1=1, axis2=2)
+    expected = np.sqrt(np.mean(np.maximum(3 * best.variance - followed, 0.0)))
     return Registration(
-        rotation=alignment.frame.rotation,
-        translation=alignment.frame.origin,
+        rotation=best.frame.rotation,
+        translation=best.frame.origin,
         pairs=paired,
-        residuals=alignment.residuals,
-        fre=_root_mean_square(alignment.residuals),
-        expected_fre=expected_fre(alignment, sets.found[paired[:, 0]]),
-        p_value=float(chdtrc(3 * len(paired) - 6, alignment.chi2)),
-        wrong_pairing_probability=chosen.wrong_pairing_probability,
+        residuals=best.residuals,
+        fre=_root_mean_square(best.residuals),
+        expected_fre=float(expected),
+        p_value=float(chdtrc(3 * len(paired) - 6, best.chi2)),
+        wrong_pairing_probability=wrong,
         known=len(sets.known),
-        centre=alignment.centre,
-        covariance=alignment.covariance,
-        warnings=tuple(_list_warnings(sets, chosen.best)),
+        centre=best.centre,
+        covariance=best.covariance,
+        warnings=tuple(_list_warnings(sets, best)),
     )
 
 
@@ -185,14 +198,9 @@ def scan_frame(registration: Registration) -> Frame:
     return Frame(registration.translation, registration.rotation)
 
 
-def to_world(registration: Registration, points: ArrayLike) -> Floats:
-    """Return scan `points` (N, 3), LPS, in world coordinates, mm."""
-    return scan_frame(registration).to_world(points)
-
-
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
-    moved = motion_jacobian(to_world(registration, points) - registration.centre)
+    moved = motion_jacobian(scan_frame(registration).to_world(points) - registration.centre)
     return np.asarray(moved @ registration.covariance @ np.swapaxes(moved, -1, -2))
 
 
