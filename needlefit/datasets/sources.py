@@ -52,20 +52,13 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
     faults = []
     for name, expected in checksums.items():
         file = folder / name
-        if not is_file(file):
-            faults.append(
-                Fault(
-                    str(file),
-                    "there is no such file, but [checksums] lists it",
-                    f"sha256 {expected}",
-                    "restore the file, or remove its line under [checksums]",
-                )
-            )
-        elif (actual := sha256(file)) != expected.lower():
-            fix = f"restore the file, or, if the change is meant, write {actual} under [checksums]"
-            faults.append(
-                Fault(str(file), "is not the file described: wrong checksum", f"sha256 {expected}", fix)
-            )
+        what, fix = "there is no such file, but [checksums] lists it", "remove its line under [checksums]"
+        if is_file(file):
+            if (actual := sha256(file)) == expected.lower():
+                continue
+            what = "is not the file described: wrong checksum"
+            fix = f"if the change is meant, write {actual} under [checksums]"
+        faults.append(Fault(str(file), what, f"sha256 {expected}", f"restore the file, or {fix}"))
     return faults
 
 
