@@ -380,13 +380,11 @@ def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[st
 
 def _parse_track_columns(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
-) -> dict[str, NDArray[Any]]:
-    """Return every column (N,) under our names; of no length after a fault."""
-    nothing = dict.fromkeys((*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS), np.empty(0))
+) -> dict[str, NDArray[Any]] | None:
+    """Return every column (N,) under our names; None after a fault."""
     source, constants = record.tip_tracks, record.tip_tracks.constants
-    theirs = {
-        name: source.columns.get(name, name) for name in (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
-    }
+    names = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
+    theirs = {name: source.columns.get(name, name) for name in names}
     absent = {theirs[name]: str(constants[name]) for name in theirs if name in constants}
     table = CsvTable(table.path, table.cells.assign(**absent), table.lines)
     wanted = [theirs[name] for name in REQUIRED_TRACK_COLUMNS] + list(source.columns.values())
@@ -395,7 +393,7 @@ def _parse_track_columns(
         what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
         found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
     if note_missing_columns(table, list(dict.fromkeys(wanted)), found) or unknown:
-        return nothing
+        return None
     before = len(found)
     values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}
     for name, default in OPTIONAL_TRACK_COLUMNS.items():
@@ -404,14 +402,15 @@ def _parse_track_columns(
             given = parse_numbers(table, theirs[name], found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
     texts = {name: table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium")}
-    return texts | values if len(found) == before else nothing
+    return texts | values if len(found) == before else None
 
 
 def _parse_tracks(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
 ) -> Iterator[TipTrack]:
     """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
-    values = _parse_track_columns(table, record, found)
+    if (values := _parse_track_columns(table, record, found)) is None:
+        return
     ids, media = values.pop("id"), values.pop("medium")
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
