@@ -23,7 +23,6 @@ from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.studies.kinds import calibration
 
-COMMANDS = ("simulate", "check", "tune", "import", "predict", "validate", "calibrate", "new", "twin")
 FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 
@@ -39,15 +38,6 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
     line = f"set -o pipefail; {line.replace('needlefit', f'{sys.executable} -m needlefit')}"
     command = ["bash", "-c", line]
     return subprocess.run(command, capture_output=True, check=False, env={**os.environ, **environment})
-
-
-def test_every_command_has_help(capsys):
-    assert run("--help") == 0
-    out = capsys.readouterr().out
-    assert all(f"\n  {command} " in out for command in COMMANDS)
-    for command in (*COMMANDS, "paper", "twin ct", "new workbook"):
-        assert run(*command.split(), "--help") == 0
-        assert f"Usage: needlefit {command}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -141,15 +131,6 @@ def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     captured = capsys.readouterr()
     assert captured.out == "" and "unexpected" not in captured.err
     assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
-
-
-def test_paper_prints_the_published_tables(capsys):
-    assert run("paper") == 0
-    out = capsys.readouterr().out
-    assert "2.82" in out
-    assert run("paper", "--json") == 0
-    tables = json.loads(capsys.readouterr().out)
-    assert tables["validation"][5]["te_mm"] == 2.82
 
 
 @pytest.mark.usefixtures("blank_figures")

@@ -11,6 +11,7 @@ from contextlib import chdir
 
 import pytest
 from made_again import assert_made_again, read_files
+from test_same_bytes import ELSEWHERE
 from world import COMMANDS, find_words
 
 from needlefit.errors import ConfigError
@@ -56,12 +57,12 @@ def test_a_run_is_written_again_from_its_stored_results_and_differs_in_nothing(w
 
 @pytest.mark.sweep
 @EVERY
-def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs(world, kind):
+def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs_in_other_surroundings(world, kind):
     expected, out = read_files(world.find(kind)), world.folder / f"resumed-{kind}"
     for other in COMMANDS[kind].after:
         shutil.copytree(world.find(other), out / COMMANDS[other].folder)
     words = [sys.executable, "-m", "needlefit", *find_words(kind, out, jobs=2), "-q"]
-    where = {"cwd": world.folder, "env": {**os.environ, "PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo"}}
+    where = {"cwd": world.folder, "env": {**os.environ, **ELSEWHERE}}
     running = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **where)
     while running.poll() is None and not any(one.stat().st_size for one in out.glob("*.partial/*.jsonl")):
         time.sleep(0.005)

@@ -65,6 +65,3 @@ def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name):
         path.write_bytes(path.read_bytes() + packed)
     found = refusal(DataError, "", read_volume, path)
     assert MEMORY_VARIABLE in found.fix and f"{MAX_EXPANSION} times" in found.expected
-
-
-# What is unusual, and right

@@ -1,7 +1,4 @@
-"""The same inputs give the same bytes: whatever the cores, jobs, caches, interruptions and surroundings.
-
-Every comparison is of all files of a result folder but `timing.json`, which is there to differ.
-"""
+"""Scans and what is reconstructed of them have the same bytes, whatever the cores, jobs and surroundings."""
 
 import os
 import subprocess
@@ -11,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from made_again import read_files
-from world import COMMANDS, build_project, find_words
+from world import build_project
 
 from needlefit.project.processes import THREAD_VARIABLES as THREADS
 
@@ -52,12 +49,11 @@ def begin(
     )  # fmt: skip
 
 
-def outputs(*running: "subprocess.Popen[str]", codes: Sequence[int] = (0,)) -> list[str]:
-    """Return what programs print, after the last of them has ended."""
+def wait(*running: "subprocess.Popen[str]") -> None:
+    """Wait until the last of some programs has ended."""
     ended = [one.communicate(timeout=900) for one in running]
     for one, (_, errors) in zip(running, ended, strict=True):
-        assert one.returncode in codes, errors
-    return [out for out, _ in ended]
+        assert one.returncode == 0, errors
 
 
 def assert_same(found: Path, expected: Path) -> None:
@@ -79,18 +75,6 @@ def new_project(tmp_path: Path) -> Callable[[str], Path]:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("kind", ["cross_validation", "fit"])
-def test_a_run_is_the_same_on_one_core_in_other_surroundings(world, kind, new_project, tmp_path):
-    expected, place = world.find(kind), new_project("a place with another name")
-    home = {"HOME": str(tmp_path), "TMPDIR": str(tmp_path)}
-    outputs(
-        begin(COMMAND, find_words(kind, place / "out"), place, one_core(), **ELSEWHERE, **home),
-        codes=COMMANDS[kind].codes,
-    )
-    assert_same(place / "out" / expected.name, expected)
-
-
-@pytest.mark.sweep
 def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
     """Rendered and reconstructed as `twin build` does it; its other 45 insertions are no other code."""
     pytest.importorskip("SimpleITK")
@@ -100,5 +84,5 @@ def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
     for words in (render, reconstruct):
         first = begin(COMMAND, [*words, "--jobs", "2"], once)
         second = begin(COMMAND, [*words, "--jobs", "1"], alone, one_core(), **ELSEWHERE)
-        outputs(first, second)
+        wait(first, second)
         assert_same(alone / words[-1], once / words[-1])

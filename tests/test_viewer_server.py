@@ -30,11 +30,11 @@ class Page:
     """A window as the server sees it: it simulates its needle, sends its steps, and hears answers."""
 
     def __init__(self, socket) -> None:
-        self.socket, self.id, self.kept = socket, 0, {}
+        self.socket, self.id = socket, 0
         self.scene, self.steering, self.steps, self.refused = None, None, [], None
 
     async def read(self) -> dict:
-        """Take the next message; what is not awaited is kept."""
+        """Take the next message."""
         answer = json.loads((await self.socket.receive(timeout=20)).data)
         if answer["kind"] == "scene":
             self.begin(answer)
@@ -42,15 +42,7 @@ class Page:
             self.refused = answer["what"]
         elif answer["kind"] == "steps":
             self.follow(answer)
-        else:
-            self.kept[answer["kind"]] = answer
         return answer
-
-    async def hear(self, kind: str) -> dict:
-        """Return the next message of a kind, also one that came before an answer."""
-        while kind not in self.kept:
-            await self.read()
-        return self.kept.pop(kind)
 
     def begin(self, scene: dict) -> None:
         """Begin with a needle of the program, at first contact, and carry out its steps."""

@@ -102,14 +102,9 @@ def reconstruct(
     (quality/) and files for 3D Slicer (slicer/). A scan that fails is reported with its fix (exit code 3);
     the others are written.
     """
-    stated: dict[str, Any] = {
-        "markers": markers,
-        "fiducials": fiducials,
-        "layers": layers,
-        "surfaces_in": layers_in,
-    }
-    stated |= {"mask": mask, "series": series, "acquisition": acquisition, "medium": medium}
-    named = {key: value for key, value in stated.items() if value}
+    columns = ("markers", "fiducials", "layers", "mask", "series", "acquisition", "medium")
+    named: dict[str, Any] = {key: context.params[key] for key in columns if context.params[key]}
+    named |= {"surfaces_in": layers_in} if layers_in else {}
     invocation = context.find_root().obj
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.datasets.read import check_all

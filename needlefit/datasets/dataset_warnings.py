@@ -46,7 +46,6 @@ from needlefit.project.unit_warnings import (
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
-_PLACEHOLDER_FIX = "write what was measured; reports print it"
 
 # Least plausible standard deviation of a centreline's points; a smaller one was written in another unit.
 MIN_POINT_SD_MM = 5e-4
@@ -68,14 +67,6 @@ SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle,
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
 MIN_SIMILARITY = 0.9  # ratio of `difflib` above which a name counts as a mistyped version of another
 
-# Whether it is so, and the warning then: its kind, the key that it is about, what, and how to fix it.
-Check = tuple[bool, str, str, str, str]
-
-
-def _warn(checks: Iterable[Check], where: FormatPlace) -> Iterator[ResultWarning]:
-    return (ResultWarning(kind, what, where(key), fix) for is_so, kind, key, what, fix in checks if is_so)
-
-
 # ---- the record
 
 
@@ -83,15 +74,15 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     """Yield the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
     texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
-    keys = [key for key, text in texts.items() if PLACEHOLDER in text]
-    decisions = () if record.import_ is None else record.import_.decisions
-    assumed = [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]
-    left = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
-    yield from _warn([(bool(keys), "placeholder", "".join(keys[:1]), left, _PLACEHOLDER_FIX)], where)
+    if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
+        what = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
+        yield ResultWarning("placeholder", what, where(keys[0]), "write what was measured; reports print it")
     yield from needle_warnings(record.needle, where)
-    what = f"the import assumed {'; '.join(assumed)}"
-    fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
-    yield from _warn([(bool(assumed), "assumed", "import.decisions", what, fix)], where)
+    decisions = () if record.import_ is None else record.import_.decisions
+    if assumed := [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]:
+        fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
+        what = f"the import assumed {'; '.join(assumed)}"
+        yield ResultWarning("assumed", what, where("import.decisions"), fix)
     pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
     for name, plausible, units in (
         ("registration_mean_mm", pose_sd, LENGTH_UNITS),
@@ -275,26 +266,22 @@ def _find_noise_warnings(
     insertions = [one.insertion for one in listed]
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    larger = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
-    hides = (
-        sd > MAX_NOISE_FRACTION * largest,
-        "noise",
-        f"noise.{larger}",
-        f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most",
-        "check its unit, mm; such data determine nothing",
-    )
-    missing = (
-        not noise.stated and any(one.sd is None for one in insertions),
-        "no_noise",
-        "noise.point_sd_mm",
-        "no noise of the points is stated, so fits have neither noise floor nor predictive intervals",
-        "write `noise.point_sd_mm`, the standard deviation of a point per axis",
-    )
-    yield from _warn([hides, missing], where)
-    if not hides[0]:
+    if not noise.stated and any(one.sd is None for one in insertions):
+        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
+        fix = "write `noise.point_sd_mm`, the standard deviation of a point per axis"
+        yield ResultWarning("no_noise", what, where("noise.point_sd_mm"), fix)
+    if sd > MAX_NOISE_FRACTION * largest:
+        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
+        fix = "check its unit, mm; such data determine nothing"
+        yield ResultWarning("noise", what, where(_name_larger_sd(noise)), fix)
+    else:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         yield from find_scatter_warnings(insertions, noise, where, is_smoothed)
     yield from _find_number_warnings(record, listed, where)
+
+
+def _name_larger_sd(noise: Noise) -> str:
+    return f"noise.{'point' if noise.point_sd >= noise.correlated_sd else 'correlated'}_sd_mm"
 
 
 def find_scatter_warnings(
@@ -312,14 +299,13 @@ def find_scatter_warnings(
             found.append((scatter, stated))
     if found:
         scatter, stated = np.sqrt(np.mean(np.square(found), axis=0))
-        what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
-        fix = "state the noise that the points have; too little of it narrows every interval"
-        too_small = scatter > MAX_SCATTER_RATIO * stated
         # errors that neighbours share, and those of a column, need not scatter
         too_large = scatter < MIN_SCATTER_RATIO * noise.point_sd and not is_smoothed
-        fix = "state the noise of the points, or under [measurement] what smoothed them" if too_large else fix
-        key = "point_sd_mm" if noise.point_sd >= noise.correlated_sd else "correlated_sd_mm"
-        yield from _warn([(too_small or too_large, "noise", f"noise.{key}", what, fix)], where)
+        if too_large or scatter > MAX_SCATTER_RATIO * stated:
+            what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
+            fix = "state the noise that the points have; too little of it narrows every interval"
+            fix = "state the noise, or under [measurement] what smoothed the points" if too_large else fix
+            yield ResultWarning("noise", what, where(_name_larger_sd(noise)), fix)
 
 
 def find_boundary_warnings(

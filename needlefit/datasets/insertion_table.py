@@ -183,12 +183,8 @@ def _to_int(value: float) -> int:
 def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
     if not ID_PATTERN.fullmatch(row.id):
-        yield Fault(
-            where,
-            f"id is {row.id!r}",
-            "at most 100 letters, digits, `.`, `_`, `-`: it names a file",
-            "rename it, and its centreline with it",
-        )
+        expected = "at most 100 letters, digits, `.`, `_`, `-`: it names a file"
+        yield Fault(where, f"id is {row.id!r}", expected, "rename it, and its centreline with it")
     for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):
         if (value or name == "specimen") and (fault := name_fault(value)):
             yield Fault(where, f"{name} is {value!r}: {fault}", EXPECTED_NAME, "rename it")
@@ -203,17 +199,11 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         what = "bevel_side is unknown"
         yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
     if row.roll is not None and row.side != 1:
-        what, fix = (
-            "bevel_side and bevel_roll_deg both state where the bevel faces",
-            "empty one of the two cells",
-        )
-        yield Fault(where, what, "one of the two", fix)
+        what = "bevel_side and bevel_roll_deg both state where the bevel faces"
+        yield Fault(where, what, "one of the two", "empty one of the two cells")
     if row.roll is not None and record.frame.pose == "free":
-        what, fix = (
-            "a roll is stated for a shape of unknown pose",
-            'remove it, or state poses (pose = "known")',
-        )
-        yield Fault(where, what, "no bevel_roll_deg", fix)
+        what = "a roll is stated for a shape of unknown pose"
+        yield Fault(where, what, "no bevel_roll_deg", 'remove it, or state poses (pose = "known")')
     elif row.roll is not None and row.bevel is None:
         fix = f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0"
         yield Fault(where, "bevel_roll_deg is stated without its direction of 0", "a direction", fix)
@@ -222,12 +212,9 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
             expected, fix = "a standard deviation, 0 or more", "remove the sign, or leave the cell empty: 0"
             yield Fault(where, f"{name} is negative", expected, fix)
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
-        yield Fault(
-            where,
-            f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}",
-            "the part of boundary_sd_mm that all insertions into the specimen share",
-            "correct one of them, or leave the cell empty",
-        )
+        what = f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}"
+        expected = "the part of boundary_sd_mm that all insertions into the specimen share"
+        yield Fault(where, what, expected, "correct one of them, or leave the cell empty")
     yield from _find_depth_faults(row, where, record)
     yield from _find_pose_faults(row, where, record)
 

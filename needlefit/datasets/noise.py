@@ -119,31 +119,20 @@ def _prepare_comparison(curve: Floats, length: float | None) -> Callable[[Floats
 
     At equal fractions, or along `length` from the tip after alignment in the plane.
     """
-    if length is None:
-        fractions = np.linspace(0, 1, COMPARISON_POINTS)
+    fractions = np.linspace(0, 1, COMPARISON_POINTS)
+    from_tip = None if length is None else np.linspace(length, 0, COMPARISON_POINTS)
 
-        def sample(points: Floats) -> Floats:
-            along = arc_length(points[:, :2])
-            return _interpolate(points, along, fractions * along[-1])
-
-        sampled = sample(curve)
-        return lambda again: compare_curves(sampled, sample(again))
-    from_tip = np.linspace(length, 0, COMPARISON_POINTS)
-
-    def sample_from_tip(points: Floats) -> Floats:
+    def sample(points: Floats) -> Floats:
         along = arc_length(points[:, :2])
-        return _interpolate(points, along, along[-1] - from_tip)
-
-    sampled = sample_from_tip(curve)
+        s = fractions * along[-1] if from_tip is None else along[-1] - from_tip
+        return np.column_stack([np.interp(s, along, axis) for axis in points.T])
 
     def compare(again: Floats) -> ComparedCurves:
-        measured = sample_from_tip(again)
-        aligned = align_rigid(sampled[:, :2], measured[:, :2])
-        return compare_curves(np.column_stack([aligned, sampled[:, 2]]), measured)
+        measured, moved = sample(again), sampled
+        if from_tip is not None:
+            aligned = align_rigid(sampled[:, :2], measured[:, :2])
+            moved = np.column_stack([aligned, sampled[:, 2]])
+        return compare_curves(moved, measured)
 
+    sampled = sample(curve)
     return compare
-
-
-def _interpolate(points: Floats, along: Floats, s: Floats) -> Floats:
-    """Return the points (K, d) at `s` (K,) of a polyline whose points lie at `along` (N,)."""
-    return np.column_stack([np.interp(s, along, axis) for axis in points.T])

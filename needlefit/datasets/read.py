@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -53,11 +52,10 @@ from needlefit.datasets.layers import (
 )
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import find_operator_faults, find_sections
-from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
+from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.mechanics.needle import Needle
-from needlefit.project.input_files import is_file
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load, locate_key
@@ -96,11 +94,11 @@ class Inspection:
 
 @dataclass
 class _Reading:
-    """A dataset that is read: its record, the folders of its tables, faults and warnings found so far."""
+    """A dataset that is read: its record, the folder of its tables, faults and warnings found so far."""
 
     file: Path
     record: Any
-    roots: tuple[Path, ...]
+    root: Path
     faults: list[Fault] = field(default_factory=list)
     warnings: list[ResultWarning] = field(default_factory=list)
 
@@ -112,14 +110,6 @@ class _Reading:
             self.faults.append(from_error(error))
             return None
 
-    def note_repeated_ids(self, what: str, ids: Iterable[str]) -> None:
-        """Note ids that occur in several folders; within one table they were compared before."""
-        for id_, count in Counter(ids).items():
-            if count > 1:
-                what = f"{what} {id_} is in more than one folder of root"
-                fix = "rename or remove one of them, or narrow root"
-                self.faults.append(Fault(str(self.file), what, "one of each id", fix))
-
 
 def inspect(path: Path) -> Inspection:
     """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings."""
@@ -127,11 +117,10 @@ def inspect(path: Path) -> Inspection:
     record: DatasetRecord | TrackDatasetRecord
     try:
         record = load(file, TrackDatasetRecord) if of_tracks else load(file, DatasetRecord)
-        reading = _Reading(file, record, find_folders(record, file))
+        reading = _Reading(file, record, find_folder(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (from_error(error),))
-    for root in reading.roots:
-        reading.faults += find_checksum_faults(record.checksums, root)
+    reading.faults += find_checksum_faults(record.checksums, reading.root)
     reading.faults += find_record_faults(record, file)
     reading.warnings += find_record_warnings(record, file)
     insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
@@ -149,7 +138,7 @@ def inspect(path: Path) -> Inspection:
         media=tuple(record.media),
         noise=make_noise(record.noise),
         path=file,
-        digest=compute_digest(file, reading.roots, files),
+        digest=compute_digest(file, reading.root, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         outer_diameter=record.needle.outer_diameter_mm,
         warnings=tuple(reading.warnings),
@@ -194,10 +183,9 @@ def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
 
 def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[str, Any]]:
     """Return the insertions, all files read, and what a dataset of shapes states alone."""
-    record, file, roots, found = reading.record, reading.file, reading.roots, reading.faults
-    shared = read_shared_surfaces(record, roots[0], found)
-    listed = [one for root in roots for one in _iterate_insertions(reading, root, shared)]
-    reading.note_repeated_ids("insertion", (one.insertion.id for one in listed))
+    record, file, root, found = reading.record, reading.file, reading.root, reading.faults
+    shared = read_shared_surfaces(record, root, found)
+    listed = list(_iterate_insertions(reading, shared))
     found += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
     if not found:  # of points that have no other fault
         found += find_operator_faults(record, listed, file)
@@ -213,9 +201,7 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
     if record.measurement is not None and record.measurement.sections is not None:
         own += [record.measurement.sections.replace("{id}", one.id) for one in insertions]
-    files = {roots[0] / surface.file for surface in shared}
-    files |= {root / name for root in roots for name in tables}
-    files |= {root / name for root in roots for name in own if is_file(root / name)}
+    files = {root / name for name in (*(surface.file for surface in shared), *tables, *own)}
     format_ = None if pattern is None else find_format(Path(pattern))
     return insertions, files, {
         "pose": record.frame.pose,
@@ -225,9 +211,9 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     }  # fmt: skip
 
 
-def _iterate_insertions(reading: _Reading, root: Path, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
-    """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
-    record, found = reading.record, reading.faults
+def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
+    """Yield the sound insertions; note the faults of the others, and unused or open cells."""
+    record, root, found = reading.record, reading.root, reading.faults
     curves, motion = _Centerlines(record, root), record.frame.lps_to_world
     scanned = IDENTITY_FRAME if motion is None else Frame.from_rows(motion)  # where a row states no other
     if record.centerlines.file is not None and not curves.read_long_table(found):
@@ -275,7 +261,7 @@ def _take_rows(table: CsvTable, rows: list[int] | NDArray[np.int64]) -> CsvTable
 
 
 class _Centerlines:
-    """The centrelines of a folder: a file for each, or one long table and the rows of each insertion."""
+    """The centrelines: a file for each, or one long table and the rows of each insertion."""
 
     def __init__(self, record: DatasetRecord, root: Path) -> None:
         self.record, self.root = record, root
@@ -375,36 +361,30 @@ def holds_tracks(path: Path) -> bool:
 
 def _read_tracks(reading: _Reading) -> tuple[list[TipTrack], list[Path], dict[str, Any]]:
     """Return the runs, the tables read, and what a dataset of tip tracks states alone."""
-    record, found = reading.record, reading.faults
-    paths = [root / record.tip_tracks.file for root in reading.roots]
-    tracks: list[TipTrack] = []
-    remarks: list[str] = []
-    for table in map(reading.read_table, paths):
-        if table is not None:
-            tracks += _parse_tracks(table, record, found, remarks)
-    reading.note_repeated_ids("run", (track.id for track in tracks))
+    record, found, remarks = reading.record, reading.faults, list[str]()
+    path = reading.root / record.tip_tracks.file
+    table = reading.read_table(path)
+    tracks = [] if table is None else list(_parse_tracks(table, record, found, remarks))
     if not tracks and not found:
         what = "no run is left: every one is marked invalid"
         found.append(Fault(str(reading.file), what, "at least one valid run"))
     if not found:
         noise, where = make_noise(record.noise), format_place(reading.file)
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
-        reading.warnings += find_side_warnings([(one, str(paths[0])) for one in tracks], noise, column)
+        reading.warnings += find_side_warnings([(one, str(path)) for one in tracks], noise, column)
         reading.warnings += find_boundary_warnings(record, tracks, where)
         # under a guide that moves, a track is no smooth curve
         reading.warnings += find_scatter_warnings([one for one in tracks if not one.guided], noise, where)
-    return tracks, paths, {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
+    return tracks, [path], {"pose": "tracker", "drop_proximal": 0.0, "remarks": tuple(remarks)}
 
 
 def _parse_track_columns(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
-) -> dict[str, NDArray[Any]]:
-    """Return every column (N,) under our names; of no length after a fault."""
-    nothing = dict.fromkeys((*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS), np.empty(0))
+) -> dict[str, NDArray[Any]] | None:
+    """Return every column (N,) under our names; None after a fault."""
     source, constants = record.tip_tracks, record.tip_tracks.constants
-    theirs = {
-        name: source.columns.get(name, name) for name in (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
-    }
+    names = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
+    theirs = {name: source.columns.get(name, name) for name in names}
     absent = {theirs[name]: str(constants[name]) for name in theirs if name in constants}
     table = CsvTable(table.path, table.cells.assign(**absent), table.lines)
     wanted = [theirs[name] for name in REQUIRED_TRACK_COLUMNS] + list(source.columns.values())
@@ -413,7 +393,7 @@ def _parse_track_columns(
         what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
         found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
     if note_missing_columns(table, list(dict.fromkeys(wanted)), found) or unknown:
-        return nothing
+        return None
     before = len(found)
     values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}
     for name, default in OPTIONAL_TRACK_COLUMNS.items():
@@ -422,14 +402,15 @@ def _parse_track_columns(
             given = parse_numbers(table, theirs[name], found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
     texts = {name: table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium")}
-    return texts | values if len(found) == before else nothing
+    return texts | values if len(found) == before else None
 
 
 def _parse_tracks(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
 ) -> Iterator[TipTrack]:
     """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
-    values = _parse_track_columns(table, record, found)
+    if (values := _parse_track_columns(table, record, found)) is None:
+        return
     ids, media = values.pop("id"), values.pop("medium")
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)

@@ -1,5 +1,6 @@
 """Select the insertions of a dataset for a fit or a study, and group insertions that are not independent."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
@@ -124,21 +125,14 @@ def find_repeats(dataset: Dataset) -> dict[str, tuple[str, int]]:
     found: dict[str, tuple[str, int]] = {}
     for medium in dict.fromkeys(one.medium for one in dataset.insertions):
         source = find_hole_source(dataset, medium)
-        holes: list[list[Insertion]] = []
-        by_key: dict[tuple[object, ...], list[list[Insertion]]] = {}
-        for one in dataset.insertions:
-            if one.medium != medium:
-                continue
-            alike = by_key.setdefault(_make_hole_key(source, one), [])
+        holes, count = dict[object, list[Insertion]](), Counter[object]()
+        for one in (one for one in dataset.insertions if one.medium == medium):
+            key = _make_hole_key(source, one)
             # another insertion that is as deep is another hole
-            fits = (one.depth not in [part.depth for part in hole] or source == "stated" for hole in alike)
-            own = next((hole for hole, is_own in zip(alike, fits, strict=True) if is_own), None)
-            if own is None:
-                own = []
-                alike.append(own)
-                holes.append(own)
-            own.append(one)
-        for number, hole in enumerate(holes):
+            turn = 0 if source == "stated" else count[key, one.depth]
+            holes.setdefault((key, turn), []).append(one)
+            count[key, one.depth] += 1
+        for number, hole in enumerate(holes.values()):
             found |= {one.id: (one.specimen, number) for one in hole if len(hole) > 1}
     return found
 

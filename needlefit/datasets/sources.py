@@ -18,24 +18,24 @@ def find_dataset_file(path: Path) -> Path:
     return path / "dataset.toml" if is_dir(path) else path
 
 
-def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
-    """Return the folders with the files, sorted: that of `path`, or all that match `root`.
+def find_folder(record: SourceRecord, path: Path) -> Path:
+    """Return the folder with the files: that of `path`, or the one that matches `root`.
 
-    DataError if `root` names an environment variable that is not set, or matches no folder.
+    DataError if `root` names an environment variable that is not set, or does not match one folder.
     """
     if record.root is None:
-        return (path.parent,)
+        return path.parent
     if "$" in os.path.expandvars(record.root):
         what = f"root is {record.root}, and that environment variable is not set"
         where = str(path)
         expected = "the variable, naming the folder that holds the dataset folders"
         raise DataError(what, where=where, expected=expected, fix=record.how_to_get or "set it and run again")
     absolute, found = _match_folders(record.root, path)
-    if not found:
-        what = f"no folder matches root {record.root}"
-        where = str(path)
-        raise DataError(what, where=where, expected=str(absolute), fix=record.how_to_get or "check the path")
-    return found
+    if len(found) != 1:
+        what = f"{len(found) or 'no'} folder{'s match' if found else ' matches'} root {record.root}"
+        fix = "narrow root" if found else record.how_to_get or "check the path"
+        raise DataError(what, where=str(path), expected=f"one: {absolute}", fix=fix)
+    return found[0]
 
 
 def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
@@ -52,32 +52,22 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
     faults = []
     for name, expected in checksums.items():
         file = folder / name
-        if not is_file(file):
-            faults.append(
-                Fault(
-                    str(file),
-                    "there is no such file, but [checksums] lists it",
-                    f"sha256 {expected}",
-                    "restore the file, or remove its line under [checksums]",
-                )
-            )
-        elif (actual := sha256(file)) != expected.lower():
-            fix = f"restore the file, or, if the change is meant, write {actual} under [checksums]"
-            faults.append(
-                Fault(str(file), "is not the file described: wrong checksum", f"sha256 {expected}", fix)
-            )
+        what, fix = "there is no such file, but [checksums] lists it", "remove its line under [checksums]"
+        if is_file(file):
+            if (actual := sha256(file)) == expected.lower():
+                continue
+            what = "is not the file described: wrong checksum"
+            fix = f"if the change is meant, write {actual} under [checksums]"
+        faults.append(Fault(str(file), what, f"sha256 {expected}", f"restore the file, or {fix}"))
     return faults
 
 
-def compute_digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -> str:
+def compute_digest(path: Path, root: Path, files: Iterable[Path]) -> str:
     """Return the SHA-256 over names and contents of the dataset file and `files`, in the order of names.
 
-    Names are relative to the folder of the data, so that a copy elsewhere has the same digest.
+    Names are relative to the folder of the data, `root`, so that a copy elsewhere has the same digest.
     """
-    named = {"dataset.toml": path}
-    for file in files:
-        root = next(root for root in roots if file.is_relative_to(root))
-        named[str(file.relative_to(root if len(roots) == 1 else root.parent))] = file
+    named = {"dataset.toml": path} | {str(file.relative_to(root)): file for file in files}
     total = hashlib.sha256()
     for name, file in sorted(named.items()):
         total.update(f"{name}\0{sha256(file)}\n".encode())
@@ -97,5 +87,5 @@ def digest_folders(path: Path) -> str:
     total = hashlib.sha256()
     for folder in (path.parent, *roots):
         files = (file for file in folder.rglob("*") if is_file(file) and file != path)
-        total.update(compute_digest(path, (folder,), files).encode())
+        total.update(compute_digest(path, folder, files).encode())
     return total.hexdigest()

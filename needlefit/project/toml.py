@@ -9,7 +9,6 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -95,17 +94,7 @@ _UNION_MEMBER = re.compile(r"constrained-|literal\[")  # pydantic's name of the 
 _INPUT = "Input should be "  # pydantic's words before what it expects
 
 
-@dataclass(frozen=True)
-class _Fault:
-    """One wrong, missing or unknown key of a file."""
-
-    key: str
-    what: str
-    expected: str
-    fix: str
-
-
-def _list_faults(error: ValidationError, kind: type[BaseModel]) -> list[_Fault]:
+def _list_faults(error: ValidationError, kind: type[BaseModel]) -> list[ConfigError]:
     """Return what is wrong with a file that should be a record `kind`, one fault for each key.
 
     A list is not called too short for members that are wrong themselves.
@@ -123,26 +112,28 @@ def _list_faults(error: ValidationError, kind: type[BaseModel]) -> list[_Fault]:
     ]
 
 
-def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[BaseModel]) -> _Fault:
+def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[BaseModel]) -> ConfigError:
+    """Return what is wrong with one key, which is wrong, missing or unknown."""
     key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in place)
     if errors[0]["type"] in ("missing", MISSING_KEY):
-        return _Fault(key, f"key `{key}` is missing", "", f"add `{key}`")
+        return ConfigError(f"key `{key}` is missing", fix=f"add `{key}`", key=key)
     if errors[0]["type"] == "extra_forbidden":
         table = _find_record(kind, place[:-1])
         known = [one.alias or name for name, one in table.model_fields.items()] if table else []
         near = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5)
         what = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
         expected = f"one of {', '.join(known)}" if known else ""
-        return _Fault(key, what, expected, f"correct or remove `{key}`")
+        return ConfigError(what, expected=expected, fix=f"correct or remove `{key}`", key=key)
     messages = list(
         dict.fromkeys(one["msg"].removeprefix("Value error, ").replace("Tuple", "List") for one in errors)
     )
     value = errors[0].get("input")
     if all(one.startswith(_INPUT) for one in messages) and isinstance(value, str | int | float | bool):
         expected = " or ".join(one.removeprefix(_INPUT).replace("'", '"') for one in messages)
-        return _Fault(key, f"key `{key}` is {json.dumps(value)}", expected, f"correct `{key}`")
+        what = f"key `{key}` is {json.dumps(value)}"
+        return ConfigError(what, expected=expected, fix=f"correct `{key}`", key=key)
     text, fix = "; ".join(messages), f"correct `{key}`" if key else "correct the keys named"
-    return _Fault(key, f"key `{key}`: {text}" if key else text, "", fix)
+    return ConfigError(f"key `{key}`: {text}" if key else text, fix=fix, key=key)
 
 
 def _find_record(kind: type[BaseModel], place: Location) -> type[BaseModel] | None:

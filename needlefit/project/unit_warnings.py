@@ -149,7 +149,8 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
             yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
-        yield from _doubt_boundary(tops[0], _deepest(scene), "layers.2.top_mm")
+        shallow = (BOUNDARY_TO_DEPTH * _deepest(scene), math.inf)
+        yield from doubt_range(tops[0], shallow, {"metres": 1e3}, "layers.2.top_mm", "mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
     for key, offset, angle in bevels:
@@ -202,32 +203,19 @@ def _doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Do
         yield from doubt_range(offset, (low, high), {"metres": 1e3}, key, f"mm per {spacing:g} mm of depth")
 
 
-def _doubt_boundary(first: float, depth: float, key: str) -> Iterator[Doubt]:
-    """Yield a doubt if the first boundary is very shallow beside the `depth` of insertions, mm."""
-    if 0 < first < BOUNDARY_TO_DEPTH * depth:
-        metres = BOUNDARY_TO_DEPTH * depth <= 1e3 * first <= 2 * depth
-        looks = ": this looks like metres" if metres else ""
-        what = f"`{key}` has a boundary at {first:g} mm before insertions of {depth:g} mm{looks}"
-        yield key, what, f"write {1e3 * first:g}" if metres else "check it, in mm"
-
-
 def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
-    """Yield each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
+    """Yield each doubt about the boundaries, mm, of insertions down to `deepest`, mm.
+
+    The last one is judged; where it is plausible, layers that are hardly there.
+    """
     if not boundaries:
         return
-    first, last = boundaries[0], boundaries[-1]
-    shallow = list(_doubt_boundary(first, deepest, key))
-    yield from shallow
-    what = f"`{key}` is {', '.join(f'{one:g}' for one in boundaries)}"
-    if not shallow and len(boundaries) > 1 and last < BOUNDARIES_TO_DEPTH * deepest:
-        what += f", all at the top of insertions of {deepest:g} mm: this looks like centimetres or inches"
-        yield key, what, "if so, multiply by 10 or 25.4"
-    elif last >= deepest:
-        micro = first > deepest > 1e-3 * last > BOUNDARIES_TO_DEPTH * deepest
-        what += f", and no insertion is deeper than {deepest:g} mm{': this looks like micrometres' * micro}"
-        fix = "divide by 1000" if micro else "check its unit, mm, or leave out what no insertion reaches"
-        yield key, what, fix
-    for top, end in pairwise(boundaries):
+    least, units = BOUNDARY_TO_DEPTH * deepest, LENGTH_UNITS
+    if len(boundaries) > 1:  # of which centimetres are the likely unit
+        least, units = BOUNDARIES_TO_DEPTH * deepest, {"centimetres": 10.0} | LENGTH_UNITS
+    doubts = list(doubt_range(boundaries[-1], (least, deepest), units, key, "mm"))
+    yield from doubts
+    for top, end in () if doubts else pairwise((0.0, *boundaries)):
         if end - top < BOUNDARY_TO_DEPTH * deepest:
             what = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
             yield key, what, "remove one of them, or correct it, in mm"

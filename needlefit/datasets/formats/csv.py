@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -107,26 +107,18 @@ def parse_numbers(
     return values
 
 
-def read_points(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
-    """Return the points under `POINT_COLUMNS` (renamed by `names`), or None after a fault."""
-    wanted = [names.get(column, column) for column in POINT_COLUMNS]
-    if note_missing_columns(table, wanted, found):
-        return None
-    before = len(found)
-    values = np.column_stack([parse_numbers(table, column, found) for column in wanted])
-    return Points(table.path, values, table.lines) if len(found) == before else None
-
-
 def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
-    """Return the points of a centreline, with their deviations if it has any; None after a fault."""
-    before = len(found)
-    points = read_points(table, names, found)
-    if SD_COLUMN in names:
-        note_missing_columns(table, [names[SD_COLUMN]], found)
+    """Return the points under `POINT_COLUMNS` (renamed by `names`), with their deviations if it has any.
+
+    None after a fault.
+    """
+    before, wanted = len(found), [names.get(column, column) for column in POINT_COLUMNS]
+    note_missing_columns(table, [*wanted, *(names[one] for one in (SD_COLUMN,) if one in names)], found)
+    values = [parse_numbers(table, column, found) for column in wanted if column in table.cells]
     sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
-    if points is None or len(found) > before:
+    if len(found) > before:
         return None
-    return replace(points, sd=sd, columns=tuple(map(str, table.cells.columns)))
+    return Points(table.path, np.column_stack(values), table.lines, sd, tuple(map(str, table.cells.columns)))
 
 
 def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Floats | None:
@@ -204,7 +196,7 @@ def _check_header(header: list[str], where: str) -> None:
 
 def _read_markers(path: Path) -> Points:
     found: list[Fault] = []
-    points = read_points(read_table(path), {}, found)
+    points = read_curve(read_table(path), {}, found)
     if points is None:
         raise as_error(found, path)
     return points
