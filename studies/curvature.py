@@ -46,8 +46,7 @@ def write_sensors(folder: Path, sd: float) -> None:
     rng = np.random.default_rng(1)
     read = [read_sensors(one, sd, rng) for one in load_dataset("twin").insertions]
     pd.concat(read).to_csv(folder / "curvature.csv", index=False)
-    rows = pd.read_csv(folder / "insertions.csv", dtype=str)
-    rows["hole"] = rows["id"]
+    rows = pd.read_csv(folder / "insertions.csv", dtype=str).assign(hole=lambda row: row["id"])
     again = rows.assign(id=rows["id"] + "-shape")
     pd.concat([rows, again]).to_csv(folder / "insertions.csv", index=False)
     for name in rows["id"]:
