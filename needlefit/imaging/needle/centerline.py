@@ -62,7 +62,7 @@ MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
 # that are refused, the latter also where the needle runs in thick slices. Of needles alone at most 0.02, in
 # slices 0.24 (once 0.63); with balls of 3 and 5 mm 0.15 to 0.8, of 2 mm 0.05. Air there is darker.
 MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.04, 0.15, 0.65
-BESIDE_SD_MM = 1.7  # deviation of the tip by what is spoken of, over that part, mm
+BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that part, mm
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
 WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
 # Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
@@ -164,7 +164,7 @@ def trace_needle(
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
     if alone and (wide > MIN_WIDE_PART or dark < MAX_DARK_PART):
-        end = replace(end, sd=np.hypot(end.sd, BESIDE_SD_MM * max(wide, -dark)))
+        end = replace(end, sd=np.hypot(end.sd, [BESIDE_SD_MM * max(wide, -dark), 0.0]))
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
