@@ -247,9 +247,11 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
 def find_true_value(problem: Problem, name: str, seed: int, population: Population | None = None) -> float:
     """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
 
-    NaN for what the truth has not: hyperparameters, exponents, the angle of a cut.
+    NaN for what the truth has not: hyperparameters, exponents, the angle of a cut, needles of other data.
     """
     planned = {one.id: one for one in list_planned_insertions()}
+    if any(one.id not in planned for one in problem.insertions):
+        return math.nan
     tuned = [planned[one.id] for one in problem.insertions]
     specimens = [draw_specimen(seed, one.medium, one.specimen, population) for one in tuned]
     if name == "bevel_mm":
@@ -259,7 +261,7 @@ def find_true_value(problem: Problem, name: str, seed: int, population: Populati
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]
     if not layers:
-        return float("nan")
+        return math.nan
     return float(1e6 * np.exp(np.mean([np.log(specimen.mu[layers]) for specimen in specimens])))
 
 
