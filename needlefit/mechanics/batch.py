@@ -540,15 +540,11 @@ def _evaluate(
         )
     insertion = batch.prepared[wrt]
     if not valid.any():  # numbers that a needle may have, in place of what is none
-        step = batch.steps[0]
-        own = {
+        step, names = batch.steps[0], ("base_y", "base_slope", "base_z", "base_slope_z")
+        own = {name: getattr(step.controls, name) for name in names} | {
             "rigidity": batch.needle.flexural_rigidity,
             "offset": step.bevel.offset,
             "cut_angle": step.bevel.cut_angle,
-            "base_y": step.controls.base_y,
-            "base_slope": step.controls.base_slope,
-            "base_z": step.controls.base_z,
-            "base_slope_z": step.controls.base_slope_z,
             "roll": 0.0,
             "guide_x": step.controls.guides[0].x if "guide_x" in values else 0.0,
             "mu": batch.tissue.mu,

@@ -143,7 +143,8 @@ class KernelProblem(ctypes.Structure):
             raise TypeError(f"a problem without {sorted(missing)}")
         problem.arrays = dict(arrays)
         others = {"any": -1, "layers - 1": problem.layers - 1, "inputs + 1": problem.inputs + 1}
-        problem._point_to(arrays, sizes | others | {"guide_size": 1 + 2 * problem.planes})
+        sizes |= others | {"guide_size": 1 + 2 * problem.planes}
+        problem._point_to(_find_addresses(arrays, sizes))
         guides = len(arrays["before"]) + len(arrays["within"])
         if (
             len(arrays["stops"]) < problem.stop_count
@@ -157,17 +158,13 @@ class KernelProblem(ctypes.Structure):
         return problem
 
     def with_sets(self, given: "SetArrays") -> "KernelProblem":
-        """Return the same insertion with other parameter sets.
-
-        Raises TypeError if these are not arrays of a problem of the same sizes.
-        """
+        """Return the insertion with other parameter sets; TypeError if their arrays have other sizes."""
         if given.arrays.keys() != self.arrays.keys() & _SET_ARRAYS or given.sizes != self.set_sizes:
             raise TypeError(f"arrays of {', '.join(given.arrays)} are not all that differ between sets")
         problem = KernelProblem.from_buffer_copy(self)
         problem.__dict__.update(self.__dict__)
         problem.sets, problem.arrays = given.sets, self.arrays | given.arrays
-        for name, address in given.addresses.items():
-            setattr(problem, name, address)
+        problem._point_to(given.addresses)
         return problem
 
     @cached_property
@@ -175,8 +172,8 @@ class KernelProblem(ctypes.Structure):
         """The sizes of which arrays with an axis of sets have axes, but for that one."""
         return tuple(getattr(self, name) for name in _SET_SIZES)
 
-    def _point_to(self, arrays: Mapping[str, np.ndarray], sizes: dict[str, int]) -> None:
-        for name, address in _find_addresses(arrays, sizes).items():
+    def _point_to(self, addresses: Mapping[str, int]) -> None:
+        for name, address in addresses.items():
             setattr(self, name, address)
 
 

@@ -170,11 +170,7 @@ class PackedStops(NamedTuple):
 
     def list_inputs(self, steps: Sequence[Step]) -> tuple[tuple[Bevel, ...], tuple[Controls, ...]]:
         """Return the bevels and the controls that the stops name."""
-        bevels, controls = (
-            tuple(steps[i].bevel for i in self.bevels),
-            tuple(steps[i].controls for i in self.controls),
-        )
-        return bevels, controls
+        return tuple(steps[i].bevel for i in self.bevels), tuple(steps[i].controls for i in self.controls)
 
 
 def plan_insertion(
@@ -378,14 +374,8 @@ def pack_problem(
     return native.KernelProblem.make(of_layers | numbers | sizes, arrays | of_sets)
 
 
-#: what a set may give of the layers, and else is the tissue's own
-_OF_LAYERS = ("mu", "shape", "thickness", "friction")
-
-
-@lru_cache(maxsize=512)
-def _find_alike(*_: object) -> object:
-    """Return the same object for the same arguments: it is compared faster than these are."""
-    return object()
+#: gives the same object for the same arguments: it is compared faster than these are
+_find_alike = lru_cache(maxsize=512)(lambda *_: object())
 
 
 #: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
@@ -415,7 +405,7 @@ class PreparedInsertion:
             rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
         self.needle, self.tissue, self.steps, self.rules, self.columns = needle, tissue, steps, rules, columns
         self.lattice, self._packed = plan_insertion(steps, needle.length, rules, lattice)
-        self.points = self._packed.last.cell + 1
+        self.points, self._inputs = self._packed.last.cell + 1, self._packed.list_inputs(steps)
         self.depth = self._packed.last.tip
         # about: it orders insertions by their cost
         self.nodes_solved = float(self._packed.stops["tip"].sum())
@@ -430,27 +420,24 @@ class PreparedInsertion:
         Every call gives values of the same names. `shared` keeps the arrays of sets for other insertions that
         are given the same values, and are packed alike.
         """
-        problem = self._problem
-        if problem is None:
-            self._problem = problem = pack_problem(
+        if self._problem is None:
+            self._problem = pack_problem(
                 self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
                 sets=sets, values=values, columns=self.columns,
             )  # fmt: skip
-            own = (getattr(self.tissue, name).tobytes() for name in _OF_LAYERS if name not in values)
-            columns = self.columns and (self.columns.total, self.columns.first.tobytes())
+            names = (name for name in ("mu", "shape", "thickness", "friction") if name not in values)
             self._alike = _find_alike(
-                self.needle.flexural_rigidity, self.tissue.law, *own, self.rules, problem.planes, columns,
-                self._packed.list_inputs(self.steps),
+                self.needle.flexural_rigidity, self.tissue.law, self.rules, self._inputs,
+                *(getattr(self.tissue, name).tobytes() for name in names),
+                self._problem.planes, self.columns and (self.columns.total, self.columns.first.tobytes()),
             )  # fmt: skip
-            return problem
+            return self._problem
         key = self._alike, *map(id, values.values())
         if key not in shared:
-            inputs = self._packed.list_inputs(self.steps)
-            _, arrays = pack_sets(
-                self.needle, self.tissue, inputs, self.rules, problem.planes, sets, values, self.columns
-            )
-            shared[key] = native.SetArrays(problem, sets, arrays)
-        return problem.with_sets(shared[key])
+            given = self.needle, self.tissue, self._inputs, self.rules, self._problem.planes
+            _, arrays = pack_sets(*given, sets, values, self.columns)
+            shared[key] = native.SetArrays(self._problem, sets, arrays)
+        return self._problem.with_sets(shared[key])
 
 
 class Evaluation:
