@@ -572,9 +572,8 @@ def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bool
 
 
 def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
-    a = evaluation.shapes.arrays
+    a, wrong = evaluation.shapes.arrays, ~evaluation.valid
     if not evaluation.all_valid:
-        wrong = ~evaluation.valid
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
