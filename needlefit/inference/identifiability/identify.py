@@ -55,7 +55,7 @@ LOG_POSTERIOR_TOLERANCE = 0.1
 #: the same for the metric objective: within 1 % or 0.002 mm of the best one's
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
 #: largest fall of the deviance that a step from an end of a profile may promise, by the exact Jacobian
-MAX_END_GAIN = 0.1
+MAX_END_GAIN = 0.5
 MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
 
 
@@ -89,9 +89,10 @@ def identify(
     """
     theta, names = np.array(fit.theta), problem.names
     noisy = add_estimated_noise(problem, theta)
-    known, information = compute_sds(noisy, theta, draws)
+    at = linearize(noisy, theta)
+    known, information = compute_sds(noisy, theta, draws, at)
     sds, before = dict(zip(names, known.tolist(), strict=True)), prior_information(noisy)
-    added = add_model_error(noisy, theta)
+    added = add_model_error(noisy, theta, at)
     # pinv: a direction without information has no variance to add to
     wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
     found = principal_directions(wider.astype(np.float64), names, before)
@@ -106,7 +107,7 @@ def identify(
     nominally = {
         n: informed[n] and sds[n] < limits[n] and ranges[n] < MAX_RANGE_SD * limits[n] for n in names
     }
-    loosened = loosen(noisy, theta, sds) if any(nominally.values()) else ()
+    loosened = loosen(noisy, theta, sds, at) if any(nominally.values()) else ()
     if loosened and further is not None:
         apart = dict(zip(names, np.std(further, axis=0).tolist(), strict=True))
         apart |= {name: apart.get(source, 0.0) for name, (_, source) in problem.parameters.ties.items()}

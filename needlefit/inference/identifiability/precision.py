@@ -39,19 +39,25 @@ def cramer_rao(information: Floats) -> Floats:
     return np.sqrt(variance.sum(axis=1))
 
 
-def posterior_sds(problem: Problem, theta: Floats) -> dict[str, float]:
+#: what `linearize` returns; who needs it twice computes it once
+Linearized = tuple[Floats, Floats, float]
+
+
+def posterior_sds(problem: Problem, theta: Floats, at: Linearized | None = None) -> dict[str, float]:
     """Return the standard deviations of theta by the information, or the scatter between needles, by name."""
-    return dict(zip(problem.names, compute_sds(problem, theta)[0].tolist(), strict=True))
+    return dict(zip(problem.names, compute_sds(problem, theta, at=at)[0].tolist(), strict=True))
 
 
-def compute_sds(problem: Problem, theta: Floats, draws: Floats | None = None) -> tuple[Floats, Floats]:
-    """Return the standard deviations (P,) and the information (P, P).
+def compute_sds(
+    problem: Problem, theta: Floats, draws: Floats | None = None, at: Linearized | None = None
+) -> tuple[Floats, Floats]:
+    """Return the standard deviations (P,) and the information (P, P), given the observations linearised `at`.
 
     With `draws` (B, P) of the posterior, deviations and information are theirs: where the posterior is not
     Gaussian, the information at one point is smaller or larger. Where bounds cut the draws off, deviations
     are not smaller than by the information, which the bounds hardly limit.
     """
-    residuals, slope, chi_square = linearize(problem, theta)
+    residuals, slope, chi_square = at or linearize(problem, theta)
     prior_part = prior_and_noise_information(problem)
     # a chi-square above 1 means that the noise is understated; one below 1 is not taken as extra precision
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
@@ -115,7 +121,7 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     return replace(problem, noise=replace(stated, point_sd=rms))
 
 
-def linearize(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
+def linearize(problem: Problem, theta: Floats) -> Linearized:
     """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square."""
     # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
     # added by `prior_information`
@@ -168,24 +174,28 @@ class Loosened:
     sds: Mapping[str, float]
 
 
-def loosen(problem: Problem, theta: Floats, sds: Mapping[str, float] | None = None) -> tuple[Loosened, ...]:
+def loosen(
+    problem: Problem, theta: Floats, sds: Mapping[str, float] | None = None, at: Linearized | None = None
+) -> tuple[Loosened, ...]:
     """Return the standard deviations at `theta` (P,) with ties loosened, and then with a model error.
 
     By `sds`, the standard deviations before, or by default those of the information: loosening adds to their
     squares what it adds by the information.
     """
-    stated = posterior_sds(problem, theta)
+    at = at or linearize(problem, theta)
+    stated = posterior_sds(problem, theta, at)
     known = stated if sds is None else sds
     values, parameters = problem.values(theta), loosen_ties(problem.parameters)
-    found, problems = [], []
+    found, problems = list[Loosened](), list[tuple[str, Problem, Linearized | None]]()
     if parameters != problem.parameters:
         problem, theta = problem.with_parameters(parameters), parameters.theta(values)
-        problems.append((STATED_TIES, problem))
-    residuals, _, chi_square = linearize(problem, theta)
+        at = linearize(problem, theta)
+        problems.append((STATED_TIES, problem, at))
+    residuals, _, chi_square = at
     error = estimate_model_error(problem, residuals, chi_square)
-    problems.append((NO_MODEL_ERROR, replace(problem, model_error=error)))
-    for condition, one in problems:
-        loose = posterior_sds(one, one.parameters.theta(values))
+    problems.append((NO_MODEL_ERROR, replace(problem, model_error=error), None))
+    for condition, one, there in problems:
+        loose = posterior_sds(one, one.parameters.theta(values), there)
         added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
         found.append(
             Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
@@ -221,9 +231,9 @@ def find_tie_conditions(
     return found
 
 
-def add_model_error(problem: Problem, theta: Floats) -> Floats:
+def add_model_error(problem: Problem, theta: Floats, at: Linearized) -> Floats:
     """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
-    residuals, first, chi_square = linearize(problem, theta)
+    residuals, first, chi_square = at
     allowing = replace(problem, model_error=estimate_model_error(problem, residuals, chi_square))
     covariances = [
         np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True)
