@@ -23,7 +23,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.corrections import describe_changes, make_control_points
 from needlefit.imaging.entry import list_candidates
-from needlefit.imaging.needle.segmentation import list_needles
+from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import Scan
@@ -133,12 +133,15 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
         tubes = search.tubes
-        parts = list_needles(search.volume, tubes, search.recipe.needle.diameter_mm)
+        diameter = search.recipe.needle.diameter_mm
+        parts = list_needles(search.volume, tubes, diameter, MIN_DIVIDED_NEEDLE_RATIO)
         points = [to_patient(search.volume, part.voxels) for part in parts]
         middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
         if len(middles) > 1:
             ones = enumerate(sorted(middles, key=lambda middle: float(middle[0])), start=1)
-            return tuple(replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=True) for n, at in ones)
+            return tuple(
+                replace(scan, id=f"{scan.id}-{n}", needle_at=at, divided=len(parts)) for n, at in ones
+            )
     return (scan,)
 
 

@@ -499,7 +499,9 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    doubts = () if found.selection is None or found.scan.divided else found.selection.warnings
+    doubts = () if found.selection is None else found.selection.warnings
+    if found.selection is not None and found.scan.divided == 1 + len(found.selection.others):
+        doubts = ()  # all other tubes are needles of their own
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 

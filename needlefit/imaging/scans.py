@@ -106,7 +106,7 @@ class Scan:
     layers_alternative: int | None = None
     guide_distance: float | None = None  # as in `insertions.csv`, mm; 0: the guide lies on the tissue
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
-    divided: bool = False  # whether the scan's other needles are insertions too: the program set `needle_at`
+    divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
     corrections: Corrections | None = None  # as moved in 3D Slicer; no column of a table states them
 

@@ -49,6 +49,10 @@ class Stated:
     def to_depths(self, what: str, usual: str = "mm", separator: str = ",") -> tuple[float, ...]:
         """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
         parts = re.split(";" if ";" in self.text else separator, self.text)
+        # of `2, 4 cm` the unit is of all; beside numbers with another one it is of its own
+        last = re.search(r"[^\W\d].*$", parts[-1])
+        if last and not any(re.search(r"[^\W\d]", part) for part in parts[:-1]):
+            parts = [*(f"{part} {last[0]}" for part in parts[:-1]), parts[-1]]
         depths = [replace(self, text=part.strip()).to_number(what, "mm", usual) for part in parts]
         if any(b <= a for a, b in pairwise([0.0, *depths])):
             raise self.error(what, "depths above 0 that increase, such as 15; 30")

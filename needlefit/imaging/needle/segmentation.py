@@ -333,6 +333,8 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
 
 # A second tube of at least this part of the needle's length and brightness may be the needle, too.
 MIN_SECOND_NEEDLE_RATIO = 0.6
+# The same where a user asks for all needles, of which some are short.
+MIN_DIVIDED_NEEDLE_RATIO = 0.4
 # Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
 CLEAR_WIDTH_RATIO = 1.5
 MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm
@@ -404,10 +406,11 @@ def find_ends(volume: Volume, part: Component) -> Floats:
     return points[[int(np.argmin(along)), int(np.argmax(along))]]
 
 
-def list_needles(volume: Volume, tubes: Sequence[Component], diameter: float) -> list[Component]:
+def list_needles(
+    volume: Volume, tubes: Sequence[Component], diameter: float, ratio: float = MIN_SECOND_NEEDLE_RATIO
+) -> list[Component]:
     """Return the tubes, of those given longest first, that may be a needle beside the longest one."""
-    level = MIN_SECOND_NEEDLE_RATIO * _mean_hu(volume, tubes[0])
-    length = MIN_SECOND_NEEDLE_RATIO * tubes[0].length
+    level, length = ratio * _mean_hu(volume, tubes[0]), ratio * tubes[0].length
     alike = [part for part in tubes if part.length >= length and _mean_hu(volume, part) >= level]
     misses = [abs(math.log(part.width / diameter)) for part in alike]
     clear = min(misses) + math.log(CLEAR_WIDTH_RATIO)
