@@ -20,6 +20,7 @@ from needlefit.datasets.columns import (
     POSE_COLUMNS,
     POSE_SOURCES,
     REQUIRED_COLUMNS,
+    ROLL_COLUMNS,
     SCAN_COLUMNS,
     SCAN_ROTATION_COLUMNS,
     SCAN_SHIFT_COLUMNS,
@@ -83,15 +84,19 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
 
 
+MAX_CURVATURE = 0.1  # of a needle, 1/mm: a radius of 10 mm
+
+
 def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows with the curvatures that a table lists; note the faults of that table."""
     if note_missing_columns(table, list(CURVATURE_COLUMNS), found):
         return list(rows)
     ids = np.array(table.cells["id"], dtype=object)
     values = np.column_stack([parse_numbers(table, name, found) for name in CURVATURE_COLUMNS[1:]])
-    known = {row.id: row for row in rows}
-    for n, (name, (s, *_, sd)) in enumerate(zip(ids, values.tolist(), strict=True)):
-        row = known.get(name)
+    known, read = {row.id: row for row in rows}, set[tuple[str, float]]()
+    for n, (name, (s, y, z, sd)) in enumerate(zip(ids, values.tolist(), strict=True)):
+        row, again = known.get(name), (name, s) in read
+        read.add((name, s))
         if row is None:
             fix = "correct the id, or remove the line"
             found.append(Fault(table.where(n), f"is of insertion {name!r:.60}", "an id of the table", fix))
@@ -102,6 +107,12 @@ def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fau
         elif not sd > 0:
             fix = "state the standard deviation of the curvature, 1/mm"
             found.append(Fault(table.where(n), f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
+        elif max(abs(y), abs(z)) > MAX_CURVATURE:
+            what, expected = f"has a curvature of {max(abs(y), abs(z)):g} 1/mm", f"at most {MAX_CURVATURE:g}"
+            found.append(Fault(table.where(n), what, expected, "state it in 1/mm: 1/m are 1000 times more"))
+        elif again:
+            what = f"states the curvature of {name!r:.60} at {s:g} mm again"
+            found.append(Fault(table.where(n), what, "one line for each sensor", "remove the line"))
     return [replace(row, curvature=own) if len(own := values[ids == row.id]) else row for row in rows]
 
 
@@ -133,6 +144,11 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     entry, direction = (vectors(ENTRY_COLUMNS), vectors(DIRECTION_COLUMNS)) if pose_known else (None, None)
     numbers = {name: column(name, default) for name, (_, default) in NUMBER_COLUMNS.items()}
     side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
+    rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
+    for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
+        if not any(both):
+            fix = "state the roll, 0 too, or a bevel_side"
+            found.append(Fault(table.where(n), "states no bevel, as others do", "bevel_roll_deg", fix))
     sources = texts("pose_source") if pose_known else ["none"] * len(ids)
     return [
         InsertionRow(

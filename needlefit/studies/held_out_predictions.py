@@ -658,11 +658,17 @@ def _score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
     pit = float(np.mean(sizes < np.linalg.norm(np.linalg.solve(root, measured - centre))))
     apart = pdist(tips).mean() * (len(tips) - 1) / len(tips)
     low, high = np.quantile(tips[:, 1], [0.025, 0.975]).tolist()
+    ends: Row = {}
+    for level in INTERVAL_PROBABILITIES:  # along y
+        pair = np.quantile(tips[:, 0], [(1 - level) / 2, (1 + level) / 2]).tolist()
+        ends |= {
+            f"tip_{100 * level:.0f}_{end}_mm": one for end, one in zip(("low", "high"), pair, strict=True)
+        }
     (y, z), (y_median, z_median) = measured.tolist(), centre.tolist()
     return {
         **{"tip_measured_mm": y, "tip_median_mm": y_median},
         **{"tip_z_measured_mm": z, "tip_z_median_mm": z_median},
-        **{"tip_z_95_low_mm": low, "tip_z_95_high_mm": high},
+        **{"tip_z_95_low_mm": low, "tip_z_95_high_mm": high, **ends},
         **{"tip_pit": pit, "tip_in_50": pit <= 0.5, "tip_in_95": pit <= 0.95},
         "tip_crps_mm": float(np.linalg.norm(tips - measured, axis=1).mean() - apart / 2),
         "tip_interval_score_mm": math.nan,

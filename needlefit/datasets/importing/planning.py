@@ -310,7 +310,7 @@ class Planner:
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        if differ := len({*sides}) > 1 or any(turns) or min(sides) < 0:
+        if differ := len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
             mean = np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0)
@@ -435,10 +435,11 @@ def fit_shaft(curve: ImportedCurve, pose: Stated) -> tuple[Floats, float]:
 def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:
     """Return the sides of bevels, and by how much each is turned about its needle, rad.
 
-    Bevels that differ by half turns are 1 and -1; others are sides 1, turned.
+    Bevels that differ by half turns are 1 and -1, all turned alike; others are sides 1, turned.
     """
     if len({angle % 180.0 for angle in angles}) == 1:
-        return [1 if angle % 360.0 < 180.0 else -1 for angle in angles], [0.0 for _ in angles]
+        turn = float(np.radians(angles[0] % 180.0))
+        return [1 if angle % 360.0 < 180.0 else -1 for angle in angles], [turn for _ in angles]
     return [1 for _ in angles], [float(np.radians(angle % 360.0)) for angle in angles]
 
 

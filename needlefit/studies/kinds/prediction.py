@@ -23,7 +23,7 @@ import pandas as pd
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.compared_points import pad_planes, turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
@@ -217,7 +217,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
     found = simulate_scene(sets, job.medium, scene, s, deep, wrong)
-    points = found.points[found.solved]  # (B, K, 2 or 3)
+    points = pad_planes(found.points[found.solved], job.dataset.planes)  # (B, K, 2 or 3)
     if not len(points):
         raise ModelError(
             f"none of {len(thetas)} draws of the parameters can be solved for this scene",
