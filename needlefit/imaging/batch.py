@@ -115,8 +115,7 @@ class ReconstructionFailure:
 class ReconstructionBatch:
     """Options of a batch: where it runs, checkpoints and callbacks."""
 
-    # Where scans are reconstructed; each takes as much memory as its volume, several times.
-    pool: TaskPool = THIS_PROCESS
+    pool: TaskPool = THIS_PROCESS  # where scans are reconstructed; each takes several times its own memory
     checkpoint: Checkpoint = NO_CHECKPOINT  # what it has of the same scans and versions is taken as it is
     progress: Progress = no_progress  # called with the scan that was finished, how many are, and of how many
     stop: Stop = never_stop  # whether to begin no further scan
@@ -132,9 +131,8 @@ def divide_scan(search: VolumeSearch, scan: Scan) -> tuple[Scan, ...]:
     if any(stated is not None for stated in own):
         return (scan,)
     with suppress(NeedlefitError):  # its reconstruction says why
-        tubes = search.tubes
-        diameter = search.recipe.needle.diameter_mm
-        parts = list_needles(search.volume, tubes, diameter, MIN_DIVIDED_NEEDLE_RATIO)
+        size = search.recipe.needle.diameter_mm
+        parts = list_needles(search.volume, search.tubes, size, MIN_DIVIDED_NEEDLE_RATIO)
         points = [to_patient(search.volume, part.voxels) for part in parts]
         middles = [some[np.argmin(np.linalg.norm(some - some.mean(axis=0), axis=1))] for some in points]
         if len(middles) > 1:

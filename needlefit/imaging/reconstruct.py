@@ -499,9 +499,8 @@ def derive_reconstruction(
         views=(),
         warnings=(),
     )
-    doubts = () if found.selection is None else found.selection.warnings
-    if found.selection is not None and found.scan.divided == 1 + len(found.selection.others):
-        doubts = ()  # all other tubes are needles of their own
+    picked = found.selection  # nothing to say where all other tubes are needles of their own
+    doubts = () if not picked or found.scan.divided == 1 + len(picked.others) else picked.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
 
 

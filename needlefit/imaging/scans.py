@@ -81,8 +81,7 @@ class Scan:
 
     # `id`, `medium`, `specimen`: as in `insertions.csv`.
     id: str
-    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder,
-    # `acquisition` one of several in a series.
+    # A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` and `acquisition` choose among several.
     volume: Path
     medium: str
     specimen: str = ""

@@ -75,10 +75,8 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
             place, series = _choose_member(place, series)
         if is_image_file(place):
             if series or acquisition:
-                raise refusal(f"""it is one image, and a {"series" if series else "acquisition"} is stated
-                    expected: a DICOM series, or a .zip of several images
-                    fix: leave out {"--series" if series else "--acquisition"}, or the column
-                    where: {path}""")
+                expected, fix = "a DICOM series", "leave out series and acquisition"
+                raise DataError("it is one image", where=str(path), expected=expected, fix=fix)
             return _build_volume(*_read_arrays(place, labels=False), place)
         if not place.is_dir():
             with open_regular(place, sys.maxsize):  # a regular file

@@ -331,10 +331,8 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 
 
-# A second tube of at least this part of the needle's length and brightness may be the needle, too.
-MIN_SECOND_NEEDLE_RATIO = 0.6
-# The same where a user asks for all needles, of which some are short.
-MIN_DIVIDED_NEEDLE_RATIO = 0.4
+# A tube of this part of the longest one's length and brightness may be a needle; where all are asked for, too.
+MIN_SECOND_NEEDLE_RATIO, MIN_DIVIDED_NEEDLE_RATIO = 0.6, 0.4
 # Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
 CLEAR_WIDTH_RATIO = 1.5
 MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm
@@ -393,8 +391,7 @@ def select_needle(
 
 def describe_tube(volume: Volume, part: Component) -> str:
     """Return the measures of a tube in words."""
-    ends = find_ends(volume, part)
-    first, last = (", ".join(f"{x:.0f}" for x in end) for end in ends)
+    first, last = (", ".join(f"{x:.0f}" for x in end) for end in find_ends(volume, part))
     return f"a tube of {part.length:.0f} mm, {part.width:.1f} mm wide, from L, P, S = {first} to {last} mm"
 
 

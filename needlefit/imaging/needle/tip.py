@@ -499,13 +499,10 @@ def fit_tip(
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
 # It is less where no dark streak lies beyond the end: in parts, and brightness of a streak from which on all
-# counts, HU. And what no residual shows across: mm, and in parts of that length. Set on 71 scans of
-# `benchmarks/reconstruction.py --seed 7301, 7401` and on needles of `benchmarks/real_scanners.py`.
+# counts, HU. And what no residual shows across: mm, and in parts of that length. Set as `BEVEL_RAY_MM`.
 MIN_HIDDEN_PART, HIDING_STREAK_HU = 0.25, 1000.0
 ACROSS_ERROR_MM, ACROSS_ERROR_PER_MM = 0.015, 0.001
-# Deviation of the place along in a scan that was resampled after its values were cut, in voxels: how it was
-# resampled is not known.
-RESAMPLED_SD = 0.25
+RESAMPLED_SD = 0.25  # deviation of the place along, in voxels, in a scan resampled after its values were cut
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
 MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5
