@@ -331,7 +331,7 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 
 
-# A tube of this part of the longest one's length and brightness may be a needle; where all are asked for, too.
+# A tube of this part of the longest one's length and brightness may be a needle; the second: of all wanted.
 MIN_SECOND_NEEDLE_RATIO, MIN_DIVIDED_NEEDLE_RATIO = 0.6, 0.4
 # Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
 CLEAR_WIDTH_RATIO = 1.5
