@@ -229,7 +229,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
     headers: set[tuple[str, ...]] = set()
     rows = parse_rows(table, record, found)
     for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_curvature)):
-        if name is not None:
+        if name is not None and not found:  # of rows with faults ids are missing
             beside = reading.read_table(root / name)
             rows = [] if beside is None else add(rows, beside, found)
     for row in rows:
