@@ -30,7 +30,7 @@ from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.held_out_predictions import _score_tip_in_space
 from needlefit.studies.job import Inputs, Settings, prepare
-from needlefit.studies.planned_draws import PlannedInsertion, _simulate_each
+from needlefit.studies.planned_draws import PlannedInsertion
 from needlefit.studies.simulated_data import simulate_measurement
 
 TURNED = {
@@ -210,7 +210,8 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
 def test_draws_that_are_simulated_one_by_one_lie_in_space_too():
     sets, s = [TRUTH, {**TRUTH, "mu1_pa": 4e5}], np.linspace(5.0, 40.0, 4)
     args = sets, medium(), NEEDLE, turned(), s, np.zeros(2), np.zeros((2, 9))
-    each, together = _simulate_each(*args).points, PlannedInsertion(*args).simulate().points
+    planned = PlannedInsertion(*args)
+    each, together = planned.simulate_each(np.arange(2)).points, planned.simulate().points
     assert each.shape == (2, 4, 3) and np.abs(each[..., 2]).max() > 0.1
     np.testing.assert_allclose(each, together, atol=1e-6)
 

@@ -153,17 +153,32 @@ class PlannedInsertion:
     def simulate(self, stride: int = 1) -> PlannedNeedles:
         """Return the needles of every so many sets."""
         rows = np.arange(0, len(self._sets), stride)
-        deep, wrong = self._deep[rows], self._wrong[rows]
         if self._draws is None or self._draws.steps is None or self._table is None:
-            sets = self._sets[::stride]
-            return _simulate_each(sets, self._medium, self._needle, self._insertion, self._s, deep, wrong)
+            return self.simulate_each(rows)
         whole, valid = self._draws.take(rows)
-        count = len(self._reach)
+        count, deep, wrong = len(self._reach), self._deep[rows], self._wrong[rows]
         shifts, still = np.zeros((len(rows), count)), np.zeros(len(rows))
         path = whole.take(slice(None, PATH_POINTS))
         for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
             shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
         return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + wrong[:, :count], deep), valid)
+
+    def simulate_each(self, rows: Ints) -> PlannedNeedles:
+        """Return the needles of some sets, each simulated by itself through its own layers."""
+        points, valid = np.full((len(rows), len(self._s), 3), np.nan), np.zeros(len(rows), dtype=np.bool_)
+        size = 2
+        for n, row in enumerate(rows):
+            values, entry = self._sets[row], float(self._deep[row])
+            met = with_planned_layers(self._insertion, values, self._medium, self._needle)
+            if met is None:
+                continue
+            wrong = entry + self._wrong[row, : len(met.boundaries)]
+            moved, at = shift_depths(met, self._s, wrong, entry)
+            shape = predict(values, self._medium, self._needle, moved)
+            read, valid[n] = read_points(moved, shape, at), shape.valid
+            size = max(size, read.shape[1])  # 3 in space
+            points[n, :, : read.shape[1]] = read
+        return PlannedNeedles(points[..., :size], valid)
 
 
 def simulate_scene(
@@ -367,28 +382,3 @@ class _Interpolation:
         count, nodes = self.steps.shape[:2]  # no nodes where no depth is open
         steps = weights.reshape(count, 1, nodes) @ self.steps.reshape(count, nodes, self.points[0].size)
         return self.points + steps.reshape(self.points.shape)
-
-
-def _simulate_each(
-    sets: Sets,
-    medium: MediumRecord,
-    needle: Needle,
-    insertion: Insertion,
-    s: Floats,
-    deep: Floats,
-    wrong: Floats,
-) -> PlannedNeedles:
-    """Return the same, draw by draw."""
-    points, valid = np.full((len(sets), len(s), 3), np.nan), np.zeros(len(sets), dtype=np.bool_)
-    size = 2
-    for n, values in enumerate(sets):
-        met = with_planned_layers(insertion, values, medium, needle)
-        if met is None:
-            continue
-        entry = float(deep[n])
-        moved, at = shift_depths(met, s, entry + wrong[n, : len(met.boundaries)], entry)
-        shape = predict(values, medium, needle, moved)
-        read, valid[n] = read_points(moved, shape, at), shape.valid
-        size = max(size, read.shape[1])  # 3 in space
-        points[n, :, : read.shape[1]] = read
-    return PlannedNeedles(points[..., :size], valid)
