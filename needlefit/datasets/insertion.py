@@ -1,7 +1,6 @@
 """Types of measured data: an insertion, the dataset, its stated measurement errors."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
@@ -62,7 +61,7 @@ class Noise:
         return self.point_sd > 0 or self.correlated_sd > 0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Insertion:
     """One measured insertion, reduced to its bending plane.
 
@@ -155,10 +154,6 @@ class Insertion:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     turns: tuple[tuple[float, float], ...] = ()
     curvature: Floats | None = None
-    #: its noise floors, by seed and what the dataset states: `Job.floor` keeps them for several studies
-    floors: dict[object, Mapping[str, float]] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
 
     def with_planar(self, planar: Floats, out_of_plane: Floats | None = None) -> Self:
         """Return the insertion as if its measured points were `planar` (N, 2) in C, at z = 0 by default."""

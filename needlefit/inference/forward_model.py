@@ -143,7 +143,7 @@ class PreparedModel:
         found: dict[tuple[int, ...], _Simulation] = {}
         for one in share_simulations(insertions, medium.constraint_spacing_mm):
             # the parts of an insertion that was changed in its bevel alone are the same objects
-            parts = (part.name for part in fields(one) if part.init and part.name != "bevel_factor")
+            parts = (part.name for part in fields(one) if part.name != "bevel_factor")
             key = tuple(id(getattr(one, name)) for name in parts)
             if key not in found:
                 found[key] = _Simulation(replace(one, bevel_factor=1.0), [])

@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
@@ -142,6 +143,9 @@ def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, 
 
 _GUIDE_PARAMETER = "guide_distance_mm"
 
+#: noise floors of insertions that are in use, by what else they depend on
+_floors: WeakKeyDictionary[Insertion, dict[object, NoiseFloor]] = WeakKeyDictionary()
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -239,7 +243,8 @@ class Job:
         return tuple(found.values())
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
-        seed, data, known = self.recipe.seed, self.dataset, insertion.floors
+        """Return the noise floor of an insertion; it is estimated once for all studies of a command."""
+        seed, data, known = self.recipe.seed, self.dataset, _floors.setdefault(insertion, {})
         key = (seed, data.noise, data.pose, data.drop_proximal)
         if key not in known:
             known[key] = estimate_noise_floor(
