@@ -320,7 +320,7 @@ class TipReadings(NamedTuple):
     heading_z: Floats | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TipTrack(Insertion):
     """An insertion that was observed by its tip on the way, not by its shape at the end.
 
