@@ -8,22 +8,22 @@ from matplotlib.figure import Figure
 from needlefit.inference import predict
 from needlefit.inference.sampling.importance import EFFORT, sample_about_fit
 from needlefit.reporting.figures import style
-from needlefit.studies import held_out_predictions
+from needlefit.studies import fold_draws
 from needlefit.studies.kinds import tracks
 
 DRAWS, CURVES = 50, 100
 
 
 def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
-    for module in (held_out_predictions, tracks):
+    for module in (fold_draws, tracks):
         patch.setattr(module, "PREDICTION_DRAWS", DRAWS)
     patch.setattr(predict, "CURVES", CURVES)
 
 
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:
     """Leave draws that are not certified as they are: no more of them, and no sampler."""
-    patch.setattr(held_out_predictions, "sample_about_fit", partial(sample_about_fit, efforts=(EFFORT,)))
-    patch.setattr(held_out_predictions, "sample_posterior", lambda *_: None)
+    patch.setattr(fold_draws, "sample_about_fit", partial(sample_about_fit, efforts=(EFFORT,)))
+    patch.setattr(fold_draws, "sample_posterior", lambda *_: None)
 
 
 def draw_blank(patch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ import pytest
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import find_file
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import find_fit
+from needlefit.studies.fold_draws import find_fit
 from needlefit.studies.job import Fold, Settings, prepare
 from needlefit.studies.kinds import cohort as cohort_run
 from needlefit.studies.kinds.cohort import find_datasets, run

@@ -28,9 +28,9 @@ from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import _score_tip_in_space
 from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.planned_draws import PlannedInsertion
+from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement
 
 TURNED = {
@@ -283,7 +283,7 @@ def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
     np.testing.assert_allclose(find_geometric_median(lines), [[1.0, 0.0]], atol=1e-6)
     tips = rng.normal(size=(4000, 2))
     for radius, expected in ((0.0, math.sqrt(math.pi / 2) - math.sqrt(math.pi) / 2), (3.0, None)):
-        found = _score_tip_in_space(tips, np.zeros(2), np.array([0.0, radius]))
+        found = score_tip_in_space(tips, np.zeros(2), np.array([0.0, radius]))
         assert found["tip_pit"] == pytest.approx(1 - math.exp(-(radius**2) / 2), abs=0.02)
         assert expected is None or found["tip_crps_mm"] == pytest.approx(expected, abs=0.02)
         assert found["tip_in_95"] == (radius < 2)

@@ -31,7 +31,7 @@ from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.held_out_predictions import Specimens, choose_specimen
+from needlefit.studies.fold_draws import Specimens, choose_specimen
 from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction

@@ -46,7 +46,8 @@ from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
 from needlefit.studies.answer import Answer, FaultKind, RunFault, Status
-from needlefit.studies.held_out_predictions import Specimens, predict_held_out
+from needlefit.studies.fold_draws import Specimens
+from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import (

@@ -47,7 +47,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
-from needlefit.studies.held_out_predictions import find_fit
+from needlefit.studies.fold_draws import find_fit
 from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions

@@ -49,7 +49,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.answer import Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
-from needlefit.studies.held_out_predictions import (
+from needlefit.studies.fold_draws import (
     PREDICTION_DRAWS,
     Specimens,
     choose_specimen,

@@ -40,7 +40,7 @@ from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD
-from needlefit.studies.held_out_predictions import PREDICTION_DRAWS
+from needlefit.studies.fold_draws import PREDICTION_DRAWS
 from needlefit.studies.job import Fold, Job, Settings, check_reach, prepare
 from needlefit.studies.judge import CLOSER, STATUS, check_data, check_intervals, judge_tracks
 from needlefit.studies.kind import StudyKind

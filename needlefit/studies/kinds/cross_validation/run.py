@@ -45,13 +45,8 @@ from needlefit.studies.explorer import describe_insertions
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import DEPTHS_KEY, MEDIAN_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fit_warnings import add_warnings
-from needlefit.studies.held_out_predictions import (
-    FoldDraws,
-    HeldOutPrediction,
-    Specimens,
-    draw_fold_parameters,
-    predict_held_out,
-)
+from needlefit.studies.fold_draws import FoldDraws, Specimens, draw_fold_parameters
+from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.identification import (
     NO_SOURCE,
     add_intervals,

@@ -1,0 +1,300 @@
+"""Draw the parameters of a fold: in the specimens that were tuned on, and in a further one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.errors import ConfigError
+from needlefit.inference import specimens
+from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.identifiability.precision import add_estimated_noise
+from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import Draws, thin_posterior
+from needlefit.inference.problem import Problem, find_new_bevel_sd
+from needlefit.inference.sampling.importance import (
+    LARGER_EFFORT,
+    Effort,
+    WeightedDraws,
+    resample_draws,
+    sample_about_fit,
+    sample_about_modes,
+)
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.sample import sample
+from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
+from needlefit.project.progress import never_stop
+from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import TaskStop, run_parts
+from needlefit.project.toml import describe_key
+from needlefit.studies.fit_frames import NEW_SPECIMEN
+from needlefit.studies.job import Fold, Job, Settings, group_insertions
+from needlefit.studies.score import Row
+
+PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
+FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
+#: of one specimen by itself: where its posterior overlaps with the others', few of its draws lie
+SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
+
+
+def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
+    """Fit the free parameters of a problem by the recipe of the job; `key` keys the random streams.
+
+    Raises FitError if the search finds no point that can be solved.
+    """
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
+
+
+def sample_posterior(
+    job: Job,
+    problem: Problem,
+    fit: Fit,
+    begin: WeightedDraws,
+    key: tuple[str, ...],
+    settings: Settings,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    step: Callable[[int, int], None] = lambda done, total: None,
+) -> Posterior | None:
+    """Return the posterior by MCMC, from weighted draws about a fit; None after a stop before there is any.
+
+    `step` is called with the number of steps made, and of all.
+    """
+    known = add_estimated_noise(problem, np.array(fit.theta))
+    rng = random_stream(job.recipe.seed, *key, "posterior")
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    # of another fit with the same key the chain would be another
+    name = f"{'/'.join(key)} about {fit.theta}"
+    return sample(known, begin, job.recipe.sample, rng, callbacks, checkpoint, name)
+
+
+@dataclass(frozen=True)
+class FoldDraws:
+    """Draws of the parameters of a fold, to predict with and for figures, and how they came about."""
+
+    draws: Draws  #: `PREDICTION_DRAWS` of them
+    shown: Draws  #: `FIGURE_DRAWS` of them
+    posterior: Posterior | None = None  #: where it was sampled
+
+
+def draw_fold_parameters(
+    job: Job,
+    fold: Fold,
+    fit: Fit,
+    settings: Settings,
+    checkpoint: Checkpoint = NO_CHECKPOINT,
+    step: Callable[[int, int], None] = lambda done, total: None,
+) -> FoldDraws:
+    """Draw parameters of a fold by importance sampling about its fit.
+
+    Where the settings ask for it, or the weights are not certified, an ensemble of walkers goes on from these
+    draws. Its draws are used if it has converged, or those by importance are not certified. `checkpoint` and
+    `step` are the ensemble's.
+    """
+    counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
+    if not len(fit.theta):
+        few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
+        return FoldDraws(few, many)
+    # not keyed by the job's name: the same fit has the same draws, whichever command runs it
+    key, problem = (fold.name, "draws"), job.problem(fold)
+    rng = random_stream(job.recipe.seed, *key)
+    found = sample_about_fit(problem, fit, rng, settings.jobs)
+    # both sets come from one generator: their order is part of the result
+    few, many = (resample_draws(found, count, rng) for count in counts)
+    posterior = None
+    if (settings.sample or not found.certified) and not settings.stop():
+        posterior = sample_posterior(job, problem, fit, found, key, settings, checkpoint, step)
+    if posterior is not None and not (posterior.faults and found.certified):
+        few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
+    return FoldDraws(few, many, posterior)
+
+
+@dataclass
+class Specimens:
+    """The parameters of a fold in its specimens: in those that were tuned on, and in a further one.
+
+    With a spread between specimens, several that were tuned on have parameters of their own, each; then
+    `draws` of the posterior of all insertions together are of no specimen, whether certified or not. What was
+    found is kept.
+    """
+
+    job: Job
+    fold: Fold
+    draws: Draws = field(default_factory=partial(Draws, np.empty((0, 0)), "importance"))
+    jobs: int = 1  #: threads
+    #: draws of the posterior of each specimen by itself, by its insertions; folds may share them
+    posteriors: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+
+    @cached_property
+    def tuned(self) -> dict[str, tuple[Insertion, ...]]:
+        return group_insertions(self.fold.tune, "specimen")
+
+    @cached_property
+    def model(self) -> specimens.SpreadModel:
+        """Which parameters differ between specimens, and the prior of their spread."""
+        problem, near = self.job.problem(self.fold), self.draws.thetas
+        begin = problem.parameters.expected
+        theta = near.mean(axis=0) if near.size else minimize_squares(problem, begin).theta
+        return specimens.make_spread_model(problem, self.job.recipe.specimens, theta)
+
+    @property
+    def separate(self) -> bool:
+        """Whether the specimens that were tuned on differ."""
+        return self.job.record.specimens == "others" and len(self.tuned) > 1 and len(self.model.names) > 0
+
+    def differs(self, insertion: Insertion) -> bool:
+        """Return whether an insertion goes into a specimen that was not tuned on, and may differ."""
+        return self.job.record.specimens == "others" and insertion.specimen not in self.tuned
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Why the draws by which insertions are predicted are not certified; empty if they are."""
+        return self.population.faults if self.separate else self.draws.faults
+
+    @cached_property
+    def population(self) -> specimens.PopulationDraws:
+        """As many joint draws of all specimens as there are `draws`."""
+        posteriors = {"": self.draws.thetas}
+        count = len(self.draws.thetas) or PREDICTION_DRAWS  # none where all together have no certified ones
+        faults: list[str] = []
+        if self.separate:
+            wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
+            missing = [name for name, ids in wanted.items() if ids not in self.posteriors]
+            found = dict(run_parts(self._sample_specimen, missing, self.jobs, TaskStop(never_stop)))
+            self.posteriors |= {wanted[name]: found[n] for n, name in enumerate(missing)}
+            known = {name: self.posteriors[ids] for name, ids in wanted.items()}
+            posteriors = {name: one.thetas for name, one in known.items()}
+            faults = [f"specimen {name}: {fault}" for name, one in known.items() for fault in one.faults]
+        rng = random_stream(self.job.recipe.seed, self.fold.name, "specimens", count)
+        if faults:
+            nothing = np.empty((0, len(self.job.parameters.free)))
+            empty = np.empty((0, len(self.model.names), len(self.model.names)))
+            return specimens.PopulationDraws({}, nothing, nothing, empty, tuple(faults))
+        return specimens.draw_population(self.job.parameters, self.model, posteriors, count, rng)
+
+    def tabulate_population(self) -> list[Row]:
+        """Return how much each parameter differs between several specimens; nothing if that is uncertain."""
+        found = self.population
+        if found.faults:
+            return []
+        correlation = found.correlation if self.model.correlated else np.nan
+        about = {"between_correlation": correlation, "other_specimens": len(self.tuned)}
+        return [
+            {"fold": self.fold.name, "parameter": name, "between_sd": sd, **about}
+            for name, sd in zip(self.model.names, found.rms.tolist(), strict=True)
+        ]
+
+    def draws_in(self, insertion: Insertion | None) -> Draws:
+        """Return draws in the specimen of an insertion; of None in one that is not in the dataset."""
+        if insertion is None or self.differs(insertion):
+            return self._describe(self.population.new)
+        found = self.population.tuned.get(insertion.specimen) if self.separate else None
+        return self.draws if found is None else self._describe(found)
+
+    def replace_mean(self, draws: Draws) -> Draws:
+        """Return draws of the specimens' mean in place of as many draws of all insertions together."""
+        if not self.separate:
+            return draws
+        if self.faults:
+            return replace(draws, faults=self.faults)
+        return self._describe(self.population.mean[: len(draws.thetas)])
+
+    def _describe(self, thetas: Floats) -> Draws:
+        """Return draws (B, P) of the population with how they were made."""
+        if not self.separate:
+            return replace(self.draws, thetas=thetas)
+        found = self.population
+        return Draws(thetas, "importance", found.faults, found.pareto_k, found.effective_sample_size)
+
+    def list_draws(self, thetas: Floats) -> dict[str, Floats]:
+        """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
+
+        `thetas` (B, P) are draws of all insertions together, about which a single specimen's lie.
+        """
+        about = replace(self.draws, thetas=thetas)
+        found = self.population if self.separate else replace(self, draws=about).population
+        own = found.tuned if self.separate else {}
+        return {name: some[: len(thetas)] for name, some in {**own, NEW_SPECIMEN: found.new}.items()}
+
+    def problem_of(self, insertion: Insertion | None) -> Problem:
+        """Return the problem whose bevels an insertion's is one of: of its specimen, or of all tuned on."""
+        everything = self.job.problem(self.fold)
+        own = self.tuned.get(insertion.specimen) if insertion is not None and self.separate else None
+        return everything if own is None else replace(everything, insertions=own)
+
+    def bevel_sd_in(self, insertion: Insertion | None) -> float:
+        """By how many SDs a further bevel in the specimen of an insertion deviates, as an SD; None: a new."""
+        everything = self.job.problem(self.fold)
+        if insertion is not None and not self.differs(insertion):
+            return self.problem_of(insertion).new_bevel_sd
+        if not (self.separate and everything.bevels_differ and everything.centred_bevels):
+            return everything.new_bevel_sd
+        return find_new_bevel_sd(everything.dataset, everything.insertions, new_specimen=True)
+
+    def _sample_specimen(self, specimen: str) -> Draws:
+        """Return draws of the posterior of one specimen by itself: about one mode, else about all."""
+        job, key = self.job, ("specimen", specimen)
+        problem = replace(job.problem(self.fold), insertions=self.tuned[specimen])
+        begin, easier = job.parameters.expected, problem.approach("posterior")
+        near = begin if easier is None else minimize_squares(easier, begin).theta
+        minimum = minimize_squares(problem, near)
+        rng = random_stream(job.recipe.seed, *key)
+        if minimum.converged:
+            known = add_estimated_noise(problem, minimum.theta)
+            found = sample_about_modes(
+                known, [minimize_squares(known, minimum.theta)], rng, efforts=SPECIMEN_EFFORTS
+            )
+            if found.certified:
+                return resample_draws(found, PREDICTION_DRAWS, rng)
+        fit = find_fit(job, problem, key, Settings())
+        rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
+        found = sample_about_fit(problem, fit, rng)
+        if found.certified:
+            return resample_draws(found, PREDICTION_DRAWS, rng)
+        posterior = sample_posterior(job, problem, fit, found, key, Settings())
+        if posterior is None:
+            return Draws(np.empty((0, len(fit.theta))), "posterior")
+        return thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, found.k)
+
+
+def choose_specimen(known: Specimens, into: str) -> Insertion | None:
+    """Return an insertion tuned on in the specimen named `into`; None for a "new" one.
+
+    Where specimens do not differ, other words are any of those tuned on.
+
+    Raises ConfigError if specimens differ, and `into` names none of them.
+    """
+    if into == "new":
+        return None
+    if into not in known.tuned and (known.separate or into not in ("same", "training only")):
+        words = "each has parameters of its own" if known.separate else f"{into!r} is none of them"
+        raise ConfigError(
+            f"the specimens tuned on are {', '.join(known.tuned)}: {words}",
+            where=describe_key(known.job.name, "specimen"),
+            key="specimen",
+            expected=f"new, or one of {', '.join(known.tuned)}",
+        )
+    return known.tuned.get(into, known.fold.tune)[0]
+
+
+def describe_specimen(new: Specimens | None, otherwise: str = "same") -> Row:
+    """Return what a prediction knows of its specimen, a new one; `otherwise` is what it is called without."""
+    mu, b, correlation, count, treatment = np.nan, np.nan, np.nan, np.nan, otherwise
+    if new is not None:
+        model, treatment = new.model, "others"
+        count = float(len(new.tuned) if new.separate else 0)
+        sds = new.population.rms
+        mu = float(sds[0]) if model.moduli else 0.0
+        b = float(sds[model.moduli]) if len(sds) > model.moduli else 0.0
+        correlation = new.population.correlation if new.separate and model.correlated else np.nan
+    return {
+        "specimen_treatment": treatment,
+        "between_sd_ln_mu": mu,
+        "between_sd_ln_b": b,
+        "between_correlation": correlation,
+        "other_specimens": count,
+    }

@@ -1,0 +1,130 @@
+"""Score a predictive distribution: its intervals, its bands, and what became of it (CRPS, PIT, coverage)."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import scipy
+from scipy.spatial.distance import pdist
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.likelihood.observation import SENSOR_STEP_MM
+from needlefit.inference.predict import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    cdf,
+    crps,
+    interval,
+    quantile,
+)
+from needlefit.studies.score import Row
+
+BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
+
+
+def tabulate_band(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
+    """Yield median and intervals at some of the measured points (K, 2 or 3), the tip the last."""
+    kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
+    columns = {"x_mm": measured[kept, 0]}
+    for plane, ending in enumerate(("mm", "z_mm")[: measured.shape[1] - 1]):
+        rows = kept + plane * len(measured)
+        median, intervals = _find_intervals(PredictiveMixture(mixture.means[:, rows], mixture.sd[rows]))
+        columns |= {f"measured_{ending}": measured[kept, 1 + plane], f"median_{ending}": median}
+        for level, (low, high) in intervals.items():
+            columns |= {f"low_{100 * level:.0f}_{ending}": low, f"high_{100 * level:.0f}_{ending}": high}
+    for k in range(len(kept)):
+        yield {name: float(values[k]) for name, values in columns.items()}
+
+
+def tabulate_sensors(insertion: Insertion, about: Floats) -> Iterator[Row]:
+    """Yield the curvature at each sensor, from simulated points (B, 3 n, 2 or 3) about the n sensors."""
+    if insertion.curvature is None:
+        return
+    from_tip, *measured, sd = insertion.curvature.T
+    across = about.reshape(len(about), len(sd), 3, -1)[..., 1:]
+    bent = np.diff(across, n=2, axis=2)[:, :, 0] / SENSOR_STEP_MM**2  # (B, n, planes)
+    for plane, direction in enumerate(("y", "z")[: bent.shape[-1]]):
+        mixture = PredictiveMixture(bent[..., plane], sd)
+        low, high = interval(mixture, 0.95)
+        for k, kappa in enumerate(measured[plane]):
+            yield {
+                **{"s_mm": insertion.depth - from_tip[k], "direction": direction, "kappa_1_per_mm": kappa},
+                "kappa_predicted_1_per_mm": mixture.means[:, k].mean(),
+                "kappa_sd_1_per_mm": math.hypot(mixture.means[:, k].std(), sd[k]),
+                "kappa_in_95": bool(low[k] <= kappa <= high[k]),
+            }
+
+
+def _find_intervals(mixture: PredictiveMixture) -> tuple[Floats, dict[float, Floats]]:
+    """Return the median (K,), and by level the ends (2, K) of the intervals: one search finds them all."""
+    ends = [(1 + side * level) / 2 for level in INTERVAL_PROBABILITIES for side in (-1, 1)]
+    median, *found = quantile(mixture, (0.5, *ends))
+    pairs = np.array(found).reshape(len(INTERVAL_PROBABILITIES), 2, -1)
+    return median, dict(zip(INTERVAL_PROBABILITIES, pairs, strict=True))
+
+
+#: columns that predictions in space have besides; there `tip_pit` is the probability of a tip nearer to the
+#: centre, by the spread of tips, `tip_crps_mm` the energy score, and `tip_in_95` is by `tip_pit`
+SPATIAL_COLUMNS = ("tip_z_measured_mm", "tip_z_median_mm", "tip_z_95_low_mm", "tip_z_95_high_mm")
+
+
+def score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
+    """Return what became of the prediction of a tip (2,) across the needle, by predicted tips (B, 2).
+
+    The energy score is mean |X - y| - mean |X - X'| / 2 (T. Gneiting, A. E. Raftery, JASA 102 (2007) 359).
+    """
+    root = np.linalg.cholesky(np.cov(tips.T))
+    sizes = np.linalg.norm(np.linalg.solve(root, (tips - centre).T), axis=0)
+    pit = float(np.mean(sizes < np.linalg.norm(np.linalg.solve(root, measured - centre))))
+    apart = pdist(tips).mean() * (len(tips) - 1) / len(tips)
+    low, high = np.quantile(tips[:, 1], [0.025, 0.975]).tolist()
+    ends: Row = {}
+    for level in INTERVAL_PROBABILITIES:  # along y
+        pair = np.quantile(tips[:, 0], [(1 - level) / 2, (1 + level) / 2]).tolist()
+        ends |= {
+            f"tip_{100 * level:.0f}_{end}_mm": one for end, one in zip(("low", "high"), pair, strict=True)
+        }
+    (y, z), (y_median, z_median) = measured.tolist(), centre.tolist()
+    return {
+        **{"tip_measured_mm": y, "tip_median_mm": y_median},
+        **{"tip_z_measured_mm": z, "tip_z_median_mm": z_median},
+        **{"tip_z_95_low_mm": low, "tip_z_95_high_mm": high, **ends},
+        **{"tip_pit": pit, "tip_in_50": pit <= 0.5, "tip_in_95": pit <= 0.95},
+        "tip_crps_mm": float(np.linalg.norm(tips - measured, axis=1).mean() - apart / 2),
+        "tip_interval_score_mm": math.nan,
+    }
+
+
+def find_end_error(mixture: PredictiveMixture, count: int) -> float:
+    """Return the Monte Carlo error of the ends of the tip's widest interval, in parts of its width.
+
+    Of two planes, with `count` points in each, the larger one.
+    """
+    tips = slice(count - 1, None, count)
+    tip = PredictiveMixture(mixture.means[:, tips], mixture.sd[tips])
+    if not tip.sd.all():  # its quantiles have no density
+        return math.inf
+    ends = _find_intervals(tip)[1][max(INTERVAL_PROBABILITIES)]  # (2, planes)
+    away = (ends - tip.means[:, None]) / tip.sd  # (B, 2, planes)
+    density = np.exp(-0.5 * away**2).mean(axis=0) / (math.sqrt(2 * math.pi) * tip.sd)
+    errors = scipy.special.ndtr(away).std(axis=0) / math.sqrt(len(away)) / density
+    return float((errors / np.ptp(ends, axis=0)).max())
+
+
+def score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
+    """Return what became of the prediction of points (K,), the last of them the tip."""
+    tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
+    at, score, pit = float(measured[-1]), crps(mixture, measured), cdf(mixture, measured)
+    median, intervals = _find_intervals(tip)
+    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(median[0])}
+    row |= {"tip_pit": float(pit[-1]), "tip_crps_mm": float(score[-1])}
+    row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
+    for level, ends in intervals.items():
+        name, (low, high) = f"{100 * level:.0f}", ends[:, 0].tolist()
+        row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
+        row |= {f"tip_in_{name}": low <= at <= high}
+        row |= {f"shape_in_{name}": shape_pit <= level}
+    # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
+    beyond = max(low - at, at - high, 0.0)
+    return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}
