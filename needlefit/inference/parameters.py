@@ -24,6 +24,7 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 
 Theta = Sequence[float] | Floats
+Values = Mapping[str, float]  #: of every parameter (Pa, mm)
 Status = Literal["free", "fixed", "tied"]
 
 NOISE_SCALE = "noise_scale"  #: estimated factor on the SDs of the noise of the points; no medium has it

@@ -1,0 +1,43 @@
+"""The metric objective: how far a simulated needle lies from the measured one, in the paper's own errors.
+
+    ipe * mean_j IPE_j  +  te * TE  +  edp * TE / max(|measured deflection|, edp_floor_mm)            (mm)
+
+with the recipe's weights; edp_floor_mm is about the noise of a tip: a deflection below it says nothing.
+A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + e^2) - e with e =
+`SMOOTHING_MM`, which is smooth and at most e shorter.
+"""
+
+import math
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.schemas.recipe import WeightsRecord
+
+#: distance below which a distance counts as squared, mm: less than any measured centreline is known to
+SMOOTHING_MM = 1e-4
+
+
+def metric_misfits(off: Floats, weights: Floats) -> Floats:
+    """Return the metric misfits (B,) of one insertion, mm, given the stations' weights (K,).
+
+    `off` (B, K, 2 or 3) are simulated minus measured points, which run from the entry to the tip.
+    """
+    distances = np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (B, K)
+    return np.asarray(distances @ weights)
+
+
+def metric_misfit_gradients(off: Floats, weights: Floats, slopes: Floats) -> Floats:
+    """Return the derivatives (B, P) of `metric_misfits`, given those of the simulated points (B, K, D, P)."""
+    along = off * (weights / np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2))[..., None]
+    flat = along.reshape(len(off), 1, math.prod(off.shape[1:]))
+    return (flat @ slopes.reshape(len(off), flat.shape[2], slopes.shape[-1]))[:, 0]
+
+
+def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
+    """Return the weight (K,) of the distance at each station."""
+    deflection = float(np.linalg.norm((measured[-1] - measured[0])[1:]))
+    station_weights = np.full(len(measured), weights.ipe / len(measured))
+    # the tip error and EDP count the last station alone, on top of its share of IPE
+    station_weights[-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
+    return station_weights

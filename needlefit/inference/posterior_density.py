@@ -1,0 +1,266 @@
+"""Compute the posterior density of one fit, and its residuals for least squares."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.inference.compared_points import pad_planes
+from needlefit.inference.forward_model import PreparedModel
+from needlefit.inference.likelihood.marginal import (
+    count_residuals,
+    linearize_residuals,
+    log_marginals,
+    solve_shared,
+)
+from needlefit.inference.likelihood.nodes import BEVEL, NodeGroup, Nodes, group_nodes
+from needlefit.inference.likelihood.observation import (
+    Observation,
+    append_pose_curves,
+    whiten_derivatives,
+    whiten_residuals,
+)
+from needlefit.inference.parameters import (
+    BEVEL_SPREAD,
+    BEVEL_SPREAD_BOUNDS,
+    NOISE_SCALE,
+    NOISE_SCALE_BOUNDS,
+    Parameters,
+    Values,
+)
+from needlefit.mechanics.needle import Needle
+from needlefit.schemas.medium import MediumRecord
+
+NEEDLES_AT_ONCE = 25_000  #: needles of sets of values that are held at once: each takes 6 kB
+
+
+@dataclass(frozen=True)
+class PosteriorDensity:
+    """The posterior of a medium's parameters, given some insertions; functions of all values (Pa, mm)."""
+
+    parameters: Parameters  #: Theta's; with their prior
+    medium: MediumRecord
+    needle: Needle
+    observations: tuple[Observation, ...]  #: one of each insertion
+    #: what the deviations of the points' noise are multiplied by, where it is no parameter
+    scale: float = 1.0
+    #: whether b is the mean of the insertions' own, from which their deviations sum to zero
+    centred_bevels: bool = False
+    #: of each insertion (m + c, R, P), how derivatives at its nodes differ from those as measured: see `near`
+    node_slopes: tuple[Floats, ...] = ()
+
+    def log_densities(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
+        """Return the log of likelihood and stated prior (B,) of sets of values; NaN where a solve fails."""
+        parts = [sets[some] for some in self.split(len(sets))]
+        return np.concatenate(
+            [self.add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
+        )
+
+    def split(self, count: int) -> list[slice]:
+        """Return the parts of so many sets of values whose needles are held at once."""
+        most = max(1, NEEDLES_AT_ONCE // sum(len(one.nodes.insertions) for one in self.observations))
+        return [slice(start, start + most) for start in range(0, count, most)]
+
+    def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
+        """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
+        scale, spread = self._scales(sets)
+        total = np.array([self._log_prior(values) for values in sets])
+        for members, group in self._nodes.groups:
+            total += sum(self.observations[k].log_norm for k in members)
+            total += log_marginals([white[k] for k in members], group, scale, spread)
+        return total
+
+    def whitened_residuals(
+        self, sets: Sequence[Values], jobs: int, *, as_measured: bool = False
+    ) -> Iterator[Floats]:
+        """Yield the whitened residuals (B, m + c, R) of each insertion, the c curves of the pose last.
+
+        Of the nodes `as_measured` alone there are (B, 1, R), without curves.
+        """
+        nodes = self._first_nodes if as_measured else self._nodes
+        points = iter(nodes.model.read_points(sets, nodes.places, jobs))
+        for one, some in zip(self.observations, nodes.nodes, strict=True):
+            planar = (pad_planes(next(points), one.planes) for _ in some.s)
+            stacked = np.stack([*planar], axis=1)  # (B, m, K, 2), in space (B, m, K, 3)
+            white = whiten_residuals(one, stacked)
+            yield white if as_measured else append_pose_curves(one, white)
+
+    def estimate_bevel(
+        self, sets: Sequence[Values], insertion: tuple[str, int], jobs: int
+    ) -> tuple[Floats, Floats]:
+        """Return means (B,) and deviations (B,) of the bevel of one insertion, given what was measured of it.
+
+        In standard deviations of b between insertions, for many sets of values; 0 and 1 where nothing was
+        measured. The insertion is its specimen and number in it, as `find_repeats` names it.
+        """
+        surface = (insertion[0], BEVEL, insertion[1])
+        known = tuple(
+            one for one in self.observations if surface in {axis.surface for axis in one.nodes.axes}
+        )
+        if not known:
+            return np.zeros(len(sets)), np.ones(len(sets))
+        white = list(replace(self, observations=known).whitened_residuals(sets, jobs))
+        scale, spread = self._scales(sets)
+        group = NodeGroup(tuple(one.nodes for one in known), (surface,))
+        mean, covariance = solve_shared(white, group, scale, spread)
+        return mean[:, 0], np.sqrt(covariance[:, 0, 0])
+
+    def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
+        """Return of each set residuals (R,) and their derivatives (R, P) by theta; NaN where a solve fails.
+
+        The residuals are of the insertions, of the normalising factor, and of the prior.
+        """
+        pairs, at = self._differentiate(sets, jobs), self._scales(sets)
+        log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
+        parts, slopes = [], []
+        for members, group in self._nodes.groups:
+            white = [pairs[k][0] for k in members]
+            # residuals are white / scale: d/d(ln scale) is minus the residual
+            by = [pairs[k][1] - pairs[k][0][..., None] * self._by_scale for k in members]
+            part, more, part_slopes, more_slopes = linearize_residuals(white, by, group, at, self._by_spread)
+            log_det, by_det = log_det + more, by_det + more_slopes
+            parts.append(part)
+            slopes.append(part_slopes)
+        whole, by_whole = (np.concatenate(self._in_order(some), axis=1) for some in (parts, slopes))
+        found = []
+        for b, values in enumerate(sets):
+            normal = self._normal(values, float(log_det[b]))
+            # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
+            by_normal = 0.5 * by_det[b] + self._rows * self._by_scale - self._by_half_normal
+            stated = [self.parameters.prior.slopes(self.parameters.free)]
+            if self._by_half_normal.any():
+                stated.append(self._spread_in_sd(values) * self._by_half_normal[None])
+            residuals = np.concatenate([whole[b], normal, self._prior_residuals(values)])
+            found.append((residuals, np.concatenate([by_whole[b], by_normal / normal[:, None], *stated])))
+        return found
+
+    @cached_property
+    def residual_counts(self) -> tuple[int, ...]:
+        """Number of residuals of each insertion; the normalising one and the prior's come after them."""
+        counts = [0] * len(self.observations)
+        for members, group in self._nodes.groups:
+            rows = [self.observations[k].rows for k in members]
+            for k, count in zip(members, count_residuals(group, rows), strict=True):
+                counts[k] = count
+        return tuple(counts)
+
+    def _in_order(self, parts: Iterable[Floats]) -> list[Floats]:
+        """Return the residuals of groups, (B, R) or (B, R, P) each, insertion by insertion."""
+        found: dict[int, Floats] = {}
+        for (members, _), part in zip(self._nodes.groups, parts, strict=True):
+            ends = np.cumsum([self.residual_counts[k] for k in members])[:-1]
+            found |= dict(zip(members, np.split(part, ends, axis=1), strict=True))
+        return [found[k] for k in sorted(found)]
+
+    @cached_property
+    def _nodes(self) -> "_ModelledNodes":
+        return self._model_nodes(tuple(one.nodes for one in self.observations))
+
+    @cached_property
+    def _first_nodes(self) -> "_ModelledNodes":
+        return self._model_nodes(
+            tuple(
+                replace(one.nodes, insertions=one.nodes.insertions[:1], s=one.nodes.s[:1])
+                for one in self.observations
+            )
+        )
+
+    def _model_nodes(self, nodes: tuple[Nodes, ...]) -> "_ModelledNodes":
+        every = [insertion for some in nodes for insertion in some.insertions]
+        model = PreparedModel(self.medium, self.needle, every)
+        return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
+
+    @property
+    def _rows(self) -> int:
+        return sum(observation.rows for observation in self.observations)
+
+    @property
+    def _by_scale(self) -> Floats:
+        """Derivatives (P,) of the logarithm of the scale."""
+        return np.array([float(name == NOISE_SCALE) for name in self.parameters.free])
+
+    @property
+    def _by_spread(self) -> Floats:
+        """Derivatives (P,) of the logarithm of the bevel's spread."""
+        return np.array([float(name == BEVEL_SPREAD) for name in self.parameters.free])
+
+    @property
+    def _by_half_normal(self) -> Floats:
+        """The same, where the spread has its half-normal prior; else zeros."""
+        return self._by_spread * (BEVEL_SPREAD in self.parameters.half_normal)
+
+    def _scales(self, sets: Sequence[Values]) -> tuple[Floats, Floats]:
+        """Return the scales of the noise and the bevel's spreads, (B,) each."""
+        pairs = [(values.get(NOISE_SCALE, self.scale), values.get(BEVEL_SPREAD, 0.0)) for values in sets]
+        scale, spread = np.array(pairs).T.copy()
+        return scale, spread
+
+    def _spread_in_sd(self, values: Values) -> float:
+        """Return the bevel's spread in standard deviations of its half-normal prior; 0 if it has none."""
+        sd = self.parameters.half_normal.get(BEVEL_SPREAD)
+        return values.get(BEVEL_SPREAD, 0.0) / sd if sd and BEVEL_SPREAD in self.parameters.free else 0.0
+
+    def _log_prior(self, values: Values) -> float:
+        """Return the log density of what is stated; a half-normal spread is searched in its logarithm."""
+        total, spread = self.parameters.prior.log_density(values), self._spread_in_sd(values)
+        return total - 0.5 * spread**2 + np.log(spread) if spread else total
+
+    def _prior_residuals(self, values: Values) -> Floats:
+        stated, spread = self.parameters.prior.residuals(values), self._spread_in_sd(values)
+        return np.append(stated, spread) if spread else stated
+
+    def _normal(self, values: Values, log_det: float) -> Floats:
+        """Return the residual (1,) whose square is the normalising factor; none if that is constant."""
+        scale, spread = values.get(NOISE_SCALE, self.scale), self._spread_in_sd(values)
+        moving = NOISE_SCALE in self.parameters.free
+        # depths or bevel enter a group's log det; that of a pose is constant
+        spreads, every = values.get(BEVEL_SPREAD, 0.0) > 0, (one.nodes for one in self.observations)
+        if not moving and not spread and not any(one.axes or (one.bevel and spreads) for one in every):
+            return np.empty(0)
+        # 1 keeps it from 0, where its derivative would be infinite
+        grown = 2 * self._rows * np.log(scale / NOISE_SCALE_BOUNDS[0]) if moving else 0.0
+        less = 2 * np.log(BEVEL_SPREAD_BOUNDS[1] / spread) if spread else 0.0
+        return np.array([np.sqrt(1.0 + grown + less + log_det)])
+
+    def near(self, values: Values) -> "PosteriorDensity":
+        """Return the same density with `jacobians` that are exact at these values, approximate elsewhere.
+
+        Residuals stay exact. Needles with moved depths or bevels are differentiated here alone: elsewhere
+        their derivatives differ from those of the needle as measured by as much as here.
+        """
+        slopes = (by[0] - by[0, :1] for _, by in self._differentiate([values], 1))
+        return replace(self, node_slopes=tuple(slopes))
+
+    def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+        """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
+        found, nodes = [], self._first_nodes if self.node_slopes else self._nodes
+        points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
+        exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
+        for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
+            stacked, by = (
+                np.stack([pad_planes(next(part), one.planes, axis=axis) for _ in some.s], axis=1)
+                for part, axis in ((points, -1), (slopes, -2))
+            )
+            white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
+            by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)
+            by_white[:, :moved] = whiten_derivatives(one, stacked, by)  # of one node, or of all
+            if exact:
+                by_white[:, :moved] += self.node_slopes[k][:moved]
+            found.append((white, by_white))
+        return found
+
+
+@dataclass(frozen=True)
+class _ModelledNodes:
+    """The nodes of all insertions, the forward model of them, and the insertions that share conditions."""
+
+    nodes: tuple[Nodes, ...]
+    model: PreparedModel
+    groups: tuple[tuple[tuple[int, ...], NodeGroup], ...]
+
+    @property
+    def places(self) -> list[Floats]:
+        """Where the points of all nodes lie on the beam, (K,) mm each."""
+        return [s for some in self.nodes for s in some.s]
