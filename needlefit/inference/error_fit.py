@@ -15,9 +15,9 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import EvaluationRecorder, Fit, ObjectiveFunction
-from needlefit.inference.optimize import run_slsqp
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
+from needlefit.inference.slsqp import run_slsqp
 from needlefit.project.progress import never_stop
 
 MIN_TARGET_SD = 0.05  #: smallest standard deviation of the distance to a target

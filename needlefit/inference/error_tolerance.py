@@ -23,9 +23,9 @@ from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
 from needlefit.inference.metric_objective import SMOOTHING_MM, station_weights
-from needlefit.inference.optimize import run_slsqp
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import Problem
+from needlefit.inference.slsqp import run_slsqp
 from needlefit.project.progress import never_stop
 
 REPLICATES = 200  #: of each bootstrap

@@ -1,0 +1,233 @@
+"""Search for the least sum of squares with the exact Jacobian, and check the end of a search.
+
+SciPy's trust region method within the bounds comes near a minimum, in theta itself. It takes J^T J for the
+second derivatives, which leaves out those of the residuals: where these matter each step gains the same part
+of what is left. So the last steps are Newton's, with the missing part estimated from the changes of J^T r, as
+in NL2SOL (Dennis, Gay and Welsch, https://doi.org/10.1145/355958.355965). Where they fail SciPy's method goes
+on.
+
+A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. The exact Jacobian
+J distinguishes them: the best step s within the bounds of the linear problem, min |r + J s|, would gain next
+to nothing at a minimum.
+"""
+
+from contextlib import suppress
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import least_squares, lsq_linear
+
+from needlefit.arrays import Floats
+from needlefit.inference.fit import EvaluationRecorder, SearchEnded, half_square
+from needlefit.inference.slsqp import FAILED
+
+#: relative change of the sum of squares, and of theta, under which it ends, unless more is negligible
+MIN_TOLERANCE = 1e-15
+#: about as large as half the squares are at their least: a part of them is negligible
+TYPICAL_HALF_SQUARES = 1e2
+NEAR_TOLERANCE = 1e-2  #: relative change of the sum of squares by a step under which a minimum is near
+MAX_FAILED_STEPS = 3  #: Newton's steps in a row from which the sum of squares rises: there its method is left
+#: cosine between a step and the change of the gradient below which that gives no curvature along the step
+MIN_COSINE = 1e-6
+VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may be rounding of the simulation
+
+
+def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
+    """Search from theta `start` (P,), to rounding; return why it ended."""
+    reason = ""
+    with suppress(SearchEnded):
+        reason = _run_scipy(recorder, start)
+    return recorder.reason or reason
+
+
+def _run_scipy(recorder: EvaluationRecorder, start: Floats) -> str:
+    if not recorder.find_constant(start):
+        return "failed at its start"
+    small = max(MIN_TOLERANCE, recorder.objective_function.absolute_tolerance / TYPICAL_HALF_SQUARES)
+    if len(start) == 0:
+        return "tolerance"
+
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    steps = _ScipySteps(recorder, small)
+    try:
+        found = least_squares(
+            steps.residuals,
+            np.clip(start, lower, upper),
+            jac=steps.slopes,
+            bounds=(lower, upper),
+            x_scale="jac",
+            ftol=small,
+            xtol=small,
+            gtol=None,  # absolute: it would depend on the units of theta
+            max_nfev=recorder.budget,  # the recorder ends it, which counts the Jacobians too
+        )
+        reason = "tolerance" if found.status > 0 else "budget"
+    except _Converged:
+        reason = "tolerance"
+    # of large squares at the start their constant lost digits; this evaluation is no part of the search
+    recorder.budget = max(recorder.budget, recorder.evaluations + 1)
+    assert recorder.theta is not None
+    recorder.objective = recorder.value(recorder.theta)
+    return reason
+
+
+class _Converged(Exception):  # noqa: N818  (no error: the way out of SciPy's method)
+    """Raised to leave SciPy's method where Newton's steps have converged."""
+
+
+def _run_newton(
+    recorder: EvaluationRecorder, theta: Floats, found: tuple[Floats, Floats], small: float
+) -> bool:
+    """Take Newton's steps from theta (P,), with its residuals and Jacobian; return whether they converged."""
+    lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
+    curvature = np.zeros((len(theta), len(theta)))  # what J^T J lacks
+    failed = 0
+    while failed < MAX_FAILED_STEPS:
+        residuals, jacobian = found
+        value, slope = half_square(residuals), residuals @ jacobian
+        step = _find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
+        if step is None:
+            return False
+        gain = -0.5 * float(slope @ step)
+        if gain <= max(recorder.objective_function.absolute_tolerance, small * value):
+            return True
+        tried = recorder.jacobian(theta + step) if gain <= NEAR_TOLERANCE * value else None
+        if tried is None:
+            return False
+        # a step too far says as much of the curvature as another one
+        change = tried[0] @ (tried[1] - jacobian)
+        curvature = _update_curvature(curvature, step, change, tried[0] @ tried[1] - slope)
+        if half_square(tried[0]) <= (1 + VALUE_ROUNDING) * value:
+            theta, found, failed = np.clip(theta + step, lower, upper), tried, 0
+        else:
+            failed += 1
+    return False
+
+
+def _find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
+    """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none."""
+    try:
+        factor = cholesky(curvature, lower=True)
+    except np.linalg.LinAlgError:
+        return None
+    target = -solve_triangular(factor, slope, lower=True)
+    step: Floats = solve_triangular(factor.T, target, lower=False)
+    if np.all((step >= low) & (step <= high)):
+        return step
+    return lsq_linear(factor.T, target, (np.minimum(low, 0), np.maximum(high, 0)), method="bvls").x
+
+
+def _update_curvature(curvature: Floats, step: Floats, change: Floats, whole: Floats) -> Floats:
+    """Return the estimate (P, P) of what J^T J lacks, after a step that changed J^T r by `whole` (P,).
+
+    `change` (P,) is what of this the residuals' second derivatives do. The estimate is first made smaller
+    where it predicted more.
+    """
+    along, predicted = float(whole @ step), float(step @ curvature @ step)
+    if along <= MIN_COSINE * float(np.linalg.norm(whole) * np.linalg.norm(step)):
+        return curvature
+    if predicted:
+        curvature = curvature * min(1.0, abs(float(change @ step) / predicted))
+    missing = change - curvature @ step
+    both = np.outer(missing, whole) + np.outer(whole, missing)
+    return curvature + both / along - float(missing @ step) / along**2 * np.outer(whole, whole)
+
+
+class _ScipySteps:
+    """Residuals and Jacobian for SciPy's method, which asks for both at almost every point; near a minimum
+    Newton's steps are tried between its own.
+    """
+
+    def __init__(self, recorder: EvaluationRecorder, small: float) -> None:
+        self._recorder, self._small = recorder, small
+        self._theta: Floats | None = None
+        self._found: tuple[Floats, Floats] | None = None
+        self._value, self._near = np.inf, NEAR_TOLERANCE
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return (R,); a single infinite one where they failed."""
+        best, found = self._recorder.theta, self._recorder.linearized
+        if best is None or found is None or not np.array_equal(theta, best):
+            found = self._recorder.jacobian(theta)
+        self._theta, self._found = theta.copy(), found
+        # one infinite residual is enough: SciPy rejects the step and shortens it
+        return np.array([np.inf]) if found is None else found[0]
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return the Jacobian (R, P) at a point that SciPy accepted.
+
+        Where it cannot be computed the search ends with its best point.
+        """
+        if self._theta is None or not np.array_equal(theta, self._theta):
+            self.residuals(theta)
+        if self._found is None:
+            self._recorder.reason = "no Jacobian"
+            raise SearchEnded
+        value, before = half_square(self._found[0]), self._value
+        self._value = value
+        if before - value <= self._near * value:
+            if _run_newton(self._recorder, theta, self._found, self._small):
+                raise _Converged
+            self._near *= NEAR_TOLERANCE  # SciPy's method must come nearer before the next attempt
+        return self._found[1]
+
+
+#: largest gain of the value that a further step may promise; in units of the mean square where that is above
+#: 1, because rounding grows with it, or where nothing says what is negligible
+MAX_REMAINING_GAIN = 1e-6
+#: a further step that changes no parameter by more than this part of it promises nothing
+NEGLIGIBLE_STEP = 1e-8
+#: a parameter whose whole scale moves the residuals by less than this part of them has no effect; neither has
+#: a combination of parameters whose effects cancel to this part of each
+FLAT_FRACTION = 1e-8
+
+
+def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
+    """Check the best point of a search, and return why the search ended: "tolerance" only at a minimum.
+
+    "stalled" is no minimum, "flat" one in which some parameter or combination has no effect, "bound" one only
+    because the box ends there. A function that is no sum of squares keeps the reason that the algorithm gave.
+    """
+    settled = reason in ("tolerance", "roundoff", FAILED)
+    squares, theta = recorder.objective_function.jacobian is not None, recorder.theta
+    if not settled or not squares or theta is None or not len(theta):
+        return reason
+    found, recorder.reason = recorder.linearized, ""
+    recorder.budget = recorder.evaluations + 1  # this evaluation is no part of the search
+    with suppress(SearchEnded):
+        found = found or recorder.jacobian(theta)
+    return recorder.reason or reason if found is None else _classify_minimum(recorder, *found)
+
+
+def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian: Floats) -> str:
+    assert recorder.theta is not None
+    objective_function, theta = recorder.objective_function, recorder.theta
+    spans = objective_function.span
+    # columns per whole range compare parameters of different units; without a range the value itself is the
+    # scale
+    scales = np.where(np.isfinite(spans), spans, np.maximum(np.abs(theta), 1e-300))
+    columns = jacobian * scales  # (R, P) per whole scale of each parameter
+    # the norms also scale the columns to length 1 below, so that the singular values measure directions alone
+    lengths = np.linalg.norm(columns, axis=0)
+    # parameters that are not held by a bound that the value falls towards
+    slope, near = residuals @ jacobian, NEGLIGIBLE_STEP * np.maximum(1, np.abs(theta))
+    held = (theta - objective_function.lower <= near) & (slope > 0)
+    free = ~(held | ((objective_function.upper - theta <= near) & (slope < 0)))
+    if not np.any(free):
+        return "bound"
+    if np.any(lengths[free] <= FLAT_FRACTION * np.linalg.norm(residuals)):
+        return "flat"
+    directions = columns[:, free] / lengths[free]
+    if np.linalg.svd(directions, compute_uv=False)[-1] <= FLAT_FRACTION:
+        return "flat"
+    unit = scales[free] / lengths[free]
+    low = (objective_function.lower - theta)[free] / unit
+    high = (objective_function.upper - theta)[free] / unit
+    best = lsq_linear(directions, -residuals, (np.minimum(low, 0), np.maximum(high, 0)))
+    gain = 0.5 * float(residuals @ residuals) - best.cost
+    small = np.all(np.abs(best.x * unit) <= NEGLIGIBLE_STEP * np.abs(theta[free]))
+    mean = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
+    unit_gain = max(1.0, mean) if objective_function.absolute_tolerance else mean
+    if not small and gain > MAX_REMAINING_GAIN * unit_gain:
+        return "stalled"
+    return "tolerance" if np.all(free) else "bound"
