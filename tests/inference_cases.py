@@ -11,7 +11,8 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
-from needlefit.inference.parameters import is_shape_parameter, without_bevel_spread
+from needlefit.inference.parameter_names import is_shape_parameter
+from needlefit.inference.parameters import without_bevel_spread
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle

@@ -19,13 +19,8 @@ from needlefit.inference.compared_points import (
     read_batch_points,
     share_simulations,
 )
-from needlefit.inference.parameters import (
-    BEVEL_PARAMETERS,
-    Parameters,
-    dimension,
-    is_shape_parameter,
-    make_tissue,
-)
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
+from needlefit.inference.parameters import Parameters, make_tissue
 from needlefit.mechanics.batch import Batch, NeedleShapes, linearize_batches, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS

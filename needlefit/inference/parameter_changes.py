@@ -3,14 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import (
-    Parameters,
-    check_values,
-    dimension,
-    is_shape_parameter,
-    state_usual_bounds,
-    without_prior,
-)
+from needlefit.inference.parameter_names import dimension, is_shape_parameter
+from needlefit.inference.parameters import Parameters, check_values, state_usual_bounds, without_prior
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.toml import renamed_keys
 from needlefit.schemas.medium import (

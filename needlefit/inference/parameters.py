@@ -1,25 +1,37 @@
-"""Names, bounds, ties and prior of a medium's parameters, and the vector theta that is searched.
+"""Which parameters of a medium are free, fixed and tied, and the vector theta of the free ones.
 
-Moduli and lengths are searched in logarithms, because they are positive and known to orders of magnitude at
-most; shape parameters of a law are searched as they are. A tie is a factor and the parameter it refers to
-("10 * mu1_pa"); one with a spread is a part of the stated prior, a Gaussian in theta within the flat bounds.
+A tie is a factor and the parameter it refers to ("10 * mu1_pa"); one with a spread is a part of the stated
+prior, a Gaussian in theta within the flat bounds.
 """
 
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import ConfigError
+from needlefit.inference.parameter_names import (
+    BEVEL_PARAMETERS,
+    BEVEL_SPREAD,
+    BEVEL_SPREAD_BOUNDS,
+    HYPERPARAMETERS,
+    NOISE_SCALE,
+    NOISE_SCALE_BOUNDS,
+    dimension,
+    is_logarithmic,
+    is_shape_parameter,
+    to_coordinate,
+)
+from needlefit.inference.prior import Prior, SoftTie, add_ties, make_prior
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
 from needlefit.project.toml import add_key_context
-from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 
@@ -27,69 +39,12 @@ Theta = Sequence[float] | Floats
 Values = Mapping[str, float]  #: of every parameter (Pa, mm)
 Status = Literal["free", "fixed", "tied"]
 
-NOISE_SCALE = "noise_scale"  #: estimated factor on the SDs of the noise of the points; no medium has it
-BEVEL_SPREAD = "bevel_spread"  #: relative SD of b or θ between insertions, estimated; no medium has it
-#: least bevel of an insertion, as part of the mean: a normal distribution does not end at zero
-MIN_BEVEL_FACTOR = 0.05
-BEVEL_PARAMETERS = ("bevel_mm", "cut_angle_deg")  #: how strongly a needle steers; a medium has one of them
-NOISE_SCALE_BOUNDS = (0.1, 10.0)  #: of a scale that is estimated; its prior is flat in the logarithm
-BEVEL_SPREAD_BOUNDS = (0.01, 5.0)  #: in standard deviations of its half-normal prior
-HYPERPARAMETERS = (NOISE_SCALE, BEVEL_SPREAD)  #: of the likelihood: no simulated needle depends on them
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
 MATERIAL_SPREAD = 1.2
 MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
-_NAME = re.compile(
-    r"([a-z]+(?:_[a-z]+)*)[1-9]\d*(_pa)?|(?:bevel|guide_distance)_mm|cut_angle_deg|noise_scale|bevel_spread"
-)
-_DIMENSIONS = ("modulus", "length", "angle", "factor")
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
-
-
-@cache  # asked for every parameter of every draw
-def dimension(name: str) -> str:
-    """Return what the parameter `name` measures: "modulus", "length", "angle" or "factor".
-
-    Of a shape parameter of a law it is the name without the number of the layer, such as "alpha".
-
-    Raises ConfigError if it is no parameter's name.
-    """
-    match = _NAME.fullmatch(name)
-    if match is None or (match[1] is not None and (match[1] == "mu") != (match[2] is not None)):
-        raise ConfigError(
-            f"there is no parameter called `{name}`",
-            expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm or cut_angle_deg, guide_distance_mm",
-            fix=f"write `{name}_pa`" if _NAME.fullmatch(f"{name}_pa") else "correct the name",
-        )
-    if name in (NOISE_SCALE, BEVEL_SPREAD, "cut_angle_deg"):
-        return "angle" if name == "cut_angle_deg" else "factor"
-    return "modulus" if match[1] == "mu" else match[1] or "length"
-
-
-def find_bevel_factors(spread: Floats | float, deviations: Floats | float) -> Floats:
-    """Return bevels, as parts of their mean, that deviate by so many SDs of relative size `spread`."""
-    return np.maximum(1.0 + np.asarray(spread) * deviations, MIN_BEVEL_FACTOR)
-
-
-def is_shape_parameter(name: str) -> bool:
-    """Return whether `name` is a shape parameter of a law in one layer, such as `alpha2`."""
-    return dimension(name) not in _DIMENSIONS
-
-
-def is_logarithmic(name: str) -> bool:
-    """Return whether theta holds the natural logarithm of this parameter."""
-    return not is_shape_parameter(name)
-
-
-def to_coordinate(name: str, value: float) -> float:
-    """Return the coordinate of a parameter in theta: its logarithm, or a shape parameter itself."""
-    return math.log(value) if is_logarithmic(name) else float(value)
-
-
-def to_value(name: str, coordinate: float) -> float:
-    """Return a parameter's value (Pa, mm) at its coordinate of theta."""
-    return math.exp(coordinate) if is_logarithmic(name) else float(coordinate)
 
 
 def parse_tie(name: str, tie: str) -> tuple[float, str]:
@@ -149,129 +104,6 @@ def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
         expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
         fix="correct the tie, or give the parameter bounds",
     )
-
-
-@dataclass(frozen=True)
-class SoftTie:
-    """Says that ln(value / (factor * source's)) is normal about 0 with deviation ln `spread`."""
-
-    name: str
-    source: str
-    factor: float
-    spread: float
-
-
-@dataclass(frozen=True)
-class Prior:
-    """A Gaussian prior of some parameters, in their coordinates of theta."""
-
-    names: tuple[str, ...] = ()  #: q of them
-    #: (R, Q) what takes logarithms, and shape parameters themselves, to independent numbers of unit variance;
-    #: R < Q where only combinations are stated, as by a tie
-    whitening: tuple[tuple[float, ...], ...] = ()
-    centre: tuple[float, ...] = ()  #: (R,) their means
-    ties: tuple[SoftTie, ...] = ()  #: those among it, for print
-
-    def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the whitened deviations (R,) of `values` (Pa, mm) from the prior mean."""
-        if not self.names:
-            return np.empty(0)
-        at = np.array([to_coordinate(name, values[name]) for name in self.names])
-        return np.array(self.whitening) @ at - np.array(self.centre)
-
-    def log_density(self, values: Mapping[str, float]) -> float:
-        """Return the logarithm of the density of `values`, not normalised: 0 at its peak."""
-        white = self.residuals(values)
-        return -0.5 * float(white @ white)
-
-    def slopes(self, names: Sequence[str]) -> Floats:
-        """Return the derivatives (R, P) of `residuals` by theta of the free parameters `names`."""
-        # a fixed parameter has no column: its residual is constant
-        chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
-        if not self.names:
-            return np.zeros((0, len(names)))
-        return np.array(self.whitening) @ chosen
-
-    def information(self, names: Sequence[str]) -> Floats:
-        """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
-        slopes = self.slopes(names)
-        return slopes.T @ slopes
-
-    @cached_property
-    def marginals(self) -> Mapping[str, tuple[float, float]]:
-        """Mean and standard deviation of the coordinate of each parameter that is not only tied."""
-        white = np.array(self.whitening).reshape(len(self.whitening), len(self.names))
-        inverse = np.linalg.pinv(white)  # (Q, R)
-        # a parameter that is only tied to another one has any value: it is not in the span of the rows
-        known = np.isclose(np.diag(inverse @ white), 1.0)
-        mean, sd = inverse @ np.array(self.centre), np.linalg.norm(inverse, axis=1)
-        return {name: (float(mean[k]), float(sd[k])) for k, name in enumerate(self.names) if known[k]}
-
-    def sd(self, name: str) -> float:
-        """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
-        return self.marginals.get(name, (math.nan, math.inf))[1]
-
-    def without_ties(self) -> "Prior":
-        """Return the prior without its ties, which `add_ties` put last."""
-        kept = len(self.centre) - len(self.ties)
-        return Prior(self.names, self.whitening[:kept], self.centre[:kept]) if kept else Prior()
-
-
-def add_ties(prior: Prior, ties: Sequence[SoftTie]) -> Prior:
-    """Return the prior together with ties that have a spread."""
-    names = tuple(dict.fromkeys([*prior.names, *(name for tie in ties for name in (tie.source, tie.name))]))
-    rows = [(*row, *[0.0] * (len(names) - len(row))) for row in prior.whitening]
-    for tie in ties:
-        # ( ln value - ln source - ln factor ) / ln spread
-        weights = {tie.name: 1 / math.log(tie.spread), tie.source: -1 / math.log(tie.spread)}
-        rows.append(tuple(weights.get(name, 0.0) for name in names))
-    centre = (*prior.centre, *(math.log(tie.factor) / math.log(tie.spread) for tie in ties))
-    return Prior(names, tuple(rows), centre, tuple(ties))
-
-
-def make_prior(table: Mapping[str, ParameterRecord], ties: Sequence[SoftTie] = ()) -> Prior:
-    """Return the prior that the parameters of a medium state, `ties` with a spread among it.
-
-    Raises ConfigError if a prior is of the wrong kind, peaks outside the bounds, or its correlation has no
-    partner.
-    """
-    stated = {name: record.prior for name, record in table.items() if record.prior is not None}
-    for name, one in stated.items():
-        normal, bounds = is_shape_parameter(name), table[name].bounds
-        refused = partial(ConfigError, key=f"parameters.{name}.prior")
-        if normal != (one.mean is not None):
-            expected = "mean and sd" if normal else "median and factor: it is positive"
-            raise refused("is a prior of the wrong kind", expected=expected)
-        if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
-            raise refused(
-                f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
-                fix="widen the bounds, or look whether prior and bounds mean the same unit",
-            )
-        if one.correlation and (dimension(name) != "modulus" or alpha_of(name) not in stated):
-            expected = "a prior of mu whose layer's alpha has a prior too"
-            raise refused("states a correlation that has no partner", expected=expected)
-    if not stated:
-        return add_ties(Prior(), ties)
-    names = tuple(stated)
-    sds = [one.sd if one.sd is not None else math.log(one.factor or math.nan) for one in stated.values()]
-    correlations = np.eye(len(names))
-    for k, (name, one) in enumerate(stated.items()):
-        if one.correlation:
-            j = names.index(alpha_of(name))
-            correlations[j, k] = correlations[k, j] = one.correlation
-    peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
-    whitening = np.linalg.inv(np.linalg.cholesky(correlations * np.outer(sds, sds)))
-    rows = tuple(tuple(row) for row in whitening.tolist())
-    return add_ties(Prior(names, rows, tuple((whitening @ peaks).tolist())), ties)
-
-
-def alpha_of(mu: str) -> str:
-    """Return the name of alpha in the layer of a modulus."""
-    return mu.replace("mu", "alpha").removesuffix("_pa")
-
-
-def _peak(one: PriorRecord) -> float:
-    return float(one.mean if one.mean is not None else one.median or math.nan)
 
 
 @dataclass(frozen=True)

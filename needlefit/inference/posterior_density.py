@@ -22,14 +22,13 @@ from needlefit.inference.likelihood.observation import (
     whiten_derivatives,
     whiten_residuals,
 )
-from needlefit.inference.parameters import (
+from needlefit.inference.parameter_names import (
     BEVEL_SPREAD,
     BEVEL_SPREAD_BOUNDS,
     NOISE_SCALE,
     NOISE_SCALE_BOUNDS,
-    Parameters,
-    Values,
 )
+from needlefit.inference.parameters import Parameters, Values
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 

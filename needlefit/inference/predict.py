@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats, Ints
 from needlefit.grouping import group_values
-from needlefit.inference.parameters import NOISE_SCALE, Parameters
+from needlefit.inference.parameter_names import NOISE_SCALE
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.sampling.posterior import Posterior
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported

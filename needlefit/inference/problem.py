@@ -29,12 +29,8 @@ from needlefit.inference.likelihood.observation import (
     make_observation,
 )
 from needlefit.inference.metric_objective import metric_misfit_gradients, metric_misfits, station_weights
-from needlefit.inference.parameters import (
-    BEVEL_SPREAD,
-    Parameters,
-    Theta,
-    with_hyperparameters,
-)
+from needlefit.inference.parameter_names import BEVEL_SPREAD
+from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.inference.side_by_side import evaluate
 from needlefit.schemas.medium import MediumRecord

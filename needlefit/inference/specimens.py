@@ -28,11 +28,8 @@ from scipy.special import expit, logsumexp
 
 from needlefit.arrays import Floats
 from needlefit.inference.forward_model import PreparedModel
-from needlefit.inference.parameters import (
-    BEVEL_PARAMETERS,
-    Parameters,
-    dimension,
-)
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
     Effort,

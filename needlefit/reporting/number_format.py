@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import list_shape_parameters
 from needlefit.metrics import METRICS, Metric
 

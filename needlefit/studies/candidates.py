@@ -19,7 +19,7 @@ from needlefit.inference.identifiability.design_gain import PredictedData, neste
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observation import append_pose_curves
-from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
 from needlefit.project.random_streams import random_stream

@@ -14,7 +14,8 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import TipTrack, find_free_reach
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, Parameters, find_bevel_factors
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
+from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM, Needle
 from needlefit.mechanics.packing import compile_law

@@ -13,7 +13,7 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     find_least_determined,
 )
-from needlefit.inference.parameters import HYPERPARAMETERS
+from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS

@@ -16,7 +16,7 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     short_name,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
+from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity

@@ -16,7 +16,8 @@ from needlefit.inference.identifiability.identify import (
     is_determined_by_profile,
 )
 from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
-from needlefit.inference.parameters import Parameters, to_coordinate, to_value
+from needlefit.inference.parameter_names import to_coordinate, to_value
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior

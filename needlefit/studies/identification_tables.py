@@ -3,7 +3,7 @@
 import pandas as pd
 
 from needlefit.inference.identifiability import directions
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.number_format import choose_interval_unit, choose_printed_unit, typeset_interval
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records

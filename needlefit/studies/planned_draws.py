@@ -20,7 +20,8 @@ from needlefit.datasets.layers import find_layers
 from needlefit.inference.compared_points import read_batch_points, read_points
 from needlefit.inference.forward_model import PreparedModel, predict, stack_values, tabulate_sets
 from needlefit.inference.likelihood.nodes import enforce_order, shift_depths
-from needlefit.inference.parameters import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors, make_tissue
+from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
+from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
 from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
 from needlefit.mechanics.needle import Needle

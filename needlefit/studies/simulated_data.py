@@ -32,7 +32,7 @@ from needlefit.inference.likelihood.observation import (
     pose_sds_in_space,
     select_sections,
 )
-from needlefit.inference.parameters import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle

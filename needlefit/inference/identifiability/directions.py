@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.parameters import BEVEL_SPREAD, is_logarithmic
+from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic
 
 #: SD of a combination's logarithm (of a sum with shape parameters) above which it is called nearly free
 NEARLY_FREE_SD = 0.5

@@ -42,7 +42,7 @@ from needlefit.inference.identifiability.profile import (
     find_gains,
     minimize_squares,
 )
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import Stop, never_stop

@@ -18,14 +18,8 @@ from needlefit.inference.identifiability.directions import (
     is_determined_by_data,
 )
 from needlefit.inference.likelihood.observation import Discrepancy
-from needlefit.inference.parameters import (
-    HYPERPARAMETERS,
-    MATERIAL_SPREAD,
-    NOISE_SCALE,
-    Parameters,
-    is_logarithmic,
-    loosen_ties,
-)
+from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE, is_logarithmic
+from needlefit.inference.parameters import MATERIAL_SPREAD, Parameters, loosen_ties
 from needlefit.inference.problem import Problem
 
 

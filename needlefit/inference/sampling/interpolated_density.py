@@ -16,7 +16,7 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.inference.likelihood.observation import append_pose_curves
-from needlefit.inference.parameters import HYPERPARAMETERS
+from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.problem import Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first

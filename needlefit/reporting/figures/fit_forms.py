@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import interpolate_hermite
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import (

@@ -9,7 +9,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.looks import Look, Panel
 from needlefit.reporting.figures.style import (
     GAP_IN,

@@ -28,7 +28,7 @@ from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import NOISE_SCALE
+from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance

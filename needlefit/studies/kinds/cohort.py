@@ -23,7 +23,7 @@ from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.identifiability.directions import format_sd
 from needlefit.inference.identifiability.precision import find_bounds, posterior_sds
-from needlefit.inference.parameters import is_logarithmic
+from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
 from needlefit.project.checkpoint import open_checkpoint

@@ -22,7 +22,7 @@ from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.likelihood.observation import Observation, make_observation
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import NOISE_SCALE
+from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample

@@ -11,7 +11,7 @@ import pandas as pd
 
 from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
-from needlefit.inference.parameters import HYPERPARAMETERS
+from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
