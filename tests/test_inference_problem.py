@@ -124,3 +124,16 @@ def test_the_gradient_is_that_of_differences(pose):
     differences = [(p.objective(theta + m) - p.objective(theta - m)) / 2e-5 for m in moves]
     assert value == pytest.approx(p.objective(theta), rel=1e-8)
     assert slope == pytest.approx(differences, rel=1e-5, abs=1e-6)
+
+
+def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it():
+    p = two_layers()
+    thetas = p.lower + np.random.default_rng(1).uniform(0.4, 0.6, (16, len(p.names))) * (p.upper - p.lower)
+    for evaluate in (p._objectives, p._log_densities):
+        alone = [evaluate(theta[None], 1)[0] for theta in thetas]
+        np.testing.assert_array_equal(evaluate(thetas, 1), alone)
+    for evaluate in (p._objective_gradients, p._jacobians):
+        for theta, (value, slopes) in zip(thetas, evaluate(thetas, 1), strict=True):
+            ((value_alone, slopes_alone),) = evaluate(theta[None], 1)
+            np.testing.assert_array_equal(value, value_alone)
+            np.testing.assert_array_equal(slopes, slopes_alone)

@@ -24,7 +24,8 @@ def metric_misfits(off: Floats, weights: Floats) -> Floats:
     `off` (B, K, 2 or 3) are simulated minus measured points, which run from the entry to the tip.
     """
     distances = np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (B, K)
-    return np.asarray(distances @ weights)
+    # a product for each row: that of a matrix rounds a row by where it stands
+    return np.asarray((distances[:, None] @ weights[:, None])[:, 0, 0])
 
 
 def metric_misfit_gradients(off: Floats, weights: Floats, slopes: Floats) -> Floats:

@@ -39,7 +39,6 @@ from needlefit.inference.identifiability.precision import (
 from needlefit.inference.identifiability.profile import (
     LikelihoodProfile,
     compute_profile,
-    find_gains,
     minimize_squares,
 )
 from needlefit.inference.parameter_names import is_logarithmic
@@ -54,8 +53,6 @@ MAX_RANGE_SD = 4.0
 LOG_POSTERIOR_TOLERANCE = 0.1
 #: the same for the metric objective: within 1 % or 0.002 mm of the best one's
 METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
-#: largest fall of the deviance that a step from an end of a profile may promise, by the exact Jacobian
-MAX_END_GAIN = 0.5
 MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
 
 
@@ -190,30 +187,17 @@ def profile_parameters(
 ) -> FitProfiles:
     """Compute the profiles about a fit; the result does not depend on the number of threads.
 
-    They are those of the fit with a Jacobian that is exact at its optimum. A profile is computed again with
-    the exact one where by that its outermost points are no minima.
-
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     `step` is called with the number of profiles that are finished, and of all.
     """
     noisy = add_estimated_noise(problem, np.array(fit.theta))
     optimum = minimize_squares(noisy, np.array(fit.theta))
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
-
+    work = partial(compute_profile, noisy, optimum=optimum, scale=scale)
     every: dict[int, LikelihoodProfile] = {}
-
-    def trace(target: Problem, parts: Sequence[int]) -> None:
-        work = partial(compute_profile, target, optimum=optimum, scale=scale)
-        for n, one in run_side_by_side(work, parts, jobs, TaskStop(stop)):
-            every[parts[n]] = one
-            step(len(every), len(noisy.names))
-
-    trace(noisy.near(optimum.theta), range(len(noisy.names)))
-    ends = [(n, theta) for n, one in every.items() for theta in (one.thetas[0], one.thetas[-1])]
-    if ends and not stop():
-        held, thetas = zip(*ends, strict=True)
-        gains = find_gains(noisy, held, np.array(thetas), jobs)
-        trace(noisy, sorted({n for n, gain in zip(held, gains, strict=True) if gain > MAX_END_GAIN * scale}))
+    for n, one in run_side_by_side(work, range(len(noisy.names)), jobs, TaskStop(stop)):
+        every[n] = one
+        step(len(every), len(noisy.names))
     found = tuple(every[n] for n in sorted(every))
     at_fit = noisy.jacobian(np.array(fit.theta))[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing

@@ -77,19 +77,6 @@ def minimize_squares(
     return LocalMinimum(at.theta, at.value, at.slope, at.information, converged)
 
 
-def find_gains(target: Problem, held: Sequence[int], thetas: Floats, jobs: int) -> Floats:
-    """Return by how much a step from each of `thetas` (B, P) would lessen the sum of squares, (B,).
-
-    At each the parameter numbered `held` (B,) keeps its value.
-    """
-    gains, sets = [], [target.values(theta) for theta in thetas]
-    for k, theta, (residuals, slopes) in zip(held, thetas, target.density.jacobians(sets, jobs), strict=True):
-        at, moving = _square(theta, residuals, slopes), np.arange(len(theta)) != k
-        room = (target.lower - theta)[moving], (target.upper - theta)[moving]
-        gains.append(_predict_gain(at, moving, _step(at, moving, room)) if moving.any() else 0.0)
-    return np.array(gains)
-
-
 def _predict_gain(at: LocalMinimum, moving: Bools, step: Floats) -> float:
     """Return the decrease that the linear model predicts."""
     # slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
