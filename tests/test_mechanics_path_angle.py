@@ -98,7 +98,7 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
     model = PreparedModel(medium, twin.needle, [insertion])
 
     def predict(theta):
-        (points,), (moves,) = model.differentiate([parameters.values(theta)], parameters, [s])
+        ((points, moves),) = model.differentiate([parameters.values(theta)], parameters, [s])
         return points[0], moves[0]
 
     _, moves = predict(theta)

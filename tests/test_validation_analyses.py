@@ -99,7 +99,7 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
 def test_a_moved_bases_needle_has_exact_derivatives():
     parameters = Parameters.from_record(THIN)
     theta, s = parameters.theta(SOFT), np.linspace(0.0, 40.0, 9)
-    _, ((slopes,),) = PreparedModel(THIN, NEEDLE, [MOVED]).differentiate([SOFT], parameters, [s])
+    ((_, (slopes,)),) = PreparedModel(THIN, NEEDLE, [MOVED]).differentiate([SOFT], parameters, [s])
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
         ends = [predict(parameters.values(theta + sign * move), THIN, NEEDLE, MOVED) for sign in (1, -1)]
         by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4

@@ -124,15 +124,15 @@ def _linearize(
         at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
         some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose, goal.out_of_plane[at]))
     model, s = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions), [g.s for g in some]
-    points, slopes = model.differentiate([values], problem.parameters, s)
-    _, stated_slopes = model.differentiate([values], stated, s)
+    pairs = model.differentiate([values], problem.parameters, s)
+    stated_pairs = model.differentiate([values], stated, s)
     ties = [tie for tie in stated.prior.ties if tie.name in stated.free]
     columns = [stated.free.index(tie.name) for tie in ties]
     spreads = rng.standard_normal((REPLICATES, len(ties))) * [math.log(tie.spread) for tie in ties]
     shared: dict[Surface, Floats] = {}
     found = []
-    for insertion, goal, simulated, by, by_stated in zip(
-        problem.insertions, some, points, slopes, stated_slopes, strict=True
+    for insertion, goal, (simulated, by), (_, by_stated) in zip(
+        problem.insertions, some, pairs, stated_pairs, strict=True
     ):
         planes, measured = problem.dataset.planes, goal.measured_in(problem.dataset.planes)
         by_stated, by = (pad_planes(one[0], planes, axis=-2) for one in (by_stated, by))

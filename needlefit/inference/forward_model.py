@@ -4,10 +4,11 @@ Derivatives by theta are the mechanics' own, chained through logarithms and ties
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from needlefit.inference.compared_points import (
 )
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
-from needlefit.mechanics.batch import Batch, NeedleShapes, linearize_batches, simulate_batches
+from needlefit.mechanics.batch import Batch, Jacobians, NeedleShapes, linearize_batches, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
@@ -123,6 +124,10 @@ def stack_values(
     return values | bevel
 
 
+_Known = TypeVar("_Known")  #: shapes, or shapes and their derivatives
+NEEDLES_AT_ONCE = 4000  #: whose shapes are held at once: each takes 6 kB, with derivatives 30 kB
+
+
 class PreparedModel:
     """The forward model of some insertions, of which what does not depend on the values is computed once.
 
@@ -156,34 +161,32 @@ class PreparedModel:
 
     def read_points(
         self, sets: Sequence[Mapping[str, float]], s: Sequence[Floats], jobs: int = 1
-    ) -> list[Floats]:
-        """Return `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
-        shapes = simulate_batches(self._make_batches(sets), jobs)
-        found = dict(zip(self._simulations, shapes, strict=True))
+    ) -> Iterator[Floats]:
+        """Return, one by one, `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
 
-        def read(one: _Simulation, at: Floats) -> tuple[Floats, ...]:
-            return (read_batch_points(one.insertion, found[one], at),)
+        def read(one: _Simulation, shapes: NeedleShapes, at: Floats) -> tuple[Floats]:
+            return (read_batch_points(one.insertion, shapes, at),)
 
-        (points,) = self._read(s, len(sets), read, 1)
-        return points
+        found = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
+        return (points for (points,) in found)
 
     def differentiate(
         self, sets: Sequence[Mapping[str, float]], parameters: Parameters, s: Sequence[Floats], jobs: int = 1
-    ) -> tuple[list[Floats], list[Floats]]:
-        """Return `read_points` of each insertion, and the derivatives (B, K, 2, P) by theta."""
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """Return, one by one, `read_points` of each insertion, and the derivatives (B, K, 2, P) by theta."""
         moving = [name for name in parameters.names if name not in parameters.fixed]
         starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
         tracked = any(isinstance(one.insertion, TipTrack) for one in self._simulations)
-        pairs = linearize_batches(self._make_batches(sets), kinds, jobs, tracked=tracked)
-        found = dict(zip(self._simulations, pairs, strict=True))
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
         chained: dict[object, Floats] = {}
 
-        def read(one: _Simulation, at: Floats) -> tuple[Floats, Floats]:
-            shapes, jacobians = found[one]
+        def read(
+            one: _Simulation, known: tuple[NeedleShapes, Jacobians], at: Floats
+        ) -> tuple[Floats, Floats]:
+            shapes, jacobians = known
             by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2 or 3, Q)
             key = one.layers, jacobians.names
             if key not in chained:
@@ -194,8 +197,10 @@ class PreparedModel:
             moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
             return read_batch_points(one.insertion, shapes, at), moves
 
-        points, moves = self._read(s, len(sets), read, 2)
-        return points, moves
+        def run(batches: list[Batch]) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
+            return linearize_batches(batches, kinds, jobs, tracked=tracked)
+
+        return ((points, moves) for points, moves in self._read(sets, s, run, read))
 
     def _make_batches(self, sets: Sequence[Mapping[str, float]]) -> list[Batch]:
         table = tabulate_sets(sets)
@@ -209,21 +214,31 @@ class PreparedModel:
 
     def _read(
         self,
+        sets: Sequence[Mapping[str, float]],
         s: Sequence[Floats],
-        count: int,
-        read: "Callable[[_Simulation, Floats], tuple[Floats, ...]]",
-        parts: int,
-    ) -> list[list[Floats]]:
-        """Return the parts that `read` gives of every insertion, (B, ...) each; equal ones are read once."""
-        kept: dict[tuple[_Simulation, bytes], tuple[Floats, ...]] = {}
-        found: list[list[Floats]] = [[] for _ in range(parts)]
-        for (one, row), at in zip(self._places, s, strict=True):
-            key = one, at.tobytes()
-            if key not in kept:
-                kept[key] = read(one, at)
-            for into, part in zip(found, kept[key], strict=True):
-                into.append(part[row * count : (row + 1) * count])
-        return found
+        run: Callable[[list[Batch]], tuple[_Known, ...]],
+        read: "Callable[[_Simulation, _Known, Floats], tuple[Floats, ...]]",
+    ) -> Iterator[tuple[Floats, ...]]:
+        """Yield what `read` gives of every insertion, (B, ...) each, from what `run` gives of its needles.
+
+        Equal ones are read once. The shapes of `NEEDLES_AT_ONCE` are held at once.
+        """
+        keys = [(one, at.tobytes()) for (one, _), at in zip(self._places, s, strict=True)]
+        wanted: dict[_Simulation, dict[bytes, Floats]] = {one: {} for one in self._simulations}
+        for (one, place), at in zip(keys, s, strict=True):
+            wanted[one][place] = at
+        left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[Floats, ...]]()
+        batches, begin = self._make_batches(sets), 0
+        count, most = len(sets), max(1, NEEDLES_AT_ONCE // len(sets))
+        for key, (_, row) in zip(keys, self._places, strict=True):
+            while key not in kept:  # simulations stand in the order in which they are first read
+                some = slice(begin, begin := begin + most)
+                for one, known in zip(self._simulations[some], run(batches[some]), strict=True):
+                    kept |= {(one, place): read(one, known, at) for place, at in wanted[one].items()}
+            yield tuple(part[row * count : (row + 1) * count] for part in kept[key])
+            left[key] -= 1
+            if not left[key]:
+                del kept[key]
 
 
 @dataclass(eq=False)

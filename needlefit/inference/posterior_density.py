@@ -32,7 +32,8 @@ from needlefit.inference.parameters import Parameters, Values
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 
-NEEDLES_AT_ONCE = 25_000  #: needles of sets of values that are held at once: each takes 6 kB
+#: needles whose residuals are held at once, and those whose residuals are with derivatives
+NEEDLES_AT_ONCE, DERIVATIVES_AT_ONCE = 25_000, 40_000
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ class PosteriorDensity:
             [self.add_up(list(self.whitened_residuals(part, jobs)), part) for part in parts]
         )
 
-    def split(self, count: int) -> list[slice]:
-        """Return the parts of so many sets of values whose needles are held at once."""
-        most = max(1, NEEDLES_AT_ONCE // sum(len(one.nodes.insertions) for one in self.observations))
+    def split(self, count: int, needles: int = NEEDLES_AT_ONCE) -> list[slice]:
+        """Return the parts of so many sets of values of which so many needles are held at once."""
+        most = max(1, needles // sum(len(one.nodes.insertions) for one in self.observations))
         return [slice(start, start + most) for start in range(0, count, most)]
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
@@ -79,7 +80,7 @@ class PosteriorDensity:
         Of the nodes `as_measured` alone there are (B, 1, R), without curves.
         """
         nodes = self._first_nodes if as_measured else self._nodes
-        points = iter(nodes.model.read_points(sets, nodes.places, jobs))
+        points = nodes.model.read_points(sets, nodes.places, jobs)
         for one, some in zip(self.observations, nodes.nodes, strict=True):
             planar = (pad_planes(next(points), one.planes) for _ in some.s)
             stacked = np.stack([*planar], axis=1)  # (B, m, K, 2), in space (B, m, K, 3)
@@ -111,6 +112,11 @@ class PosteriorDensity:
 
         The residuals are of the insertions, of the normalising factor, and of the prior.
         """
+        parts = (sets[some] for some in self.split(len(sets), DERIVATIVES_AT_ONCE))
+        return [pair for part in parts for pair in self._linearize(part, jobs)]
+
+    def _linearize(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+        """Return the `jacobians` of sets whose needles are held at once."""
         pairs, at = self._differentiate(sets, jobs), self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
@@ -235,13 +241,12 @@ class PosteriorDensity:
     def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
         """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
         found, nodes = [], self._first_nodes if self.node_slopes else self._nodes
-        points, slopes = map(iter, nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
+        pairs = nodes.model.differentiate(sets, self.parameters, nodes.places, jobs)
         exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
         for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
-            stacked, by = (
-                np.stack([pad_planes(next(part), one.planes, axis=axis) for _ in some.s], axis=1)
-                for part, axis in ((points, -1), (slopes, -2))
-            )
+            points, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
+            stacked = np.stack([pad_planes(part, one.planes) for part in points], axis=1)
+            by = np.stack([pad_planes(part, one.planes, axis=-2) for part in slopes], axis=1)
             white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
             by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)
             by_white[:, :moved] = whiten_derivatives(one, stacked, by)  # of one node, or of all

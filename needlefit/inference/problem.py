@@ -126,7 +126,7 @@ class Problem:
         goals, sets, planes = self.compared_points, self._list_values(thetas), self.dataset.planes
         total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
         found = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
-        for goal, simulated, by, weights in zip(goals, *found, self._station_weights, strict=True):
+        for goal, (simulated, by), weights in zip(goals, found, self._station_weights, strict=True):
             measured, simulated = goal.measured_in(planes), pad_planes(simulated, planes)
             slopes = differentiate_align(goal.pose, simulated, measured, pad_planes(by, planes, axis=-2))
             off = align(goal.pose, simulated, measured) - measured

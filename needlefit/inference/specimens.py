@@ -162,7 +162,8 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
     """
     model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
     tips = [np.array([one.depth]) for one in problem.insertions]
-    points, moves = model.differentiate([problem.values(theta)], problem.parameters, tips)
+    pairs = model.differentiate([problem.values(theta)], problem.parameters, tips)
+    points, moves = zip(*pairs, strict=True)
     # along y, in space along z too: (I,), (I, P), or twice as many rows
     tip = np.concatenate([one[0, 0, 1:] for one in points])
     by_theta = np.concatenate([one[0, 0, 1:] for one in moves])

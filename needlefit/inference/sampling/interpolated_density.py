@@ -21,7 +21,8 @@ from needlefit.inference.problem import Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
 SIMULATED_POINTS = 800  #: thetas at which the needles as measured are simulated first
-MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
+#: between which is interpolated (the system of 3 000 takes half a second), and of all of them the values
+MAX_POINTS, MAX_VALUES = 1000, 2**24
 THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
 MAX_RMS_ERROR = 0.02  #: largest rms error of the log density of these
 MAX_REFINEMENTS = 4  #: times that checked thetas of one call may join the points
@@ -120,30 +121,36 @@ class InterpolatedDensity:
 
 
 class _Interpolation:
-    """Values at points, interpolated between the last `MAX_POINTS` of those that are finite."""
+    """Values at points, interpolated between the last of those that are finite.
+
+    These are `MAX_POINTS`, or fewer where more would hold over `MAX_VALUES` numbers.
+    """
 
     def __init__(self) -> None:
-        self._points: list[Floats] = []
-        self._values: list[Floats] = []
+        self._known: tuple[Floats, Floats] | None = None
         self._function: Callable[[Floats], Floats] | None = None
-        self.count = 0  #: points
+        self.count = 0  #: points that were added
         self.failed = False  #: whether there were points of other values
 
     def add(self, points: Floats, values: Floats) -> None:
         """Interpolate between these points (N, P) and values (N, F) too."""
         solved = np.isfinite(values).all(axis=1)
-        self._points.append(points[solved])
-        self._values.append(values[solved])
+        least, fitting = 2 * points.shape[1] + 2, MAX_VALUES // max(1, values.shape[1])
+        most = min(MAX_POINTS, max(least, fitting))
+        new = points[solved], values[solved]
+        both = zip(self._known, new, strict=True) if self._known else ((one,) for one in new)
+        known, those = (np.concatenate(parts)[-most:] for parts in both)
+        self._known, self._function = (known, those), None
         self.count += int(solved.sum())
         self.failed |= not solved.all()
-        self._function = None
 
     def __call__(self, points: Floats) -> Floats:
         """Return the values (N, F) at points (N, P)."""
         if self._function is None:
             from scipy.interpolate import RBFInterpolator  # late: it takes 0.3 s to load
 
-            known, values = (np.concatenate(part)[-MAX_POINTS:] for part in (self._points, self._values))
+            assert self._known is not None
+            known, values = self._known
             # a quadratic has so many terms, and wants as many points again
             smooth = len(known) >= (known.shape[1] + 1) * (known.shape[1] + 2)
             kernel: Literal["quintic", "cubic"] = "quintic" if smooth else "cubic"
