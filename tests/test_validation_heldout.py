@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from inference_cases import (
+    NEEDLE,
     TRUTH,
     dataset,
     insertion,
@@ -31,7 +32,7 @@ from needlefit.inference.likelihood.observation import append_sensors, make_obse
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers
-from needlefit.inference.predict import Draws
+from needlefit.inference.predict import Draws, PredictiveMixture
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
@@ -42,6 +43,7 @@ from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Fold, Job, Settings, prepare
 from needlefit.studies.planned_draws import PlannedInsertion, draw_depth_errors
+from needlefit.studies.prediction_scores import find_end_error
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
 
@@ -150,6 +152,24 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
     found = PlannedInsertion(failing, medium, needle, insertion, s, *errors).simulate()
     assert found.solved[:-1].all() and not found.solved[-1]
+
+
+def test_needles_that_cannot_be_interpolated_over_depths_are_simulated_each():
+    rng = np.random.default_rng(3)
+    planned = replace(insertion(55.0, (5.0, 7.0), (1, 2, 1)), boundary_sd=1.0)  # a thin stiff sheet
+    moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(200))
+    sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
+    errors = draw_depth_errors(planned, len(sets), rng)
+    needles = PlannedInsertion(sets, medium(), NEEDLE, planned, np.linspace(0.0, 55.0, 5), *errors)
+    each = needles.simulate_each(np.arange(len(sets)))
+    np.testing.assert_allclose(needles.simulate().points, each.points, atol=1e-9)
+    assert np.ptp(each.points[:, -1, 1]) > 1.0
+
+
+def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
+    draws = np.exp(0.8 * np.random.default_rng(2).standard_normal(125))
+    for means, least, most in ((draws, 0.1, 1.0), (np.linspace(-1, 1, 125), 0.0, 0.03)):
+        assert least < find_end_error(PredictiveMixture(means[:, None], np.array([0.02])), 1) < most
 
 
 def test_the_measured_shape_is_only_compared(job, known):

@@ -138,13 +138,15 @@ class _Predictor:
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = append_sensors(insertion, observation.nodes.s[0])
         needles = self._plan(insertion, stations, *self._vary(insertion, sets))
+        factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
+        sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1])  # of the tip
         # the width after one more insertion is estimated from neighbouring draws, which takes all of them
         for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
             some = replace(draws, thetas=draws.thetas[::stride])
-            found = self._predict(insertion, observation, some, needles.simulate(stride), MAX_END_ERROR)
+            found = self._predict(insertion, observation, some, needles.simulate(stride, sd), MAX_END_ERROR)
             if found is not None:
                 return found
-        return self._predict(insertion, observation, draws, needles.simulate())
+        return self._predict(insertion, observation, draws, needles.simulate(sd=sd))
 
     def _vary(
         self, insertion: Insertion, sets: Sequence[Mapping[str, float]]
@@ -257,8 +259,9 @@ class _Predictor:
         # a stream of its own: no other number depends on it
         rng = random_stream(job.recipe.seed, job.name, fold.name, "after one", insertion.id)
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
-        found = self._plan(insertion, observation.nodes.s[0], further, rng).simulate()
-        again, tip = np.full(len(sets), np.nan), len(observation.measured) - 1
+        tip = len(observation.measured) - 1
+        planned = self._plan(insertion, observation.nodes.s[0], further, rng)
+        found, again = planned.simulate(sd=float(first.sd[tip])), np.full(len(sets), np.nan)
         aligned = align(observation.pose, found.points[found.solved], observation.measured)
         again[found.solved] = aligned[:, -1, 1]
         errors = first.sd[tip] * rng.standard_normal((2, len(sets)))

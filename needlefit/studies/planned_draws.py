@@ -4,9 +4,12 @@ Each draw has layers of its own: its needle bends otherwise, and meets the surfa
 simulated together (`mechanics.batch`) with the same layer depths, and some of them with other depths too. The
 effect of the depths on these is interpolated over the parameters, and by a spline in each depth. Where the
 surfaces lie is tabulated along parallels to the entry axis, since draws deviate by millimetres from each
-other. What cannot be interpolated (a surface that some draws meet and others miss) is simulated draw by draw.
+other. Some draws are simulated at their own depths as well. What cannot be interpolated (a surface that some
+draws meet and others miss), and tips that err by more than `MAX_INTERPOLATION_ERROR`, are simulated draw by
+draw.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,6 +47,10 @@ SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which 
 #: rounds in which the crossings of interpolated needles converge; each changes them by a slope less
 CROSSING_ROUNDS = 6
 
+CHECKED_DRAWS = 32  #: draws, at most, that are also simulated at their own depths
+#: largest rms error of their interpolated tips, as a part of the standard deviation of a predicted tip
+MAX_INTERPOLATION_ERROR = 0.1
+
 Sets = Sequence[Mapping[str, float]]  #: values of parameters (Pa, mm), a set for each draw
 #: returns the points (m, B, K, 2) of B sets with boundaries shifted by (n - 1,) and the tip by a number, mm,
 #: for m such moves, and the validity (B,) with the first
@@ -64,6 +71,24 @@ class PlannedNeedles:
     def solved(self) -> Bools:
         """Which draws have a solution, (B,)."""
         return np.asarray(np.isfinite(self.points).all(axis=(1, 2)), dtype=np.bool_)
+
+    def check(self, simulate: "Callable[[Ints], PlannedNeedles]", tip: int, sd: float) -> "PlannedNeedles":
+        """Return these interpolated needles, or all of them simulated where some are far from these.
+
+        `simulate` gives the needles of some draws, `tip` is the place of the tip among the points.
+        """
+        solved = np.flatnonzero(self.solved)
+        if not len(solved):
+            return self
+        some = solved[np.unique(np.linspace(0, len(solved) - 1, CHECKED_DRAWS).round().astype(np.int64))]
+        errors = simulate(some).points[:, tip, 1:] - self.points[some, tip, 1:]
+        errors = errors[np.isfinite(errors).all(axis=1)]
+        spread = math.hypot(sd, math.sqrt(self.points[solved, tip, 1:].var(axis=0).sum()))
+        if math.sqrt(np.sum(errors**2) / max(1, len(errors))) <= MAX_INTERPOLATION_ERROR * spread:
+            return self
+        each, points, valid = simulate(solved), self.points.copy(), self.valid.copy()
+        points[solved], valid[solved] = each.points, each.valid
+        return PlannedNeedles(points, valid)
 
 
 def draw_depth_errors(insertion: Insertion, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -151,8 +176,8 @@ class PlannedInsertion:
         found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
         return np.array(found), shapes[0].valid
 
-    def simulate(self, stride: int = 1) -> PlannedNeedles:
-        """Return the needles of every so many sets."""
+    def simulate(self, stride: int = 1, sd: float = 0.0) -> PlannedNeedles:
+        """Return the needles of every so many sets; `sd` is the deviation of a measured tip from one, mm."""
         rows = np.arange(0, len(self._sets), stride)
         if self._draws is None or self._draws.steps is None or self._table is None:
             return self.simulate_each(rows)
@@ -162,21 +187,39 @@ class PlannedInsertion:
         path = whole.take(slice(None, PATH_POINTS))
         for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
             shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
-        return PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts + wrong[:, :count], deep), valid)
+        shifts = shifts + wrong[:, :count]
+        found = PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts, deep), valid)
+
+        def simulate(some: Ints) -> PlannedNeedles:
+            nodes = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in some]
+            return self._simulate_each([(self._sets[rows[n]], *nodes[k]) for k, n in enumerate(some)])
+
+        return found.check(simulate, int(np.argmax(self._s)), sd)
 
     def simulate_each(self, rows: Ints) -> PlannedNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
-        points, valid = np.full((len(rows), len(self._s), 3), np.nan), np.zeros(len(rows), dtype=np.bool_)
-        size = 2
-        for n, row in enumerate(rows):
+        nodes: list[tuple[Mapping[str, float], Insertion | None, Floats]] = []
+        for row in rows:
             values, entry = self._sets[row], float(self._deep[row])
             met = with_planned_layers(self._insertion, values, self._medium, self._needle)
             if met is None:
+                nodes.append((values, None, self._s))
+            else:
+                wrong = entry + self._wrong[row, : len(met.boundaries)]
+                nodes.append((values, *shift_depths(met, self._s, wrong, entry)))
+        return self._simulate_each(nodes)
+
+    def _simulate_each(
+        self, nodes: Sequence[tuple[Mapping[str, float], Insertion | None, Floats]]
+    ) -> PlannedNeedles:
+        """Return needles of values, insertion and beam coordinates (K,) each; NaN without an insertion."""
+        points, valid = np.full((len(nodes), len(self._s), 3), np.nan), np.zeros(len(nodes), dtype=np.bool_)
+        size = 2
+        for n, (values, insertion, at) in enumerate(nodes):
+            if insertion is None:
                 continue
-            wrong = entry + self._wrong[row, : len(met.boundaries)]
-            moved, at = shift_depths(met, self._s, wrong, entry)
-            shape = predict(values, self._medium, self._needle, moved)
-            read, valid[n] = read_points(moved, shape, at), shape.valid
+            shape = predict(values, self._medium, self._needle, insertion)
+            read, valid[n] = read_points(insertion, shape, at), shape.valid
             size = max(size, read.shape[1])  # 3 in space
             points[n, :, : read.shape[1]] = read
         return PlannedNeedles(points[..., :size], valid)
@@ -210,13 +253,16 @@ def simulate_scene(
 
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
     draws = _InterpolatedDraws(sets, move, reach, float(np.std(deep)))
-    if draws.steps is not None:
-        whole, valid = draws.take(np.arange(len(sets)))
-        return PlannedNeedles(whole.at(wrong, deep), valid)
-    each = [move([one], [(wrong[n] + deep[n], float(deep[n]))]) for n, one in enumerate(sets)]
-    return PlannedNeedles(
-        np.concatenate([points[0] for points, _ in each]), np.concatenate([v for _, v in each])
-    )
+
+    def simulate(some: Ints) -> PlannedNeedles:
+        each = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
+        points, valid = zip(*each, strict=True)
+        return PlannedNeedles(np.concatenate([one[0] for one in points]), np.concatenate(valid))
+
+    if draws.steps is None:
+        return simulate(np.arange(len(sets)))
+    whole, valid = draws.take(np.arange(len(sets)))
+    return PlannedNeedles(whole.at(wrong, deep), valid).check(simulate, len(s) - 1, 0.0)
 
 
 class _InterpolatedDraws:

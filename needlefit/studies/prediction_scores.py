@@ -99,17 +99,21 @@ def score_tip_in_space(tips: Floats, centre: Floats, measured: Floats) -> Row:
 def find_end_error(mixture: PredictiveMixture, count: int) -> float:
     """Return the Monte Carlo error of the ends of the tip's widest interval, in parts of its width.
 
-    Of two planes, with `count` points in each, the larger one.
+    An end is the quantile of a probability p that draws give with a standard error e: it errs by half the
+    distance between the quantiles of p - e and p + e. Of two planes, with `count` points in each, the larger
+    error.
     """
-    tips = slice(count - 1, None, count)
-    tip = PredictiveMixture(mixture.means[:, tips], mixture.sd[tips])
-    if not tip.sd.all():  # its quantiles have no density
-        return math.inf
-    ends = _find_intervals(tip)[1][max(INTERVAL_PROBABILITIES)]  # (2, planes)
-    away = (ends - tip.means[:, None]) / tip.sd  # (B, 2, planes)
-    density = np.exp(-0.5 * away**2).mean(axis=0) / (math.sqrt(2 * math.pi) * tip.sd)
-    errors = scipy.special.ndtr(away).std(axis=0) / math.sqrt(len(away)) / density
-    return float((errors / np.ptp(ends, axis=0)).max())
+    draws, level = len(mixture.means), max(INTERVAL_PROBABILITIES)
+    p, found = np.array([(1 - level) / 2, (1 + level) / 2]), 0.0
+    for tip in range(count - 1, mixture.means.shape[1], count):
+        one = PredictiveMixture(mixture.means[:, [tip]], mixture.sd[[tip]])
+        if not one.sd.all():
+            return math.inf
+        ends = quantile(one, p)[:, 0]
+        error = scipy.special.ndtr((ends - one.means) / one.sd).std(axis=0) / math.sqrt(draws)
+        low, high = quantile(one, np.clip([p - error, p + error], 0.5 / draws, 1 - 0.5 / draws))[..., 0]
+        found = max(found, float((high - low).max() / 2 / np.ptp(ends)))
+    return found
 
 
 def score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
