@@ -420,28 +420,22 @@ def _check_alike(slices: Sequence[DicomSlice]) -> None:
     assert first.pixel is not None and first.axes is not None
     pixels = max(first.rows, first.columns)
     extent = pixels * float(first.pixel.max())
+    size, spacing, axes = (first.rows, first.columns), first.pixel.tolist(), first.axes.round(4).tolist()
     for item in slices[1:]:
         assert item.pixel is not None and item.axes is not None
-        own, other = (
-            {
-                "size": (one.rows, one.columns),
-                "frame of reference": one.frame_of_reference,
-                "pixel spacing": np.array(one.pixel).tolist(),
-                "orientation": np.array(one.axes).round(4).tolist(),
-            }
-            for one in (first, item)
-        )
-        differ = {
-            "size": (first.rows, first.columns) != (item.rows, item.columns),
-            "frame of reference": first.frame_of_reference != item.frame_of_reference,
-            "pixel spacing": np.abs(first.pixel - item.pixel).max() * pixels > MAX_OFFSET_MM,
-            "orientation": np.abs(first.axes - item.axes).max() * extent > MAX_OFFSET_MM,
-        }
-        for name in [name for name, differs in differ.items() if differs][:1]:
-            raise refusal(f"""its {name} is {other[name]}, that of {first.name} is {own[name]}
-                expected: the same in every slice of a series
-                fix: move the slices of another scan to a folder of their own, or export the series again
-                where: {item.where}""")
+        apart, turned = np.abs(first.pixel - item.pixel), np.abs(first.axes - item.axes)
+        own, other = first.frame_of_reference, item.frame_of_reference
+        for name, allowed, found, same in (
+            ("size", size, (item.rows, item.columns), size == (item.rows, item.columns)),
+            ("frame of reference", own, other, own == other),
+            ("pixel spacing", spacing, item.pixel.tolist(), apart.max() * pixels <= MAX_OFFSET_MM),
+            ("orientation", axes, item.axes.round(4).tolist(), turned.max() * extent <= MAX_OFFSET_MM),
+        ):
+            if not same:
+                raise refusal(f"""its {name} is {found}, that of {first.name} is {allowed}
+                    expected: the same in every slice of a series
+                    fix: move the slices of another scan to a folder of their own, or export the series again
+                    where: {item.where}""")
 
 
 def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> Floats:
