@@ -360,7 +360,7 @@ FOUR_AXES = {
     "Offset": "0 0 0 0",
     "ElementSpacing": "1 1 1 1",
 }
-SINGLE, SHEARED = ("no single volume", "one time point"), ("not perpendicular", "resample")
+SINGLE, SHEARED = ("no single volume", "time points"), ("not perpendicular", "resample")
 SPACED = ("spacing", "")
 VECTORS = {"space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "vector domain domain domain"}
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}

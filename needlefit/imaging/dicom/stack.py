@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import pydicom
@@ -117,19 +117,14 @@ class DicomSlice:
     frame: int | None = None
 
     @property
-    def place(self) -> str:
-        """The frame in the file, in words."""
-        return "" if self.frame is None else f", frame {self.frame + 1}"
-
-    @property
     def name(self) -> str:
         """Name of the file, and of the frame in it."""
-        return self.file.name + self.place
+        return self.file.name + ("" if self.frame is None else f", frame {self.frame + 1}")
 
     @property
     def where(self) -> str:
         """Path of the file, and the frame in it."""
-        return str(self.file) + self.place
+        return str(self.file.parent / self.name)
 
 
 def read_headers(file: Path) -> tuple[DicomSlice, ...]:
@@ -236,7 +231,10 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
 
 def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[int, ...]) -> Floats | None:
     """Return the entries `names` as one array of `shape`; None if all are missing or empty."""
-    entries = [_read_entry(data, name) for name in names]
+    try:
+        entries = [data.get(name) for name in names]
+    except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
+        raise _unclear_entry_error(" and ".join(names), "unreadable") from None
     if all(entry is None or entry == "" for entry in entries):
         return None
     try:
@@ -249,20 +247,8 @@ def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[i
 
 
 def _parse_whole_number(data: pydicom.Dataset, name: str, default: int) -> int:
-    value = _read_entry(data, name)
-    if value is None or value == "":
-        return default
-    try:
-        return int(value)
-    except (TypeError, ValueError):
-        raise _unclear_entry_error(name, value) from None
-
-
-def _read_entry(data: pydicom.Dataset, name: str) -> Any:  # noqa: ANN401 - whatever the file holds
-    try:
-        return data.get(name)
-    except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
-        raise _unclear_entry_error(name, "unreadable") from None
+    found = _parse_numbers(data, (name,), (1,))
+    return default if found is None else int(found[0])
 
 
 def _to_text(value: object) -> str:
@@ -385,8 +371,8 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
         fix = "convert it to NRRD, e.g. with 3D Slicer, or export it as single-frame (classic) or enhanced CT"
         return f"holds {item.frames} frames without their positions", "one slice a file, or enhanced CT", fix
     if LOCALIZER in item.kind:
-        fix = "move localizers (scouts, topograms) to a folder of their own"
-        return "is a localizer among the slices of a volume", "slices of the volume only", fix
+        fix = "name the folder with the slices of the scan, or export its series"
+        return "is a localizer (scout, topogram), no slice", "the slices of a CT volume", fix
     if item.modality not in XRAY_MODALITIES:
         fix = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
         what = f"is no CT: its Modality is {item.modality}"
@@ -447,11 +433,13 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
     along = (positions - positions[0]) @ normal  # (K,)
     steps = np.diff(along)
     usual = float(np.median(steps))
+    doubled = int((steps < MIN_STEP_MM).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
-            raise refusal(f"""stands at the same place as {before.name}
-                expected: every slice once
-                fix: remove the copies; if the series holds several phases or times, export one of them
+            raise refusal(f"""stands at the same place as {before.name}, with other voxels, as {doubled} of
+                    {len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none
+                expected: one slice at each place
+                fix: export one scan (phase, time, kernel), or move the slices of each to a folder of its own
                 where: {after.where}""")
         if usual >= MIN_STEP_MM and step > MAX_STEP_RATIO * usual:
             raise refusal(f"""{round(step / usual) - 1 or 1} slice(s) missing between {before.name}
