@@ -350,6 +350,12 @@ def test_names_that_differ_by_case_alone_are_faults(tmp_path):
         assert [one.where.endswith("insertions.csv:3") for one in found] == [True] * (folder != "same")
 
 
+def test_errors_that_points_share_leave_little_error_of_each(tmp_path):
+    noise = {"point_sd_mm": 0.0003, "correlated_sd_mm": 0.003, "correlation_length_mm": 4.0}
+    path = write_curves(tmp_path, record(media={"gel": {}}, noise=noise), [into_gel()], {"a": CURVE}, {})
+    assert not [one for one in find_warnings(path) if one.kind == "units"]
+
+
 def test_insertions_in_inches_are_named(tmp_path):
     tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
     path = write_curves(tmp_path, tables, [into_gel(depth=50 / 25.4)], {"a": CURVE / 25.4}, {})

@@ -113,7 +113,8 @@ def test_faults_of_a_table_are_named_with_line_and_column(folder):
     message = refused(folder, "scan,marker,speciman", "one.nrrd,markers.csv,block")
     assert all(f"`{name}`" in message for name in ("marker", "markers", "speciman", "specimen"))
     assert f"{folder / 'scans.csv'}:1" in message
-    assert "`scan`" in refused(folder, "id,medium", "a,gel")
+    message = refused(folder, "id,medium", "a,gel", "b,gel")
+    assert "`scan`" in message and " faults" not in message
     message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
     path = folder / "scans.csv"
     assert message.startswith(f"{path}:3: ") and " id one," in message and f"{path}:2 " in message

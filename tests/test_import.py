@@ -723,6 +723,17 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     assert "assumption" not in {source for _, source in made.values()}
 
 
+def test_a_unit_may_stand_in_the_name_of_an_answer(tmp_path):
+    points = [["x (mm)", "y (mm)", "z (mm)"], *CURVES[0].tolist()]
+    setup = [["name", "value", "unit"], ["boundaries [cm]", "2; 4"], ["Needle_length (m)", 0.2, "m"]]
+    file = write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)
+    plan, made = planned([file])
+    assert plan.depths_mm == (20.0, 40.0) and plan.needle.length_mm == pytest.approx(200.0)
+    assert "not used" not in made
+    file = write_sheets(tmp_path / "b.xlsx", points=points, setup=[*setup, ["point sd [mm]", 1, "cm"]])
+    assert refusal(DataError, "one unit", planned, [file]).where.endswith("row 4, column 2")
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -833,3 +844,5 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     assert run("import", tmp_path, "--out", tmp_path / "gel") == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
     assert "a.csv" in capsys.readouterr().err
+    (tmp_path / "dataset.toml").touch()
+    assert "dataset.toml" in refusal(DataError, "", read_content, [tmp_path]).fix

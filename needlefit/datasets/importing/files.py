@@ -18,7 +18,7 @@ from needlefit.datasets.importing.curves import (
     read_table,
 )
 from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.importing.synonyms import find_meaning, read_header
+from needlefit.datasets.importing.synonyms import find_meaning, read_header, split_unit
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -34,7 +34,7 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
-from needlefit.project.input_files import is_dir, path_exists
+from needlefit.project.input_files import is_dir, is_file, path_exists
 
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
@@ -95,6 +95,9 @@ def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]
         if not is_dir(path):
             yield path
             continue
+        if is_file(own := path / "dataset.toml"):
+            what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
+            raise DataError(what, where=str(path), expected="files of other programs", fix=fix)
         for one in sorted(path.iterdir()):
             if one.is_dir():
                 content.unused.append((f"folder {one.name}", "it is not searched: name it"))
@@ -172,10 +175,14 @@ def _read_setup(cells: CellTable, content: ImportContent) -> None:
     """Add the answers of a sheet with a row for each question: its name, value and unit."""
     for n, row in enumerate(cells.rows):
         name, value, unit = (*row, "", "", "")[:3]
-        what = " ".join(name.lower().replace("_", " ").split())
-        what = what if what in QUESTIONS else find_meaning("column", name)
+        plain, own = split_unit(name)  # `boundaries [cm]`
+        what = " ".join(plain.lower().replace("_", " ").split())
+        what = what if what in QUESTIONS else find_meaning("column", plain)
         if value and what in QUESTIONS:
-            stated = Stated(value, find_meaning("unit", unit) or unit, cells.where(n, 1))
+            unit = find_meaning("unit", unit) or unit
+            stated = Stated(value, own or unit, cells.where(n, 1))
+            if own and unit not in ("", own):
+                raise stated.error(what, f"one unit, in its name or beside it ({unit})")
             add_stated(content.setup, {what: stated})
         elif value and n:
             content.unused.append((f"row {name} = {value}"[:MAX_NAME_CHARS], Path(cells.where(n)).name))
