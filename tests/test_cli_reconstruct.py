@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 from contextlib import redirect_stderr
 from io import StringIO
@@ -122,6 +123,8 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
     assert all(f"{abs(one):.2f}" in printed for one in (*tip, row["depth_mm"], 1.27))
     scene = load(Path("sample-dataset/scenes/sample.toml"), SceneRecord)
     assert scene.depth_mm == pytest.approx(row["depth_mm"], abs=1e-3)
+    (proposed,) = (line.partition("needlefit ")[2] for line in printed.splitlines() if "predict" in line)
+    assert run(*shlex.split(proposed), "-q") == 0  # as it is printed, from this folder
 
 
 @pytest.mark.sweep

@@ -1,5 +1,6 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -227,11 +228,10 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
-        scenes = sorted(path.name for path in out.glob("scenes/*.toml"))
-        then = f"Predict it: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else ""
-        path = str(out) if out.is_absolute() else f"./{out}"
-        screen.print_text(f"What to do. {then or found.answer.advice.replace('DATASET', path)}")
-        screen.print_written(out, f" (figures of each scan in {out}/quality/)")
+        path = shlex.quote(str(out) if out.is_absolute() else f"./{out}")
+        screen.print_line(f"What to do. {found.answer.advice.replace('DATASET', path)}")  # to be copied whole
+        pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
+        screen.print_written(out, f" (pictures: {pictures})")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
