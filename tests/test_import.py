@@ -23,7 +23,7 @@ from needlefit.datasets.importing.tables import (
     read_text_cells,
 )
 from needlefit.datasets.importing.writing import write_plan
-from needlefit.datasets.read import check_all, read
+from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
@@ -814,8 +814,8 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     )
     shown = json.loads(capsys.readouterr().out)
     assert [one["insertion"] for one in shown["insertions"]] == ["Nadel_1", "Nadel_2", "Nadel_3"]
-    faults, warnings = check_all(tmp_path / "gel")
-    assert faults == [] and {one.kind for one in warnings} == {"placeholder", "assumed", "noise"}
+    found = inspect(tmp_path / "gel")
+    assert not found.faults and {one.kind for one in found.warnings} == {"placeholder", "assumed", "noise"}
     assert (tmp_path / "gel" / "import.png").stat().st_size > 10_000
     stored = read_toml(tmp_path / "gel" / "dataset.toml")["import"]
     assert stored["decisions"] == shown["decisions"] and list(stored["files"]) == ["six.csv"]

@@ -108,7 +108,7 @@ def reconstruct(
     named |= {"surfaces_in": layers_in} if layers_in else {}
     invocation = context.find_root().obj
     with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.datasets.read import check_all
+        from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import (
             ReconstructionBatch,
@@ -175,7 +175,7 @@ def reconstruct(
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
-    warnings = check_all(out)[1] if written else []
+    warnings = inspect(out).warnings if written else ()
     if written and not invocation.json:
         screen.print_text(f"{written.verdicts[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
@@ -210,7 +210,7 @@ def _show(
     out: Path,
     found: "Run | None",
     failed: "Sequence[ReconstructionFailure]",
-    as_json: "list[ResultWarning] | None",
+    as_json: "Sequence[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
     from needlefit.studies.kinds.reconstruction.report import REPORT

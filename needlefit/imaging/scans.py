@@ -135,8 +135,6 @@ SCAN_COLUMNS = (
     *("id", "scan", "series", "acquisition", "medium", "specimen", *FILES),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
-# What fixes a bevel that fixes no plane.
-BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 # Columns of words; the first is that of an empty cell.
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -276,7 +274,8 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, what, expected, fix
     turned, zero = np.linalg.norm(np.cross(direction, bevel)), not bevel.any()
     along = not zero and bool(turned < PARALLEL_SINE * np.linalg.norm(bevel))
-    yield along, "the bevel is parallel to the entry direction", "a direction across the needle", BEVEL_FIX
+    what, fix = "the bevel is parallel to the entry direction", "correct it, or leave the three cells empty"
+    yield along, what, "a direction across the needle", fix
     yield zero, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
     for name in ("pose_shift_sd_mm", "pose_angle_sd_deg"):
         expected = "a standard deviation, 0 or more"

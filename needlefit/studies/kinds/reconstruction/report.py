@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.read import check_all
+from needlefit.datasets.read import inspect
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
@@ -307,7 +307,7 @@ def write_reconstruction(
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
-        result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
+        result = tabulate_batch(description.name, record, kept, inspect(fresh).warnings)
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
             for failure in refused:
