@@ -184,7 +184,7 @@ def test_several_acquisitions_are_named_and_one_is_chosen(tmp_path):
     assert "2 acquisitions" in fault.what and "4 or 5" in fault.fix
     assert np.array_equal(read_volume(tmp_path, acquisition="5").values, NUMBERS + 7)
     assert np.array_equal(read_volume(tmp_path, "3", "4").values, NUMBERS)
-    assert "5 (6 slices)" in refused(tmp_path, acquisition="6").what
+    assert "`5` (6 slices)" in refused(tmp_path, acquisition="6").what
     save(tmp_path / "none", [*series(), *second])
     assert "none or 5" in refused(tmp_path / "none").fix
     assert np.array_equal(read_volume(tmp_path / "none", acquisition="none").values, NUMBERS)

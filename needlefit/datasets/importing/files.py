@@ -57,7 +57,9 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
-        raise DataError(what, where=str(paths[0]), expected=expected, fix="name their files or folder")
+        raise DataError(
+            what, where=str(paths[0]), expected=expected, fix="name the files of their points, too"
+        )
     if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for meaning in content.columns.keys() - content.columns_found:

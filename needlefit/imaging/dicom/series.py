@@ -160,7 +160,10 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     parts: dict[str, list[DicomSlice]] = {}
     for item in slices:
         parts.setdefault(item.acquisition or UNNUMBERED, []).append(item)
-    listed = ", ".join(f"{name} ({len(one)} slices)" for name, one in parts.items())
+    listed = ", ".join(
+        f"`{name}` ({len(one)} slices{' without a number' * (name == UNNUMBERED)})"
+        for name, one in parts.items()
+    )
     where = slices[0].file.parent
     if acquisition is not None:
         if (chosen := parts.get(acquisition.strip())) is None:
