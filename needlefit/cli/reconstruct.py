@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import open_pool, print_remark
-from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli import options, screen
+from needlefit.cli.execution import begin, open_pool, print_remark
 from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
-from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
@@ -107,7 +105,7 @@ def reconstruct(
     named: dict[str, Any] = {key: context.params[key] for key in columns if context.params[key]}
     named |= {"surfaces_in": layers_in} if layers_in else {}
     invocation = context.find_root().obj
-    with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
+    with begin(context) as execution:
         from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import (
@@ -145,16 +143,11 @@ def reconstruct(
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
-            with open_pool(
-                invocation.jobs or min(MAX_DEFAULT_JOBS, count_cores()),
-                invocation.scheduler,
-                invocation.insecure,
-            ) as pool:
-                batch = ReconstructionBatch(pool, checkpoint, report, stop, every)
+            with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
+                batch = ReconstructionBatch(pool, checkpoint, report, execution.stop, every)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
-                screen.print_note(invocation.interrupt_message())
-                raise typer.Exit(exit_codes.INTERRUPTED)
+                raise execution.interrupted()
             found = [one for needles in scanned for one in needles]
             failed = [one for one in found if isinstance(one, ReconstructionFailure)]
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
