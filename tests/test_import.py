@@ -845,4 +845,5 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
     assert "a.csv" in capsys.readouterr().err
     (tmp_path / "dataset.toml").touch()
-    assert "dataset.toml" in refusal(DataError, "", read_content, [tmp_path]).fix
+    for path in (tmp_path, tmp_path / "dataset.toml"):
+        assert str(tmp_path / "dataset.toml") in refusal(DataError, "", read_content, [path]).fix

@@ -94,12 +94,12 @@ def list_import_suffixes() -> tuple[str, ...]:
 def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]:
     """Yield the files that are named, or stand in a folder that is."""
     for path in paths:
+        if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
+            what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
+            raise DataError(what, where=str(path), expected="files of other programs", fix=fix)
         if not is_dir(path):
             yield path
             continue
-        if is_file(own := path / "dataset.toml"):
-            what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
-            raise DataError(what, where=str(path), expected="files of other programs", fix=fix)
         for one in sorted(path.iterdir()):
             if one.is_dir():
                 content.unused.append((f"folder {one.name}", "it is not searched: name it"))
@@ -133,7 +133,8 @@ def _read_format(path: Path, content: ImportContent) -> None:
     format_ = find_format(path)
     if format_ is None or format_.read_curves is None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
-        raise DataError(what, where=str(path), expected=expected, fix="export the points to one of these")
+        fix = "export the points to one of these; scans are read by `needlefit reconstruct`"
+        raise DataError(what, where=str(path), expected=expected, fix=fix)
     found, remarks = format_.read_curves(path)
     unused = dict.fromkeys(remark.removesuffix(" ignored") for remark in remarks)
     for name, points in found.items():

@@ -436,8 +436,9 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
     doubled = int((steps < MIN_STEP_MM).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
-            raise refusal(f"""stands at the same place as {before.name}, with other voxels, as {doubled} of
-                    {len(ordered)} slices do: these are several scans with one AcquisitionNumber, or none
+            other = ", with other voxels" * (after.frame is None)  # copies of files were left out
+            raise refusal(f"""stands at the same place as {before.name}{other}, as {doubled} of {len(ordered)}
+                    slices do: these are several scans with one AcquisitionNumber, or none
                 expected: one slice at each place
                 fix: export one scan (phase, time, kernel), or move the slices of each to a folder of its own
                 where: {after.where}""")
