@@ -240,6 +240,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
             screen.print_note(f"needlefit: {ids}: {warning}")
     if any(one.points for one in failed):
         screen.print_note(f"needlefit: move what was found in 3D Slicer: {out}/slicer/, then --corrections")
-    if failed and found:
+    if failed and not found:
+        screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
+    elif failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")
