@@ -111,11 +111,8 @@ def test_known_points_and_invalid_volumes():
     for wrong, words in [
         ({"values": np.zeros((3, 3))}, "have 2 axes"),
         ({"values": np.zeros((3, 3, 1))}, "1 x 3 x 3 voxels"),
-        ({"direction": np.array([[1, 0.1, 0], [0, 1, 0], [0, 0, 1.0]])}, "not perpendicular"),
         ({"direction": np.eye(3) * 1.1}, "not perpendicular"),
-        ({"spacing": (0.4, 0.0, 0.9)}, "0.4 x 0 x 0.9 mm"),
         ({"spacing": (0.4, -0.5, 0.9)}, "spacing"),
-        ({"spacing": (4e-4, 5e-4, 9e-4)}, "spacing"),
         ({"origin": (np.nan, 0, 0)}, "not finite"),
     ]:
         with pytest.raises(DataError) as error:
