@@ -730,6 +730,12 @@ def test_a_unit_may_stand_in_the_name_of_an_answer(tmp_path):
     plan, made = planned([file])
     assert plan.depths_mm == (20.0, 40.0) and plan.needle.length_mm == pytest.approx(200.0)
     assert "not used" not in made
+    rows = ["boundaries [cm];2;4", "Nadeldurchmesser: 0,9 mm", "x [mm];y [mm];z [mm]"]
+    rows += [";".join(f"{one:.3f}".replace(".", ",") for one in point) for point in CURVES[0]]
+    (tmp_path / "above.csv").write_text("\n".join(rows))
+    plan, made = planned([tmp_path / "above.csv"])
+    assert plan.depths_mm == (20.0, 40.0) and plan.needle.outer_diameter_mm == 0.9
+    assert made["boundaries"] == ("2; 4", "file") and "not used" not in made
     file = write_sheets(tmp_path / "b.xlsx", points=points, setup=[*setup, ["point sd [mm]", 1, "cm"]])
     assert refusal(DataError, "one unit", planned, [file]).where.endswith("row 4, column 2")
 
