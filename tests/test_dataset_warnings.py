@@ -14,7 +14,7 @@ from needlefit.datasets.dataset_warnings import (
     measure_scatter,
 )
 from needlefit.datasets.planes import measure_out_of_plane
-from needlefit.datasets.read import check, check_all, read
+from needlefit.datasets.read import check, inspect, read
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import Surface, make_mesh, make_sheet
 from needlefit.project.locate import find_file
@@ -64,9 +64,9 @@ FREE = {"entry": None, "direction": None, "pose_source": "none", "bevel": None}
 
 def find_warnings(path: Path) -> list[ResultWarning]:
     """Return the warnings of a dataset without faults."""
-    faults, warnings = check_all(path)
-    assert faults == []
-    return warnings
+    found = inspect(path)
+    assert not found.faults
+    return list(found.warnings)
 
 
 def kinds(path: Path) -> list[str]:
@@ -84,8 +84,8 @@ def edit(file: Path, pattern: str, new: str) -> int:
 
 def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and_bevels(tmp_path):
     for name in ["twin", "stereo_shapes", "guided_tips"]:
-        faults, warnings = check_all(find_file("dataset", name))
-        assert warnings == [] and (name != "twin" or faults == [])
+        found = inspect(find_file("dataset", name))
+        assert not found.warnings and (name != "twin" or not found.faults)
     notes = []
     file = find_file("fit", "phantom1")
     dataset = read(find_file("dataset", "twin"))
@@ -98,15 +98,15 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
 
 def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_path):
     assert kinds(gel(tmp_path / "right")) == []
-    _, (one,) = check_all(gel(tmp_path / "one", (1, -1, -1)))
+    (one,) = inspect(gel(tmp_path / "one", (1, -1, -1))).warnings
     assert one.kind == "bevel_side" and one.what.startswith("b ") and one.where.endswith("insertions.csv:3")
-    _, (every,) = check_all(gel(tmp_path / "all", (-1, -1, 1)))
+    (every,) = inspect(gel(tmp_path / "all", (-1, -1, 1))).warnings
     assert "all 3" in every.what and "flipped" in every.fix and "`bevel_side`" in every.fix
     assert read(tmp_path / "all").warnings == (every,)  # every fit reads the same
     (tmp_path := tmp_path / "b").mkdir()
     file = gel(tmp_path)
     (tmp_path / "centerlines/c.csv").write_bytes((tmp_path / "centerlines/a.csv").read_bytes())
-    _, (one,) = check_all(file)
+    (one,) = inspect(file).warnings
     assert (one.kind, one.where) == ("copy", f"{tmp_path}/insertions.csv:4") and "c " in one.what
 
 
@@ -138,7 +138,7 @@ def test_a_value_in_another_unit_is_named_with_its_place(tmp_path, pattern, line
     edit(file, pattern, line)
     if "rigidity" in line:
         edit(file, "youngs_modulus", "")
-    _, (one,) = check_all(file)
+    (one,) = inspect(file).warnings
     assert (
         one.where.startswith(f"{file}, key ") and right in one.fix and f"`{line.split()[0]}`" not in one.what
     )
@@ -207,7 +207,7 @@ def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path,
 def test_boundaries_that_no_tissue_has_are_named_with_their_place(tmp_path, boundaries, count):
     one = into_gel(layers=1 + sum(depth < 50 for depth in boundaries))
     file = write_rows(tmp_path, one, gel={"boundaries_mm": boundaries})
-    _, warnings = check_all(file)
+    warnings = inspect(file).warnings
     places = [("units", f"{file}, key `media.gel.boundaries_mm`")] * count
     assert [(one.kind, one.where) for one in warnings] == places
     assert all(f"{boundaries[-1]:g}" in one.what for one in warnings)
@@ -348,6 +348,12 @@ def test_names_that_differ_by_case_alone_are_faults(tmp_path):
     ):
         found = check(write_rows(tmp_path / folder, *rows))
         assert [one.where.endswith("insertions.csv:3") for one in found] == [True] * (folder != "same")
+
+
+def test_errors_that_points_share_leave_little_error_of_each(tmp_path):
+    noise = {"point_sd_mm": 0.0003, "correlated_sd_mm": 0.003, "correlation_length_mm": 4.0}
+    path = write_curves(tmp_path, record(media={"gel": {}}, noise=noise), [into_gel()], {"a": CURVE}, {})
+    assert not [one for one in find_warnings(path) if one.kind == "units"]
 
 
 def test_insertions_in_inches_are_named(tmp_path):

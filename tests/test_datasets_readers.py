@@ -7,7 +7,7 @@ from test_datasets import block, without_checksums
 from track_cases import DEPTH, GUIDE, HEAD, TOML, measured, track, written
 
 from needlefit.datasets.formats.csv import read_table
-from needlefit.datasets.read import check, check_all, read, read_shapes
+from needlefit.datasets.read import check, inspect, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
 from needlefit.schemas.study import SelectionRecord
@@ -136,5 +136,5 @@ def test_readings_that_scatter_more_or_less_than_their_stated_noise_contradict_i
     rows = [f"r,gel,{d},{x:.5f},0,1\n" for d, x in zip(depth, tip, strict=True)]
     (tmp_path / "steps.csv").write_text(HEAD + "".join(rows))
     (tmp_path / "dataset.toml").write_text(TOML)
-    faults, warnings = check_all(tmp_path)
-    assert faults == [] and [one.kind for one in warnings].count("noise") == count
+    found = inspect(tmp_path)
+    assert not found.faults and [one.kind for one in found.warnings].count("noise") == count

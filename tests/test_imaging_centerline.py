@@ -141,7 +141,7 @@ def test_what_is_no_needle_is_refused():
     refusal(DataError, "tissue", lambda: select_needle(cases.scan(cases.axis() + FAR), cases.RECIPE).needle)
     balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
-    refusal(DataError, "is a tube", select_needle, volume, cases.RECIPE)
+    refusal(DataError, "segmentation.min_length_mm", select_needle, volume, cases.RECIPE)
     refusal(DataError, r"volume.* tip", lambda: found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0)))))
     recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
     refusal(DataError, "9000 HU", lambda: select_needle(cases.scan(cases.axis()), recipe).needle)

@@ -5,6 +5,7 @@ import resource
 import struct
 from functools import partial
 
+import nibabel
 import numpy as np
 import pytest
 import SimpleITK as sitk
@@ -110,11 +111,8 @@ def test_known_points_and_invalid_volumes():
     for wrong, words in [
         ({"values": np.zeros((3, 3))}, "have 2 axes"),
         ({"values": np.zeros((3, 3, 1))}, "1 x 3 x 3 voxels"),
-        ({"direction": np.array([[1, 0.1, 0], [0, 1, 0], [0, 0, 1.0]])}, "not perpendicular"),
         ({"direction": np.eye(3) * 1.1}, "not perpendicular"),
-        ({"spacing": (0.4, 0.0, 0.9)}, "0.4 x 0 x 0.9 mm"),
         ({"spacing": (0.4, -0.5, 0.9)}, "spacing"),
-        ({"spacing": (4e-4, 5e-4, 9e-4)}, "spacing"),
         ({"origin": (np.nan, 0, 0)}, "not finite"),
     ]:
         with pytest.raises(DataError) as error:
@@ -281,7 +279,7 @@ def test_a_form_that_mirrors_the_other_is_refused_or_named(tmp_path):
     assert not read_volume(nifti(tmp_path / "c.nii", codes=(0, 1), **mirrored)).warnings  # an empty qform
     left_handed = {"spacing": ("<4f", 76, -1.0, *STEPS)}
     (warning,) = read_volume(nifti(tmp_path / "d.nii", codes=(0, 1), **left_handed)).warnings
-    assert "pixdim[0]" in warning
+    assert "mirrored" in warning
 
 
 TILT = np.radians(12.0)
@@ -313,6 +311,27 @@ def test_slices_of_a_tilted_gantry_stand_where_their_affine_says(tmp_path, name,
     assert np.array_equal(volume.values, VALUES)
 
 
+@pytest.mark.parametrize("flip", [1, -1])
+@pytest.mark.parametrize(("codes", "warnings"), [((1, 1), 0), ((0, 2), 0), ((1, 0), 1)])
+def test_a_qform_beside_a_sheared_sform_has_lost_its_shear(tmp_path, flip, codes, warnings):
+    """So converters write it: the sform is taken; where the qform alone is stated, the loss is named."""
+    affine = np.diag([flip * 0.4, 0.5, 0.9, 1.0])
+    affine[1, 2] = 0.9 * np.tan(TILT)
+    image = nibabel.Nifti1Image(np.zeros((40, 30, 20), np.int16), affine)
+    image.set_qform(affine, codes[0])
+    image.set_sform(affine, codes[1])
+    nibabel.save(image, tmp_path / "a.nii")
+    volume = read_volume(tmp_path / "a.nii")
+    assert len(volume.warnings) == warnings
+    if codes[1]:
+        stated = affine @ [39, 29, 19, 1]
+        assert to_patient(volume, [[39, 29, 19]])[0] == pytest.approx([-1, -1, 1] * stated[:3], abs=1e-4)
+    image.set_qform(np.diag([0.4, 0.5, 0.9, 1.0]), 1)  # no rotation of the sheared axes
+    image.set_sform(affine, 1)
+    nibabel.save(image, tmp_path / "b.nii")
+    assert ("6.0 degrees" if flip > 0 else "mirrored") in refused(tmp_path / "b.nii").what
+
+
 @pytest.mark.usefixtures("child_process_reader")
 def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -338,7 +357,7 @@ FOUR_AXES = {
     "Offset": "0 0 0 0",
     "ElementSpacing": "1 1 1 1",
 }
-SINGLE, SHEARED = ("no single volume", "one time point"), ("not perpendicular", "resample")
+SINGLE, SHEARED = ("no single volume", "time points"), ("not perpendicular", "resample")
 SPACED = ("spacing", "")
 VECTORS = {"space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "vector domain domain domain"}
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}

@@ -137,7 +137,7 @@ def test_two_series_are_not_guessed(tmp_path):
     more = [a_slice(k, NUMBERS[k] + 1, SeriesInstanceUID=other, SeriesNumber=4) for k in range(3)]
     save(tmp_path, [*series(), *more])
     fault = refused(tmp_path)
-    assert "holds 2 series" in fault.what and "'needle', CT, 6 images" in fault.what and other in fault.what
+    assert "holds 2 series" in fault.what and "'needle' (CT, 6 images)" in fault.what and other in fault.what
     assert "`series`" in fault.fix
     assert read_volume(tmp_path, "3").values.shape[0] == COUNT
     for found in (
@@ -150,7 +150,7 @@ def test_two_series_are_not_guessed(tmp_path):
     assert " 5" in fault.what and "number 4" in fault.what
     save(tmp_path, [a_slice(0, SeriesInstanceUID=generate_uid())], order=[17])
     fault = refused(tmp_path, series="3")
-    assert "2 series are called 3" in fault.what and "UID" in fault.fix
+    assert "2 series 3" in fault.what and "UID" in fault.fix
 
 
 def test_folders_without_a_series(tmp_path):
@@ -166,6 +166,13 @@ def test_folders_without_a_series(tmp_path):
 def test_localizers_and_copies_are_left_out_and_named(tmp_path):
     volume = read_volume(save(tmp_path / "a", [*series(), a_slice(0, **OVERVIEW)]))
     assert np.array_equal(volume.values, NUMBERS) and len(volume.warnings) == 1
+    unmarked = a_slice(
+        0, np.zeros((9, 9), np.int16), ImageType=None, ImageOrientationPatient=[1, 0, 0, 0, 0, -1]
+    )
+    volume = read_volume(save(tmp_path / "c", [unmarked, *series()]))
+    assert np.array_equal(volume.values, NUMBERS) and len(volume.warnings) == 1
+    alone = [a_slice(k, SeriesInstanceUID=generate_uid(), **OVERVIEW) for k in range(2)]
+    assert "localizer" in refused(save(tmp_path / "d", alone)).what
     volume = read_volume(save(tmp_path / "b", [*series(), *series()]))
     assert np.array_equal(volume.values, NUMBERS) and f"{COUNT} slice" in volume.warnings[0]
 
@@ -177,7 +184,10 @@ def test_several_acquisitions_are_named_and_one_is_chosen(tmp_path):
     assert "2 acquisitions" in fault.what and "4 or 5" in fault.fix
     assert np.array_equal(read_volume(tmp_path, acquisition="5").values, NUMBERS + 7)
     assert np.array_equal(read_volume(tmp_path, "3", "4").values, NUMBERS)
-    assert "number 5" in refused(tmp_path, acquisition="6").what
+    assert "`5` (6 slices)" in refused(tmp_path, acquisition="6").what
+    save(tmp_path / "none", [*series(), *second])
+    assert "none or 5" in refused(tmp_path / "none").fix
+    assert np.array_equal(read_volume(tmp_path / "none", acquisition="none").values, NUMBERS)
     # slices that were scanned one after the other have numbers of their own, and are one stack
     single = [a_slice(k, AcquisitionNumber=k) for k in range(COUNT)]
     assert np.array_equal(read_volume(save(tmp_path / "b", single)).values, NUMBERS)
@@ -214,8 +224,8 @@ PADDED = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) 
         (PADDED, "nothing but padding", "", ""),
         ([*series()[:2], *series()[4:]], "2 slice(s) missing between 001.dcm and 002.dcm", "", ""),
         ([*series(), a_slice(2, NUMBERS[2] + 1)], "the same place as 002.dcm", "006.dcm", ""),
-        ([*series(), *series(RescaleIntercept=5)], "", "", "several phases"),
-        (series(**OVERVIEW), "is a localizer", "000.dcm", ""),
+        ([*series(), *series(RescaleIntercept=5)], "6 of 12 slices", "", "phase"),
+        (series(**OVERVIEW), "is a localizer", "000.dcm", "series"),
         (turned_slices(np.radians(40.0), [0, 0, 5]), "not perpendicular", "", "resample"),
         (spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8]), " 1 mm beside ", "002.dcm", ""),
         (spoilt(4, ImageOrientationPatient=[1, 0, 0, 0, 0.9998, 0.02]), "orientation is", "004.dcm", ""),

@@ -23,7 +23,7 @@ from needlefit.datasets.importing.tables import (
     read_text_cells,
 )
 from needlefit.datasets.importing.writing import write_plan
-from needlefit.datasets.read import check_all, read
+from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
@@ -723,6 +723,23 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     assert "assumption" not in {source for _, source in made.values()}
 
 
+def test_a_unit_may_stand_in_the_name_of_an_answer(tmp_path):
+    points = [["x (mm)", "y (mm)", "z (mm)"], *CURVES[0].tolist()]
+    setup = [["name", "value", "unit"], ["boundaries [cm]", "2; 4"], ["Needle_length (m)", 0.2, "m"]]
+    file = write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)
+    plan, made = planned([file])
+    assert plan.depths_mm == (20.0, 40.0) and plan.needle.length_mm == pytest.approx(200.0)
+    assert "not used" not in made
+    rows = ["boundaries [cm];2;4", "Nadeldurchmesser: 0,9 mm", "x [mm];y [mm];z [mm]"]
+    rows += [";".join(f"{one:.3f}".replace(".", ",") for one in point) for point in CURVES[0]]
+    (tmp_path / "above.csv").write_text("\n".join(rows))
+    plan, made = planned([tmp_path / "above.csv"])
+    assert plan.depths_mm == (20.0, 40.0) and plan.needle.outer_diameter_mm == 0.9
+    assert made["boundaries"] == ("2; 4", "file") and "not used" not in made
+    file = write_sheets(tmp_path / "b.xlsx", points=points, setup=[*setup, ["point sd [mm]", 1, "cm"]])
+    assert refusal(DataError, "one unit", planned, [file]).where.endswith("row 4, column 2")
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
@@ -803,8 +820,8 @@ def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
     )
     shown = json.loads(capsys.readouterr().out)
     assert [one["insertion"] for one in shown["insertions"]] == ["Nadel_1", "Nadel_2", "Nadel_3"]
-    faults, warnings = check_all(tmp_path / "gel")
-    assert faults == [] and {one.kind for one in warnings} == {"placeholder", "assumed", "noise"}
+    found = inspect(tmp_path / "gel")
+    assert not found.faults and {one.kind for one in found.warnings} == {"placeholder", "assumed", "noise"}
     assert (tmp_path / "gel" / "import.png").stat().st_size > 10_000
     stored = read_toml(tmp_path / "gel" / "dataset.toml")["import"]
     assert stored["decisions"] == shown["decisions"] and list(stored["files"]) == ["six.csv"]
@@ -833,3 +850,6 @@ def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys
     assert run("import", tmp_path, "--out", tmp_path / "gel") == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
     assert "a.csv" in capsys.readouterr().err
+    (tmp_path / "dataset.toml").touch()
+    for path in (tmp_path, tmp_path / "dataset.toml"):
+        assert str(tmp_path / "dataset.toml") in refusal(DataError, "", read_content, [path]).fix

@@ -124,7 +124,7 @@ def import_data(
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
     from needlefit.datasets.importing.tables import UnclearColumnsError
-    from needlefit.datasets.read import check_all
+    from needlefit.datasets.read import inspect
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
@@ -163,7 +163,7 @@ def import_data(
         screen.print_line(f"{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
         screen.show_frame(decisions, "Decisions")
-    screen.print_warnings(invocation, check_all(out)[1])
+    screen.print_warnings(invocation, inspect(out).warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
     if dataset.pose == "tracker":
         screen.print_note(f"then: {shlex.join(('needlefit', 'check', path))}")

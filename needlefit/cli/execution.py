@@ -72,8 +72,7 @@ class Execution:
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
-        opened = open_pool(asked.jobs, asked.scheduler, asked.insecure)
-        with show_progress(asked.quiet) as report, opened as pool:
+        with show_progress(asked.quiet) as report, open_pool(asked) as pool:
             settings = Settings(
                 seed=asked.seed,
                 jobs=asked.jobs or count_cores(),
@@ -142,16 +141,18 @@ def begin(context: typer.Context) -> Iterator[Execution]:
 
 
 @contextmanager
-def open_pool(jobs: int | None, scheduler: str | None, insecure: bool) -> "Iterator[TaskPool]":
-    """Open the pool that the options name: `jobs` processes (a core each), or the workers of a cluster."""
+def open_pool(asked: Invocation, usual: int | None = None) -> "Iterator[TaskPool]":
+    """Open the pool that the options name: processes (`usual`: how many at most, where nothing is stated; a
+    core each), or the workers of a cluster.
+    """
     from needlefit.project.tasks import LocalPool
 
-    if scheduler is None:
-        yield LocalPool(jobs or count_cores())
+    if asked.scheduler is None:
+        yield LocalPool(asked.jobs or min(usual or count_cores(), count_cores()))
         return
     from needlefit.project.cluster import connect
 
-    with connect(scheduler, insecure, print_remark) as pool:
+    with connect(asked.scheduler, asked.insecure, print_remark) as pool:
         yield pool
 
 

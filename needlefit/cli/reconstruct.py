@@ -1,21 +1,20 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import open_pool, print_remark
-from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli import options, screen
+from needlefit.cli.execution import begin, open_pool, print_remark
 from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
-from needlefit.project.processes import count_cores
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
@@ -106,8 +105,8 @@ def reconstruct(
     named: dict[str, Any] = {key: context.params[key] for key in columns if context.params[key]}
     named |= {"surfaces_in": layers_in} if layers_in else {}
     invocation = context.find_root().obj
-    with catch_interrupts(invocation) as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.datasets.read import check_all
+    with begin(context) as execution:
+        from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
         from needlefit.imaging.batch import (
             ReconstructionBatch,
@@ -144,16 +143,11 @@ def reconstruct(
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
         with show_progress(invocation.quiet) as report:
-            with open_pool(
-                invocation.jobs or min(MAX_DEFAULT_JOBS, count_cores()),
-                invocation.scheduler,
-                invocation.insecure,
-            ) as pool:
-                batch = ReconstructionBatch(pool, checkpoint, report, stop, every)
+            with open_pool(invocation, MAX_DEFAULT_JOBS) as pool:
+                batch = ReconstructionBatch(pool, checkpoint, report, execution.stop, every)
                 scanned = reconstruct_all(wanted, record, batch)
             if len(scanned) < len(wanted):
-                screen.print_note(invocation.interrupt_message())
-                raise typer.Exit(exit_codes.INTERRUPTED)
+                raise execution.interrupted()
             found = [one for needles in scanned for one in needles]
             failed = [one for one in found if isinstance(one, ReconstructionFailure)]
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
@@ -174,7 +168,7 @@ def reconstruct(
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
-    warnings = check_all(out)[1] if written else []
+    warnings = inspect(out).warnings if written else ()
     if written and not invocation.json:
         screen.print_text(f"{written.verdicts[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
@@ -209,7 +203,7 @@ def _show(
     out: Path,
     found: "Run | None",
     failed: "Sequence[ReconstructionFailure]",
-    as_json: "list[ResultWarning] | None",
+    as_json: "Sequence[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
     from needlefit.studies.kinds.reconstruction.report import REPORT
@@ -227,11 +221,10 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
-        scenes = sorted(path.name for path in out.glob("scenes/*.toml"))
-        then = f"Predict it: needlefit predict TARGET --scene {out}/scenes/{scenes[0]}" if scenes else ""
-        path = str(out) if out.is_absolute() else f"./{out}"
-        screen.print_text(f"What to do. {then or found.answer.advice.replace('DATASET', path)}")
-        screen.print_written(out, f" (figures of each scan in {out}/quality/)")
+        path = shlex.quote(str(out) if out.is_absolute() else f"./{out}")
+        screen.print_line(f"What to do. {found.answer.advice.replace('DATASET', path)}")  # to be copied whole
+        pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
+        screen.print_written(out, f" (pictures: {pictures})")
 
 
 def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
@@ -247,6 +240,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
             screen.print_note(f"needlefit: {ids}: {warning}")
     if any(one.points for one in failed):
         screen.print_note(f"needlefit: move what was found in 3D Slicer: {out}/slicer/, then --corrections")
-    if failed and found:
+    if failed and not found:
+        screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
+    elif failed and found:
         count = len(failed) + len(found.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

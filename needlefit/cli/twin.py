@@ -9,7 +9,6 @@ from needlefit.cli import screen
 from needlefit.cli.execution import open_pool
 from needlefit.cli.options import Insecure, Jobs, Out, Quiet, Scheduler, Seed, argument, option
 from needlefit.cli.progress import show_progress
-from needlefit.project.processes import count_cores
 
 
 def build(
@@ -37,7 +36,7 @@ def build(
     with (
         replace_folder(out) as fresh,
         show_progress(invocation.quiet) as report,
-        open_pool(invocation.jobs, invocation.scheduler, invocation.insecure) as pool,
+        open_pool(invocation) as pool,
     ):
         build_dataset(fresh, seed, pool=pool, progress=report)
     screen.print_line(f"{out}: synthetic dataset, seed {seed}")
@@ -60,13 +59,12 @@ def render_ct(
     OUT, by default twin_ct, is replaced if it holds nothing but such scans.
     """
     from needlefit.project.folders import replace_folder
-    from needlefit.project.tasks import LocalPool
     from needlefit.synthetic.design import select_planned_insertions
     from needlefit.synthetic.insertion import TWIN_SEED
     from needlefit.synthetic.scans import write_scans
 
     seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
-    out = out or Path("twin_ct")
-    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
-        write_scans(fresh, plan, seed, LocalPool(jobs or count_cores()), report, form == "dicom")
+    out, asked = out or Path("twin_ct"), context.find_root().obj
+    with replace_folder(out) as fresh, show_progress(asked.quiet) as report, open_pool(asked) as pool:
+        write_scans(fresh, plan, seed, pool, report, form == "dicom")
     screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

@@ -3,6 +3,7 @@
 import math
 import re
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -16,6 +17,7 @@ SD_COLUMN = "sd_mm"  # the column of a centreline with the standard deviation of
 ENTRY_COLUMNS = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
 DIRECTION_COLUMNS = ("entry_dx", "entry_dy", "entry_dz")
 BEVEL_COLUMNS = ("bevel_x", "bevel_y", "bevel_z")
+BEVEL_FIX = f"point {', '.join(BEVEL_COLUMNS)} across the entry direction, or leave the three cells empty"
 POSE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg")
 
 SCAN_ROTATION_COLUMNS = ("scan_rx_deg", "scan_ry_deg", "scan_rz_deg")
@@ -61,6 +63,12 @@ POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
 # An id names a file: at most 100 letters, digits, point, underline, hyphen.
 ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+
+
+def describe_column(theirs: Mapping[str, str], column: str) -> str:
+    """Return a column's name for a message: the file's own, followed by ours where the two differ."""
+    name = theirs.get(column, column)
+    return name if name == column else f"{name} ({column})"
 
 
 def make_id(text: str, default: str) -> str:

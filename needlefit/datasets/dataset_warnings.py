@@ -84,10 +84,10 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
         what = f"the import assumed {'; '.join(assumed)}"
         yield ResultWarning("assumed", what, where("import.decisions"), fix)
     pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
+    larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
     for name, plausible, units in (
         ("registration_mean_mm", pose_sd, LENGTH_UNITS),
-        ("point_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
-        ("correlated_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
+        (f"{larger}_sd_mm", (MIN_POINT_SD_MM, MAX_POSE_SD_MM), LENGTH_UNITS),
         ("heading_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
         ("slope_sd_deg", ANGLE_SD_DEG, ANGLE_UNITS),
     ):

@@ -1,8 +1,8 @@
-"""Write a first study and scene of a dataset that was imported."""
+"""Write a first study and scenes of a dataset that was imported or reconstructed."""
 
 from pathlib import Path
 
-from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.medium import MediumRecord
@@ -12,7 +12,7 @@ from needlefit.schemas.study import StudyRecord
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
 MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
 SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
-_START_NOTE = "# A start, made by `needlefit import`: {what}\n"
+_START_NOTE = "# A start, made by needlefit: {what}\n"
 
 
 def name_study_file(name: str) -> str:
@@ -20,25 +20,23 @@ def name_study_file(name: str) -> str:
     return f"{name}_study.toml"
 
 
-def write_scene(folder: Path, dataset: Dataset) -> None:
-    """Write the deepest insertion as a scene into `folder`, to be planned, viewed and predicted."""
-    deepest = max(dataset.insertions, key=lambda one: one.depth)
-    tops = [0.0, *deepest.boundaries.round(3).tolist()]
-    needle = load(folder / "dataset.toml", DatasetRecord).needle
+def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
+    """Write an insertion of a dataset as a scene, to be simulated, planned, viewed and predicted."""
+    tops = [0.0, *insertion.boundaries.round(3).tolist()]
     scene: dict[str, object] = {
         "schema": 2,
-        "title": f"A planned insertion as {deepest.id} of {dataset.name}",
+        "title": f"A planned insertion as {insertion.id} of {dataset.name}",
         "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
-        "depth_mm": round(deepest.depth, 3),
-        "needle": needle.model_dump(exclude_defaults=True),
-        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": deepest.side},
+        "depth_mm": round(insertion.depth, 3),
+        "needle": load(dataset.path, DatasetRecord).needle.model_dump(exclude_defaults=True),
+        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": insertion.side},
         "layers": [
             {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
-            for top, layer in zip(tops, deepest.sequence, strict=True)
+            for top, layer in zip(tops, insertion.sequence, strict=True)
         ],
     }
-    check(scene, SceneRecord, SCENE_FILE)
-    _write_start(folder / SCENE_FILE, scene, "needle, depth, layers and bevel.")
+    check(scene, SceneRecord, file.name)
+    _write_start(file, scene, "needle, depth, layers and bevel.")
 
 
 def _write_start(file: Path, tables: dict[str, object], what: str) -> None:

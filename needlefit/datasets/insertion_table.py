@@ -27,6 +27,7 @@ from needlefit.datasets.columns import (
     SHARED_COLUMN,
     TURN_COLUMNS,
     InsertionRow,
+    describe_column,
 )
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers
@@ -237,7 +238,7 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
 
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     length, guide = record.needle.length_mm, row.guide_distance
-    depth_mm = describe_column(record, "depth_mm")
+    depth_mm = describe_column(record.insertions.columns, "depth_mm")
     if row.depth <= 0:
         fix = "give the length from the entry to the tip, without a sign"
         yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", fix)
@@ -252,12 +253,6 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
         what = f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle"
         expected = "above 0, and within the needle outside the tissue"
         yield Fault(where, what, expected, "correct it, or leave the cell empty: held at its base")
-
-
-def describe_column(record: DatasetRecord, column: str) -> str:
-    """Return a column's name for a message: its name in the table, followed by ours where the two differ."""
-    theirs = record.insertions.columns.get(column, column)
-    return theirs if theirs == column else f"{theirs} ({column})"
 
 
 def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:

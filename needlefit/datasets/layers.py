@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.columns import InsertionRow, describe_column
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.insertion_table import describe_column
-from needlefit.datasets.points import MIN_POINTS, Points
+from needlefit.datasets.points import Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, fit_free_frame
@@ -227,13 +226,9 @@ def find_length_tolerance(depth: float, pose: str = "known") -> float:
 def find_curve_faults(
     points: Points, row: InsertionRow, record: DatasetRecord, place: str
 ) -> Iterator[Fault]:
-    """Yield the faults of finite points as the centreline of `row`; `place` is used in messages."""
+    """Yield the faults of enough finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
-    if len(curve) < MIN_POINTS:
-        what = f"has only {len(curve)} points"
-        yield Fault(points.where(), what, f"at least {MIN_POINTS}", "sample the needle more densely")
-        return
-    depth_mm = describe_column(record, "depth_mm")
+    depth_mm = describe_column(record.insertions.columns, "depth_mm")
     # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
     # farthest from it.
     end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]

@@ -40,11 +40,6 @@ class Points:
         """Return the columns of a centreline's file: (N, 3), or (N, 4) with deviations."""
         return self.values if self.sd is None else np.column_stack([self.values, self.sd])
 
-    def unusable(self) -> NDArray[np.int64]:
-        """Return which points are not finite, or too far away to be a measurement."""
-        sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= MAX_COORDINATE).all(axis=1)
-        return np.flatnonzero(~sound)
-
     def where(self, index: int = 0) -> str:
         """Return the place of point `index` for a message."""
         if self.lines is None:
@@ -57,7 +52,8 @@ class Points:
             what = f"curve {name} has only {len(self.values)} points"
             fix = "sample the needle more densely, or leave it out"
             return [Fault(self.where(), what, f"at least {MIN_POINTS}", fix)]
-        bad = self.unusable()
+        sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= MAX_COORDINATE).all(axis=1)
+        bad = np.flatnonzero(~sound)
         if len(bad) == 0:
             return []
         what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
 from needlefit.datasets.dataset_warnings import (
     find_boundary_warnings,
     find_column_warnings,
@@ -70,7 +70,6 @@ from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
 MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
-BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 # Columns that may be absent or have empty cells, with their default values.
@@ -214,9 +213,9 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
 def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
     """Yield the sound insertions; note the faults of the others, and unused or open cells."""
     record, root, found = reading.record, reading.root, reading.faults
-    curves, motion = _Centerlines(record, root), record.frame.lps_to_world
+    curves, motion = _Centerlines(reading), record.frame.lps_to_world
     scanned = IDENTITY_FRAME if motion is None else Frame.from_rows(motion)  # where a row states no other
-    if record.centerlines.file is not None and not curves.read_long_table(found):
+    if record.centerlines.file is not None and not curves.read_long_table():
         return
     table = curves.long if record.insertions.file is None else None
     if table is not None:  # the first row of every insertion
@@ -240,7 +239,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             if points.columns not in headers:  # of files with the same header the first is named
                 reading.warnings += find_column_warnings(record, points.columns, points.path, True)
             headers.add(points.columns)
-            faults += find_curve_faults(points, row, record, where)
+            faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
         sections = None
         if points is not None and not faults:
             sections, faults = find_sections(row, points.values, root, record)
@@ -263,27 +262,23 @@ def _take_rows(table: CsvTable, rows: list[int] | NDArray[np.int64]) -> CsvTable
 class _Centerlines:
     """The centrelines: a file for each, or one long table and the rows of each insertion."""
 
-    def __init__(self, record: DatasetRecord, root: Path) -> None:
-        self.record, self.root = record, root
+    def __init__(self, reading: _Reading) -> None:
+        self.reading, self.record, self.root = reading, reading.record, reading.root
         self.long: CsvTable | None = None
         self.groups: dict[str, NDArray[np.int64]] = {}
 
-    def read_long_table(self, found: list[Fault]) -> bool:
+    def read_long_table(self) -> bool:
         """Read the long table and sort its rows by insertion; return False after a fault."""
-        record, group_by = self.record, list(self.record.centerlines.group_by)
+        record, found, group_by = self.record, self.reading.faults, list(self.record.centerlines.group_by)
         path = self.root / str(record.centerlines.file)
-        try:
-            table = read_table(path)
-        except DataError as error:
-            found.append(from_error(error))
-            return False
-        if note_missing_columns(table, group_by, found):
+        table = self.reading.read_table(path)
+        if table is None or note_missing_columns(table, group_by, found):
             return False
         template = record.insertions.id_template or "_".join(f"{{{column}}}" for column in group_by)
         keys = table.cells[group_by].to_dict("records")
         try:
             # not str.format, whose attributes and widths a dataset from elsewhere could misuse
-            names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]  # type: ignore[misc]
+            names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]
         except KeyError:
             what = f"insertions.id_template is {template!r}"
             expected = f"text with {{...}} around columns of group_by: {', '.join(group_by)}"
@@ -322,11 +317,6 @@ class _Centerlines:
             points = format_.read_one(path, lines.columns, found)
         except DataError as error:
             found.append(from_error(error))
-            return None
-        if points is not None and len(bad := points.unusable()):
-            what = f"has {len(bad)} points that are NaN, infinite or too far away"
-            where, fix = points.where(int(bad[0])), "remove or fix these points"
-            found.append(Fault(where, what, "finite numbers, mm", fix))
             return None
         if points is None or not format_.in_scan:
             return points
@@ -516,10 +506,4 @@ def read_shapes(path: Path) -> Dataset:
 
 def check(path: Path) -> list[Fault]:
     """Return every fault of the dataset whose folder or `dataset.toml` is `path`."""
-    return check_all(path)[0]
-
-
-def check_all(path: Path) -> tuple[list[Fault], list[ResultWarning]]:
-    """Return all faults of a dataset, which prevent a fit, and all warnings, which do not."""
-    found = inspect(path)
-    return list(found.faults), list(found.warnings)
+    return list(inspect(path).faults)

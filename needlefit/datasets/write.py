@@ -1,7 +1,7 @@
 """Write a dataset in the layout of `data/README.md`: the same data gives the same bytes."""
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,6 @@ from needlefit.datasets.columns import (
     InsertionRow,
 )
 from needlefit.datasets.sections import format_sections
-from needlefit.errors import DataError
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.folders import sha256
@@ -60,15 +59,10 @@ def write_dataset(
     medium where the name holds `{id}`.
     `checksums`: False for files that are there to be edited.
     `sections`: of every row, world, where `record.measurement.sections` names files of them.
-
-    DataError if a row has no centreline, or a surface that the record names is not given.
     """
     surfaces, sections = surfaces or {}, sections or {}
     table, pattern = record.insertions.file, record.centerlines.pattern
-    if table is None or pattern is None:
-        what = "nothing to write for the table of insertions or the centrelines"
-        raise DataError(what, where=str(folder), expected="insertions.file and centerlines.pattern")
-    _require_files(folder, record, rows, {*centerlines, *surfaces})
+    assert table is not None and pattern is not None, "files of both"
     files = {table: _format_rows(rows)}
     if (turns := record.insertions.turns) is not None:
         rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
@@ -86,19 +80,6 @@ def write_dataset(
     record = record.model_copy(update={"checksums": sums if checksums else {}})
     _write_text(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
-
-
-def _require_files(
-    folder: Path, record: DatasetRecord, rows: Sequence[InsertionRow], given: Set[str]
-) -> None:
-    """See that there is a centreline for every row, and every surface that the record names."""
-    listed = [(name, surface) for name, medium in record.media.items() for surface in medium.surfaces]
-    named = {surface.file for _, surface in listed if not surface.own}
-    named |= {surface.file_of(row.id) for name, surface in listed for row in rows if row.medium == name}
-    missing = sorted({row.id for row in rows} - given) + sorted(named - given)
-    if missing:
-        what = f"nothing to write for {', '.join(missing)}"
-        raise DataError(what, where=str(folder), expected="a centreline for every row, every surface named")
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -39,13 +39,6 @@ from needlefit.schemas.reconstruction import ReconstructionRecord
 T = TypeVar("T")
 
 
-def _try(step: Callable[[], T]) -> T | None:
-    """Return what a step finds; None if it refuses the scan: another step has raised its error."""
-    with suppress(NeedlefitError):
-        return step()
-    return None
-
-
 SINGLE_FILE_SUFFIXES = (".nrrd", ".nii", ".nii.gz", ".mha", ".zip")  # endings of volumes that are one file
 
 
@@ -217,7 +210,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
         if scan.corrections is None:
             return one
         plain = replace(scan, corrections=None)
-        before = _try(lambda: examine(search.volume, plain, search.recipe, search).reconstruction)
+        before = examine(search.volume, plain, search.recipe, search).reconstruction
         return replace(one, warnings=(describe_changes(before, one), *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     needle = None if found.needle_axis is None else found.needle_axis.points
@@ -225,7 +218,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     entry, profile = None, found.profile
     if needle is not None and profile is not None:
         length = float(arc_length(needle)[-1])
-        for rise in _try(lambda: list_candidates(profile, length)) or ():
+        for rise in list_candidates(profile, length):
             (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
     points = make_control_points(scan.id, needle, entry, balls)
     return ReconstructionFailure(scan, failed, points, search.volume.warnings)

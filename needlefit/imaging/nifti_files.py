@@ -67,9 +67,9 @@ def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
             raise not_one_volume(f"{' x '.join(map(str, shape))} {parts}")
         columns, rows, slices = shape
         codes = int(header["qform_code"]), int(header["sform_code"])
-        affine = RAS_TO_LPS.rotation @ _choose_form(qform, sform, codes, steps, shape, notes)[:3]
-        spacing = np.linalg.norm(affine[:, :3], axis=0)
         with np.errstate(invalid="ignore", divide="ignore"):  # what this leaves `check_grid` refuses
+            affine = RAS_TO_LPS.rotation @ _choose_form(qform, sform, codes, steps, shape, notes)[:3]
+            spacing = np.linalg.norm(affine[:, :3], axis=0)
             direction = affine[:, :3] / spacing
         grid = VoxelGrid((columns, rows, slices), affine[:, 3], spacing, direction)
         check_grid(grid)
@@ -122,24 +122,27 @@ def _choose_form(
                 by its {"sform" if codes[1] else "qform"}
             expected: the same spacing in both
             fix: convert the scan from its DICOM series again""")
-    if not all(codes):
-        # a form whose code is 0 is empty as a rule; one that is not was written once
-        empty = np.allclose(qform[:3], np.column_stack([np.diag(steps), np.zeros(3)]))
-        if not empty and np.linalg.det(qform[:3, :3]) * np.linalg.det(sform[:3, :3]) < 0:
-            names = ("sform", "qform") if codes[1] else ("qform", "sform")
-            notes.append(
-                f"the scan's {names[0]} is taken, but its {names[1]} (code 0, with qfac, pixdim[0]) is of "
-                "the other hand: with the wrong one of both everything is mirrored"
-            )
-        return stated
+    axes = sform[:3, :3] / np.linalg.norm(sform[:3, :3], axis=0)
+    left, _, right = np.linalg.svd(np.nan_to_num(axes))
+    straight = np.column_stack([left @ right * steps, sform[:3, 3]])
+    # a qform holds no shear: beside a sheared sform it is the nearest rotation
+    placed = straight if codes[1] else sform[:3]
     corners = np.array(list(product(*[(0, n - 1) for n in shape], (1,))))
-    apart = float(np.linalg.norm((qform - sform)[:3] @ corners.T, axis=0).max())
-    if apart > own.max():
-        turn = (qform[:3, :3] / np.linalg.norm(qform[:3, :3], axis=0)).T @ (sform[:3, :3] / own)
-        mirrored = np.linalg.det(turn) < 0
-        angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
-        how = "mirrored" if mirrored else f"turned by {angle:.1f} degrees"
-        raise refusal(f"""its sform and its qform place the voxels up to {apart:.1f} mm apart, {how}
-            expected: one place of the scan in the patient
-            fix: convert the scan from its DICOM series again, or set the code of the wrong one to 0""")
-    return stated
+    apart = float(np.linalg.norm((qform[:3] - placed) @ corners.T, axis=0).max())
+    # a form whose code is 0 is empty as a rule; one that is not was written once
+    empty = not sform[:3, :3].any() or np.allclose(qform[:3], np.column_stack([np.diag(steps), np.zeros(3)]))
+    if apart <= own.max() or (empty and not all(codes)):
+        return stated
+    turn = (qform[:3, :3] / np.linalg.norm(qform[:3, :3], axis=0)).T @ left @ right
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
+    how = "mirrored" if np.linalg.det(turn) < 0 else f"turned by {angle:.1f} degrees"
+    if not all(codes):
+        names = ("sform", "qform") if codes[1] else ("qform", "sform")
+        notes.append(
+            f"the scan's {names[0]} is taken; its {names[1]} (code 0) places the voxels up to {apart:.1f} mm "
+            f"elsewhere, {how}"
+        )
+        return stated
+    raise refusal(f"""its sform and its qform place the voxels up to {apart:.1f} mm apart, {how}
+        expected: one place of the scan in the patient
+        fix: convert the scan from its DICOM series again, or set the code of the wrong one to 0""")

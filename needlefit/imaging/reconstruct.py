@@ -17,6 +17,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from needlefit.arrays import Floats, Ints
+from needlefit.datasets.columns import BEVEL_FIX
 from needlefit.datasets.insertion_table import MIN_DEPTH_MM
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
@@ -71,10 +72,9 @@ from needlefit.imaging.registration.register import (
     register,
     scan_frame,
 )
-from needlefit.imaging.scans import BEVEL_FIX, Corrections, Scan
+from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, to_index
-from needlefit.imaging.volume_files import read_volume
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -502,24 +502,6 @@ def derive_reconstruction(
     picked = found.selection  # nothing to say where all other tubes are needles of their own
     doubts = () if not picked or found.scan.divided == 1 + len(picked.others) else picked.warnings
     return replace(one, warnings=(*collect_warnings(one, doubts), *notes))
-
-
-def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
-    """Reconstruct the needle of a scan.
-
-    The needle's axis and tip are traced in the scan, the scan is laid on the world by its markers, and
-    everything else is derived in the world: the pose at first contact, the centreline from there to the tip,
-    the plane in which it bends, the layers that it meets.
-
-    DataError: whatever keeps the scan from being reconstructed; nothing is guessed. ConfigError if the
-    packages that read scans are not installed.
-    """
-    volume = read_volume(scan.volume, scan.series, scan.acquisition)
-    found = examine(volume, scan, recipe)
-    if found.error is not None:
-        raise found.error
-    assert found.reconstruction is not None
-    return add_views(found.reconstruction, volume)
 
 
 def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:

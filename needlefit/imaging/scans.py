@@ -22,6 +22,7 @@ from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
+from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
@@ -134,8 +135,6 @@ SCAN_COLUMNS = (
     *("id", "scan", "series", "acquisition", "medium", "specimen", *FILES),
     *("surfaces", "surfaces_in", *NUMBER_COLUMNS, "origin"),
 )
-# What fixes a bevel that fixes no plane.
-BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 # Columns of words; the first is that of an empty cell.
 CHOICE_COLUMNS = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
@@ -275,7 +274,8 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     yield abs(length - 1) > UNIT_VECTOR_TOLERANCE, what, expected, fix
     turned, zero = np.linalg.norm(np.cross(direction, bevel)), not bevel.any()
     along = not zero and bool(turned < PARALLEL_SINE * np.linalg.norm(bevel))
-    yield along, "the bevel is parallel to the entry direction", "a direction across the needle", BEVEL_FIX
+    what, fix = "the bevel is parallel to the entry direction", "correct it, or leave the three cells empty"
+    yield along, what, "a direction across the needle", fix
     yield zero, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
     for name in ("pose_shift_sd_mm", "pose_angle_sd_deg"):
         expected = "a standard deviation, 0 or more"
@@ -309,9 +309,11 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     table = read_table(path)
     found, where, cells = list[Fault](), f"{table.path}:1", table.cells
     if "scan" not in cells:
-        expected = f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(cells.columns)}"
-        found.append(Fault(where, "column `scan` is missing", expected, "add the column"))
-    for name in cells if "scan" in cells else ():  # one mistyped would silently leave its cells out
+        raise refusal(f"""is no table of scans: no column is called `scan`
+            expected: a row for each scan, its path under `scan`; there are {list_columns(cells.columns)}
+            fix: rename the column; tables of needles' points are read by `needlefit import`
+            where: {where}""")
+    for name in cells:  # one mistyped would silently leave its cells out
         if name not in SCAN_COLUMNS:
             near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
             fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
@@ -349,7 +351,7 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
     first: dict[str, str] = {}
     for id_, row in zip(ids, rows, strict=True):
-        if id_ in first:
+        if id_ in first and row.text["scan"]:
             expected = "a different id for every scan: it names files of the dataset"
             fix = "give each an id of its own in a table of scans"
             found.append(Fault(row.where, f"has the id {id_}, as {first[id_]} has", expected, fix))

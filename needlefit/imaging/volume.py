@@ -84,7 +84,7 @@ def not_one_volume(what: str) -> DataError:
     """Return the error of an image that is no single volume; `what` says why."""
     return refusal(f"""is no single volume: {what}
         expected: three dimensions, one number a voxel
-        fix: export one time point, or one segment, as a volume of its own""")
+        fix: export all slices as one volume; of several time points or segments, one""")
 
 
 def unreadable_header(reason: str) -> DataError:
@@ -300,10 +300,12 @@ def require_hounsfield(volume: Volume, where: str) -> None:
     """
     low, high = float(volume.values.min()), float(volume.values.max())
     if low >= 0 or high - low < MIN_RANGE_HU:
-        raise refusal(f"""its values are no Hounsfield units: they lie between {low:.4g} and {high:.4g}
-            expected: a CT volume in HU
-            fix: export the scan in HU (water 0, air -1000), e.g. as DICOM with its rescale, or convert the
-                values: HU = 1000 (mu / mu of water - 1)
+        fix = "export the original series in HU, e.g. as DICOM with its rescale; or convert attenuation"
+        span = f"{low:.4g} to {high:.4g}, are" if high > low else f"all {low:.4g}, are"
+        raise refusal(f"""its values, {span} no Hounsfield units of a scan with a needle
+            expected: air near -1000, water near 0, metal above 1000
+            fix: {"subtract the offset, 1024 as a rule; or " * (high >= 1000)}{fix}: HU = 1000 (mu / mu of
+                water - 1)
             where: {where}""")
     if not TOP_12_BIT_HU[0] <= high <= TOP_12_BIT_HU[1]:
         return

@@ -247,7 +247,7 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
             where: {path}""")
     nifti = ".nii" in path.name.lower()
     if is_tilted(volume.direction) and nifti:  # SimpleITK straightens it
-        raise refusal(f"""the slices of the volume lean over one another, which NIfTI files lose
+        raise refusal(f"""the slices of the volume lean over one another, which is not written to NIfTI
             expected: .nrrd or .mha
             where: {path}""")
     with explain_missing_packages():

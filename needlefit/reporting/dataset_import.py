@@ -11,7 +11,7 @@ from matplotlib.tri import Triangulation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
-from needlefit.datasets.first_study import write_scene, write_starter_study
+from needlefit.datasets.first_study import SCENE_FILE, write_scene, write_starter_study
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.planning import ImportPlan, snap_to_axis
@@ -49,7 +49,7 @@ def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers
         dataset = read(write_plan(fresh, content, plan, answers))
         if plan.pose != "tracker":
             write_starter_study(fresh, dataset)
-            write_scene(fresh, dataset)
+            write_scene(fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda one: one.depth))
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
     return dataset
 

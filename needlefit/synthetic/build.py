@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
+from needlefit.imaging.batch import ReconstructionFailure, reconstruct_needles
 from needlefit.imaging.needle.centerline import Centerline
-from needlefit.imaging.reconstruct import Examination, derive_reconstruction, reconstruct
+from needlefit.imaging.reconstruct import Examination, derive_reconstruction
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
 from needlefit.imaging.registration.register import register
 from needlefit.project.processes import one_thread
@@ -26,8 +27,6 @@ from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.design import (
-    NOMINAL_NEEDLE,
-    TRUE_MEDIA,
     PlannedInsertion,
     Population,
     TrueSpecimen,
@@ -93,7 +92,7 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
     """Write the truth of the insertions `built` to the TOML file `path`."""
     needle = design.draw_needle(seed)
     specimens = {one.insertion.specimen.name: one.insertion.specimen for one in built}
-    media = {name: design.draw_medium(seed, name) for name in TRUE_MEDIA}
+    media = {name: design.draw_medium(seed, name) for name in design.TRUE_MEDIA}
     tables = {
         "schema": 1,
         "origin": "synthetic",
@@ -104,7 +103,7 @@ def write_truth(path: Path, seed: int, built: Sequence[ReconstructedInsertion]) 
         "needle": {
             "length_mm": needle.length,
             "flexural_rigidity_nmm2": _round(needle.flexural_rigidity),
-            "nominal_flexural_rigidity_nmm2": _round(NOMINAL_NEEDLE.flexural_rigidity),
+            "nominal_flexural_rigidity_nmm2": _round(design.NOMINAL_NEEDLE.flexural_rigidity),
         },
         "model": {
             "constraint_spacing_mm": TRUTH_OPTIONS.spacing,
@@ -251,8 +250,10 @@ def _build_insertion(
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), [planned])
         scanned = render_insertion(Path(scratch), planned, seed)
-        reconstruction = reconstruct(scanned.scan, recipe)
-    return ReconstructedInsertion(scanned.insertion, scanned.exposure, reconstruction)
+        (found,) = reconstruct_needles(scanned.scan, recipe)
+    if isinstance(found, ReconstructionFailure):
+        raise found.error
+    return ReconstructedInsertion(scanned.insertion, scanned.exposure, found)
 
 
 # Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN
+from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, describe_column
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import MAX_COORDINATE, Points
@@ -39,11 +39,6 @@ class CsvTable:
     cells: pd.DataFrame
     lines: NDArray[np.int64]  # (N,)
     names: Mapping[str, str] = field(default_factory=dict)
-
-    def describe_column(self, column: str) -> str:
-        """Return a column's name for a message: the file's own, followed by ours where the two differ."""
-        theirs = self.names.get(column, column)
-        return theirs if theirs == column else f"{theirs} ({column})"
 
     def where(self, row: int) -> str:
         """Return the place of a row for a message."""
@@ -98,11 +93,11 @@ def parse_numbers(
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
-        what = f"{table.describe_column(column)} {problem}"
+        what = f"{describe_column(table.names, column)} {problem}"
         found.append(Fault(table.where(row), what, f"a finite number, at most {largest:g}", "fix the cell"))
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
-        what = f"{table.describe_column(column)} has {more} more such cells from here on"
+        what = f"{describe_column(table.names, column)} has {more} more such cells from here on"
         found.append(Fault(f"{table.path}:{line}", what, "finite numbers", "fix the cells"))
     return values
 

@@ -127,7 +127,8 @@ class Answers:
         guess, reason = question.guess if guess is None else guess, reason or question.reason
         expected = f"one of {', '.join(choices)}" if choices else question.text
         if found.text:
-            source, reason = ("option", "") if what in self.options else ("file", "sheet setup")
+            source = "option" if what in self.options else "file"
+            reason = "" if source == "option" else found.where.rpartition("/")[2]
         elif self.prompt is not None and source != "file":
             found = Stated(self.prompt(what, guess, reason).strip()[:MAX_ANSWER_CHARS], "", "the answer")
             source, reason = ("answer", "") if found.text else ("confirmed", reason)

@@ -26,6 +26,8 @@ from needlefit.geometry.surfaces import Surface
 
 # What a table may state of an insertion.
 ATTRIBUTES = ("bevel side", "depth", "medium", "specimen")
+# What rows above a table may state of the whole import.
+SHARED_ANSWERS = ("boundaries", "needle length", "diameter", "inner diameter", "modulus")
 _KEYS = ("specimen", "needle")  # columns that tell curves apart
 _VECTORS = ("entry", "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 MAX_LABEL_ROWS = 4  # rows above a header in which the names of its columns are looked for
@@ -253,6 +255,10 @@ class _TableReader:
         title = texts[filled[0]] if len(filled) == 1 else ""
         if 1 < len(title.split()) <= MAX_TITLE_WORDS and find_meaning("column", title.split()[0]) == "needle":
             return [(list(filled), Header(title, "needle"), title)]
+        head, *others = texts.values() or ("",)
+        what = read_header(head.rstrip(":=： "))
+        if what.meaning in SHARED_ANSWERS and others and all(re.search(r"\d", text) for text in others):
+            return [(list(filled), what, "; ".join(others))]  # `boundaries [cm] | 2 | 4`
         split = {m: re.split(r"\s*[:=：]\s*", text, maxsplit=1) for m, text in texts.items()}
         couples = zip(filled[::2], filled[1::2], strict=False)
         pairs = [([a, b], texts[a].rstrip(":=： "), texts[b]) for a, b in couples]
@@ -262,7 +268,7 @@ class _TableReader:
         if any(one.meaning or one.axis or find_meaning("filler", one.text) for one in values):
             return []
         found = [(places, read_header(name), value) for places, name, value in pairs]
-        return [one for one in found if one[1].meaning in ("needle", *ATTRIBUTES)]
+        return [one for one in found if one[1].meaning in ("needle", *ATTRIBUTES, *SHARED_ANSWERS)]
 
     # ---- curves
 
@@ -317,10 +323,15 @@ class _TableReader:
         """Return what pairs of cells above a block state of a curve in it, and titles name."""
         stated: dict[str, Stated] = {}
         for n in rows:
-            for places, header, text in self.find_pairs(
-                n, [m for m in self.cells.filled(n) if m in group.span]
-            ):
-                stated[header.meaning] = Stated(text, header.unit, self.cells.where(n, places[-1]))
+            filled = self.cells.filled(n)
+            is_shared = any(one.meaning in SHARED_ANSWERS for _, one, _ in self.find_pairs(n, filled))
+            own = filled if is_shared else [m for m in filled if m in group.span]
+            for places, header, text in self.find_pairs(n, own):
+                one = Stated(text, header.unit, self.cells.where(n, places[-1]))
+                if header.meaning in SHARED_ANSWERS:
+                    add_stated(self.content.setup, {header.meaning: one})
+                else:
+                    stated[header.meaning] = one
                 self.use(n, *places)
         return stated
 

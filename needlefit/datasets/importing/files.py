@@ -18,7 +18,7 @@ from needlefit.datasets.importing.curves import (
     read_table,
 )
 from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.importing.synonyms import find_meaning, read_header
+from needlefit.datasets.importing.synonyms import find_meaning, read_header, split_unit
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -34,7 +34,7 @@ from needlefit.geometry.surfaces import (
     read_surface,
     transform_surface,
 )
-from needlefit.project.input_files import is_dir, path_exists
+from needlefit.project.input_files import is_dir, is_file, path_exists
 
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
@@ -57,7 +57,9 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
-        raise DataError(what, where=str(paths[0]), expected=expected, fix="name their files or folder")
+        raise DataError(
+            what, where=str(paths[0]), expected=expected, fix="name the files of their points, too"
+        )
     if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for meaning in content.columns.keys() - content.columns_found:
@@ -92,6 +94,9 @@ def list_import_suffixes() -> tuple[str, ...]:
 def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]:
     """Yield the files that are named, or stand in a folder that is."""
     for path in paths:
+        if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
+            what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
+            raise DataError(what, where=str(path), expected="files of other programs", fix=fix)
         if not is_dir(path):
             yield path
             continue
@@ -128,7 +133,8 @@ def _read_format(path: Path, content: ImportContent) -> None:
     format_ = find_format(path)
     if format_ is None or format_.read_curves is None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
-        raise DataError(what, where=str(path), expected=expected, fix="export the points to one of these")
+        fix = "export the points to one of these; scans are read by `needlefit reconstruct`"
+        raise DataError(what, where=str(path), expected=expected, fix=fix)
     found, remarks = format_.read_curves(path)
     unused = dict.fromkeys(remark.removesuffix(" ignored") for remark in remarks)
     for name, points in found.items():
@@ -172,10 +178,14 @@ def _read_setup(cells: CellTable, content: ImportContent) -> None:
     """Add the answers of a sheet with a row for each question: its name, value and unit."""
     for n, row in enumerate(cells.rows):
         name, value, unit = (*row, "", "", "")[:3]
-        what = " ".join(name.lower().replace("_", " ").split())
-        what = what if what in QUESTIONS else find_meaning("column", name)
+        plain, own = split_unit(name)  # `boundaries [cm]`
+        what = " ".join(plain.lower().replace("_", " ").split())
+        what = what if what in QUESTIONS else find_meaning("column", plain)
         if value and what in QUESTIONS:
-            stated = Stated(value, find_meaning("unit", unit) or unit, cells.where(n, 1))
+            unit = find_meaning("unit", unit) or unit
+            stated = Stated(value, own or unit, cells.where(n, 1))
+            if own and unit not in ("", own):
+                raise stated.error(what, f"one unit, in its name or beside it ({unit})")
             add_stated(content.setup, {what: stated})
         elif value and n:
             content.unused.append((f"row {name} = {value}"[:MAX_NAME_CHARS], Path(cells.where(n)).name))

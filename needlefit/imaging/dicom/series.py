@@ -4,6 +4,7 @@ import hashlib
 import math
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import groupby
@@ -38,6 +39,7 @@ from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 
 _MAX_LISTED = 10
+UNNUMBERED = "none"  # what the acquisition is called whose slices state no number
 
 
 def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
@@ -53,12 +55,16 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     if is_file(path):
         headers = read_headers(path)
         if not headers:
+            if begins_as_dicom(path):
+                raise refusal(f"""is DICOM, but no image
+                    expected: a CT series, or one of its slices
+                    fix: name the scan's folder; contours (RTSTRUCT) are read by `needlefit import`, and for a
+                        scan by --mask and --layers
+                    where: {path}""")
             raise refusal(f"""is not a volume that can be read
-                expected: a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha, which states the
-                    spacing of its voxels and where they stand; values in HU
-                fix: export the scan in one of these formats; a stack of pictures (a micro-CT's TIFF) states
-                    neither spacing nor HU: import it into 3D Slicer with its spacing, turn its values to HU
-                    (air -1000, water 0), and save it as NRRD
+                expected: a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha; values in HU
+                fix: export the scan so; import pictures (a micro-CT's TIFF) into 3D Slicer with their
+                    spacing, turn their values to HU (air -1000, water 0), and save them as NRRD
                 where: {path}""")
         return _group_slices(list_series_files(path))[headers[0].series]
     groups = _group_slices(list_series_files(path))
@@ -72,8 +78,7 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     if series is not None:
         named = [one for uid, one in groups.items() if series == uid or series.strip() == one[0].number]
         if len(named) != 1:
-            called = f"{len(named) or 'no'} series {'are' if named else 'is'} called {series}"
-            raise refusal(f"""{called}; it holds {_list_series(groups, path)}
+            raise refusal(f"""holds {len(named) or "no"} series {series}: {_list_series(groups, path)}
                 expected: the number or the UID of one of them
                 fix: {"give the UID" if named else "give one of the numbers listed"}
                 where: {path}""")
@@ -83,6 +88,11 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
         placed = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
         if len(placed) > 1 or any(item.frames > 1 for item in slices):
             stacks[uid] = slices
+    if not stacks and len(groups) > 1:
+        raise refusal(f"""holds no stack of slices; it holds {_list_series(groups, path)}
+            expected: the slices of a CT volume, in one series
+            fix: name the folder in which they lie, or export the series of the scan again
+            where: {path}""")
     stacks = stacks or groups
     if len(stacks) > 1:  # what is no CT is refused only where it is all there is
         stacks = {uid: one for uid, one in stacks.items() if one[0].modality in XRAY_MODALITIES} or stacks
@@ -122,10 +132,9 @@ def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
     for uid, slices in groups.items():
         one, folder = slices[0], slices[0].file.parent
         inside = "" if folder == path else f" in {folder.relative_to(path)}/"
-        lines.append(
-            f"number {one.number or '(none)'} {one.description!r}, {one.modality or 'no modality'}, "
-            f"{len(slices)} images{inside}, UID {uid}"
-        )
+        called = f"{f'number {one.number}' if one.number else 'without a number'} {one.description!r}"
+        kind = f"{one.modality or 'no modality'}{', localizer' * (LOCALIZER in one.kind)}"
+        lines.append(f"{called} ({kind}, {len(slices)} image{'s' * (len(slices) > 1)}{inside}), UID {uid}")
     more = [f"and {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
     return "; ".join(lines[:_MAX_LISTED] + more)
 
@@ -147,21 +156,20 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     """
     notes: list[str] = []
     found = find_series(Path(path), series)
-    kept = [item for item in found if LOCALIZER not in item.kind] or found
-    if len(kept) < len(found):
-        left = len(found) - len(kept)
-        notes.append(f"{left} localizer(s) in the series were left out: they are no slices")
-    slices = _drop_copies(kept, notes)
+    slices = _drop_copies(_drop_localizers(found, notes), notes)
     parts: dict[str, list[DicomSlice]] = {}
     for item in slices:
-        parts.setdefault(item.acquisition, []).append(item)
-    listed = ", ".join(f"number {name or '(none)'} of {len(one)} slices" for name, one in parts.items())
+        parts.setdefault(item.acquisition or UNNUMBERED, []).append(item)
+    listed = ", ".join(
+        f"`{name}` ({len(one)} slices{' without a number' * (name == UNNUMBERED)})"
+        for name, one in parts.items()
+    )
     where = slices[0].file.parent
     if acquisition is not None:
         if (chosen := parts.get(acquisition.strip())) is None:
-            raise refusal(f"""no acquisition of the series has the number {acquisition}; it holds {listed}
-                expected: the number of one of them
-                fix: give one of the numbers listed
+            raise refusal(f"""no acquisition of the series is {acquisition}; it holds {listed}
+                expected: one of these
+                fix: give one of those listed
                 where: {where}""")
         slices = chosen
     try:
@@ -171,7 +179,7 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
         for name, one in parts.items():
             with suppress(DataError):
                 stack_slices(one)
-                sound += [name] if name else []
+                sound.append(name)
         if acquisition is not None or len(parts) == 1 or not sound:
             raise
         raise refusal(f"""its slices are no single stack, but those of {len(parts)} acquisitions: {listed}
@@ -214,6 +222,19 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
             plane[np.isnan(plane)] = least
     frame = slices[0].frame_of_reference
     return {**grid_to_json(grid), "warnings": notes, "frame_of_reference": frame}
+
+
+def _drop_localizers(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:
+    """Return the slices without localizers; one that is not marked as such stands across the others."""
+    kept = [item for item in slices if LOCALIZER not in item.kind] or slices
+    normals = [np.full(3, np.nan) if item.axes is None else np.cross(*item.axes) for item in kept]
+    [(usual, _)] = Counter(tuple(normal.round(1)) for normal in normals).most_common(1)
+    turns = np.abs(normals @ np.array(usual))  # cosines; nan where the axes are not stated
+    kept = [item for item, turn in zip(kept, turns, strict=True) if not turn < 0.5] or kept
+    if len(kept) < len(slices):
+        left = len(slices) - len(kept)
+        notes.append(f"{left} image(s) of the series, localizers or across its slices, were left out")
+    return kept
 
 
 def _drop_copies(slices: list[DicomSlice], notes: list[str]) -> list[DicomSlice]:

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 import pydicom
@@ -117,19 +117,14 @@ class DicomSlice:
     frame: int | None = None
 
     @property
-    def place(self) -> str:
-        """The frame in the file, in words."""
-        return "" if self.frame is None else f", frame {self.frame + 1}"
-
-    @property
     def name(self) -> str:
         """Name of the file, and of the frame in it."""
-        return self.file.name + self.place
+        return self.file.name + ("" if self.frame is None else f", frame {self.frame + 1}")
 
     @property
     def where(self) -> str:
         """Path of the file, and the frame in it."""
-        return str(self.file) + self.place
+        return str(self.file.parent / self.name)
 
 
 def read_headers(file: Path) -> tuple[DicomSlice, ...]:
@@ -236,7 +231,10 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
 
 def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[int, ...]) -> Floats | None:
     """Return the entries `names` as one array of `shape`; None if all are missing or empty."""
-    entries = [_read_entry(data, name) for name in names]
+    try:
+        entries = [data.get(name) for name in names]
+    except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
+        raise _unclear_entry_error(" and ".join(names), "unreadable") from None
     if all(entry is None or entry == "" for entry in entries):
         return None
     try:
@@ -249,20 +247,8 @@ def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[i
 
 
 def _parse_whole_number(data: pydicom.Dataset, name: str, default: int) -> int:
-    value = _read_entry(data, name)
-    if value is None or value == "":
-        return default
-    try:
-        return int(value)
-    except (TypeError, ValueError):
-        raise _unclear_entry_error(name, value) from None
-
-
-def _read_entry(data: pydicom.Dataset, name: str) -> Any:  # noqa: ANN401 - whatever the file holds
-    try:
-        return data.get(name)
-    except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
-        raise _unclear_entry_error(name, "unreadable") from None
+    found = _parse_numbers(data, (name,), (1,))
+    return default if found is None else int(found[0])
 
 
 def _to_text(value: object) -> str:
@@ -385,8 +371,8 @@ def _kind_fault(item: DicomSlice) -> tuple[str, str, str] | None:
         fix = "convert it to NRRD, e.g. with 3D Slicer, or export it as single-frame (classic) or enhanced CT"
         return f"holds {item.frames} frames without their positions", "one slice a file, or enhanced CT", fix
     if LOCALIZER in item.kind:
-        fix = "move localizers (scouts, topograms) to a folder of their own"
-        return "is a localizer among the slices of a volume", "slices of the volume only", fix
+        fix = "name the folder with the slices of the scan, or export its series"
+        return "is a localizer (scout, topogram), no slice", "the slices of a CT volume", fix
     if item.modality not in XRAY_MODALITIES:
         fix = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
         what = f"is no CT: its Modality is {item.modality}"
@@ -420,28 +406,22 @@ def _check_alike(slices: Sequence[DicomSlice]) -> None:
     assert first.pixel is not None and first.axes is not None
     pixels = max(first.rows, first.columns)
     extent = pixels * float(first.pixel.max())
+    size, spacing, axes = (first.rows, first.columns), first.pixel.tolist(), first.axes.round(4).tolist()
     for item in slices[1:]:
         assert item.pixel is not None and item.axes is not None
-        own, other = (
-            {
-                "size": (one.rows, one.columns),
-                "frame of reference": one.frame_of_reference,
-                "pixel spacing": np.array(one.pixel).tolist(),
-                "orientation": np.array(one.axes).round(4).tolist(),
-            }
-            for one in (first, item)
-        )
-        differ = {
-            "size": (first.rows, first.columns) != (item.rows, item.columns),
-            "frame of reference": first.frame_of_reference != item.frame_of_reference,
-            "pixel spacing": np.abs(first.pixel - item.pixel).max() * pixels > MAX_OFFSET_MM,
-            "orientation": np.abs(first.axes - item.axes).max() * extent > MAX_OFFSET_MM,
-        }
-        for name in [name for name, differs in differ.items() if differs][:1]:
-            raise refusal(f"""its {name} is {other[name]}, that of {first.name} is {own[name]}
-                expected: the same in every slice of a series
-                fix: move the slices of another scan to a folder of their own, or export the series again
-                where: {item.where}""")
+        apart, turned = np.abs(first.pixel - item.pixel), np.abs(first.axes - item.axes)
+        own, other = first.frame_of_reference, item.frame_of_reference
+        for name, allowed, found, same in (
+            ("size", size, (item.rows, item.columns), size == (item.rows, item.columns)),
+            ("frame of reference", own, other, own == other),
+            ("pixel spacing", spacing, item.pixel.tolist(), apart.max() * pixels <= MAX_OFFSET_MM),
+            ("orientation", axes, item.axes.round(4).tolist(), turned.max() * extent <= MAX_OFFSET_MM),
+        ):
+            if not same:
+                raise refusal(f"""its {name} is {found}, that of {first.name} is {allowed}
+                    expected: the same in every slice of a series
+                    fix: move the slices of another scan to a folder of their own, or export the series again
+                    where: {item.where}""")
 
 
 def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> Floats:
@@ -453,11 +433,14 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
     along = (positions - positions[0]) @ normal  # (K,)
     steps = np.diff(along)
     usual = float(np.median(steps))
+    doubled = int((steps < MIN_STEP_MM).sum())
     for (before, after), step in zip(pairwise(ordered), steps, strict=True):
         if step < MIN_STEP_MM:
-            raise refusal(f"""stands at the same place as {before.name}
-                expected: every slice once
-                fix: remove the copies; if the series holds several phases or times, export one of them
+            other = ", with other voxels" * (after.frame is None)  # copies of files were left out
+            raise refusal(f"""stands at the same place as {before.name}{other}, as {doubled} of {len(ordered)}
+                    slices do: these are several scans with one AcquisitionNumber, or none
+                expected: one slice at each place
+                fix: export one scan (phase, time, kernel), or move the slices of each to a folder of its own
                 where: {after.where}""")
         if usual >= MIN_STEP_MM and step > MAX_STEP_RATIO * usual:
             raise refusal(f"""{round(step / usual) - 1 or 1} slice(s) missing between {before.name}

@@ -117,12 +117,14 @@ def find_tubes(
             grown = _grow_tube(volume, joined[0], lower, recipe)
             return [grown, *_drop_pieces(grown, joined[1:])]
     largest, rules = max(parts, key=lambda part: part.length), recipe.segmentation
-    raise refusal(f"""none of {len(parts)} bright components is a tube; the longest is {largest.length:.1f}
-            mm long, {largest.width:.1f} mm wide and strays {largest.bend:.1f} mm from a parabola
-        expected: {rules.min_length_mm:g} mm or longer, at most
-            {rules.max_widening * recipe.needle.diameter_mm:.1f} mm wide
-        fix: set the thresholds, needle.diameter_mm or min_length_mm in the recipe, or give a mask
-            or points on the needle""")
+    width = rules.max_widening * recipe.needle.diameter_mm
+    raise refusal(f"""no needle was found; the longest bright object is {largest.length:.1f} mm long,
+            {largest.width:.1f} mm wide, {largest.bend:.1f} mm (RMS) off a
+            parabola{", and cut by the edge of the scan" * (largest.on_face > 0)}
+        expected: {rules.min_length_mm:g} mm or longer, at most {width:.1f} mm wide, {width / 2:.1f} mm off
+        fix: give a scan with more of the needle and its tip; or set segmentation.min_length_mm,
+            needle.diameter_mm or the thresholds in a recipe (--recipe); or give its voxels, or points on it
+            (--mask)""")
 
 
 def _grow_tube(

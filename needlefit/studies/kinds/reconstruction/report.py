@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.read import check_all
+from needlefit.datasets.first_study import write_scene
+from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
@@ -20,7 +21,6 @@ from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import dumps
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
 from needlefit.reporting.scan_pages import write_quality
@@ -42,9 +42,6 @@ from needlefit.studies.slicer_scene import (
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
-# Of the scene of a scan: modulus of the tissue, Pa, its thickness beside the needle, and the bevel's offset,
-# mm, as of the paper's soft layers.
-ASSUMED_MU_PA, ASSUMED_TISSUE_MM, ASSUMED_OFFSET_MM = 5e4, 40.0, 0.085
 POOR_DEPTH_SD_MM = 0.5  # deviation of the inserted length, mm, that the first line names
 MAX_NAMED_SCANS = 5
 _COLUMNS = (
@@ -302,49 +299,21 @@ def write_reconstruction(
                 place = fresh / "slicer" / f"{one.scan.id}.mrb"
                 write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
-            if one.registration is None:
-                write_planned_scene(one, recipe, fresh / "scenes" / f"{one.scan.id}.toml")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
-        result = tabulate_batch(description.name, record, kept, check_all(fresh)[1])
+        dataset = read(fresh)
+        unregistered = {one.scan.id for one in kept if one.registration is None}
+        for insertion in (one for one in dataset.insertions if one.id in unregistered):
+            (fresh / "scenes").mkdir(exist_ok=True)
+            write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)
+        result = tabulate_batch(description.name, record, kept, dataset.warnings)
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
             for failure in refused:
                 write_control_points(failure.points, fresh / "slicer")
         write_files(result, fresh)
     return result, failures
-
-
-def write_planned_scene(one: Reconstruction, recipe: ReconstructionRecord, path: Path) -> None:
-    """Write the insertion of a scan as a scene, with which others are simulated and predicted."""
-    needle, tops = recipe.needle, [0.0, *one.layers.boundaries.tolist()]
-    tables = {
-        "schema": 2,
-        "title": f"As in the scan {one.scan.id}",
-        "note": "Moduli are assumed: a prediction takes those of its TARGET.",
-        "depth_mm": round(one.depth, 3),
-        "needle": {
-            "name": needle.name or "as in the recipe of the reconstruction",
-            "length_mm": needle.length_mm,
-            "outer_diameter_mm": needle.diameter_mm,
-            "inner_diameter_mm": needle.inner_diameter_mm,
-            "youngs_modulus_gpa": needle.youngs_modulus_gpa,
-        },
-        "bevel": {"offset_mm": ASSUMED_OFFSET_MM, "side": one.scan.side},
-        "layers": [
-            {
-                "name": f"layer {n}",
-                "top_mm": round(top, 3),
-                "mu_pa": ASSUMED_MU_PA,
-                "alpha": 1.0,
-                "thickness_mm": ASSUMED_TISSUE_MM,
-            }
-            for n, top in enumerate(tops, start=1)
-        ],
-    }
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(dumps(tables), encoding="utf-8")
 
 
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
