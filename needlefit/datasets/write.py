@@ -12,6 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     BEVEL_COLUMNS,
+    CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     HOLE_COLUMN,
@@ -74,6 +75,12 @@ def write_dataset(
         rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
         cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in rolls]
         files[turns] = "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
+    if (curvature := record.insertions.curvature) is not None:
+        sensed = [
+            (row.id, *one) for row in rows if row.curvature is not None for one in row.curvature.tolist()
+        ]
+        cells = [(name, *(f"{value:.7g}" for value in values)) for name, *values in sensed]
+        files[curvature] = "".join(",".join(line) + "\n" for line in (CURVATURE_COLUMNS, *cells))
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
