@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
@@ -121,7 +122,7 @@ def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
         (["a,20,90", "a,15,180"], {}, "known", "turns.csv:3"),
         (["a,60,90"], {}, "known", "turns.csv:2"),
         (["a,20,right"], {}, "known", "turns.csv:2"),
-        ([], {"roll": 1.0, "side": -1}, "known", "insertions.csv:2"),
+        ([], {"roll": math.pi}, "both", "insertions.csv:2"),
         ([], {"roll": 1.0, "bevel": None}, "known", "insertions.csv:2"),
         (["a,20,90"], {}, "free", "dataset.toml"),
     ],
@@ -131,6 +132,9 @@ def test_rolls_and_turns_that_contradict_are_faults(tmp_path, rows, row_changes,
     tables = record(**TURNED)
     file = write_dataset(tmp_path, tables, [one], {"a": CURVE}, {}, checksums=False)
     (tmp_path / "turns.csv").write_text("\n".join(["id,depth_mm,bevel_roll_deg", *rows, ""]))
+    if pose == "both":
+        table = pd.read_csv(tmp_path / "insertions.csv").assign(bevel_side=1)
+        table.to_csv(tmp_path / "insertions.csv", index=False)
     if pose == "free":
         file.write_text(file.read_text().replace('pose = "known"', 'pose = "free"'))
     assert any(place in fault.where for fault in check(file))

@@ -136,7 +136,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         HOLE_COLUMN: row.hole,
         "layers": str(row.layers),
         "layers_alternative": str(alternative),
-        "bevel_side": f"{row.side:+d}",
+        "bevel_side": f"{row.side:+d}" if row.roll is None else "",
         "pose_source": row.pose_source,
     }
     for names, vector, digits in (
