@@ -204,14 +204,14 @@ def _show_steps(shown: "ViewedScene", summary: dict[str, Any]) -> None:
     screen.print_line()
     screen.print_text(shown.title)
     if summary["roll_deg"]:
-        screen.print_line(f"Roll the needle by {summary['roll_deg']:.1f} degrees about x, from y toward z,")
+        screen.print_line(f"Roll the needle by {summary['roll_deg']:z.1f} degrees about x, from y toward z,")
         screen.print_line("and move its base in that plane.")
     if abs(summary["entry_mm"]) > 0.005:
         screen.print_line(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     rows = [
         {
             "Insert to mm": f"{step['depth_mm']:.2f}",
-            "Bevel": f"roll {step['bevel_roll_deg']:.1f}°"
+            "Bevel": f"roll {step['bevel_roll_deg']:z.1f}°"
             if "bevel_roll_deg" in step
             else "+y"
             if step["bevel_side"] > 0
