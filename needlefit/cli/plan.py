@@ -85,9 +85,9 @@ def plan(
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
     plane = cut_plane(aim, radius, tuple(balls))
-    goal = make_space_goal(aim, radius, balls) if aim[2] or insertion.spatial else plane.goal
+    goal = make_space_goal(aim, radius, balls) if aim[2] else plane.goal
     found = plan_steering(insertion, goal, limits, invocation.jobs)
-    if goal.spatial and not found.hits and not insertion.spatial:  # base and bevel rolled together
+    if goal.spatial and not found.hits:  # base and bevel rolled together
         rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
         found = rolled if rolled.hits else found
     plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
