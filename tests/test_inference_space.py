@@ -179,8 +179,13 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     tune = {"insertions": [flat.id, half.id]}
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
     assert prepare("x", record, settings).dataset.planes == 2
+    flattened = record.model_copy(update={"planes": 1})
     with pytest.raises(ConfigError, match="planes"):
-        prepare("x", record.model_copy(update={"planes": 1}), settings)
+        prepare("x", flattened, settings)
+    for other, kinds in ((half, []), (quarter, ["bevel_plane"])):
+        inputs = Inputs(dataset=dataset([flat, replace(other, id=half.id)]), medium=medium())
+        job = prepare("x", flattened, Settings(inputs=inputs))
+        assert [one.kind for one in job.warnings] == kinds and job.dataset.planes == 1
 
 
 def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.datasets.planes import set_planes
+from needlefit.datasets.planes import leaves_plane, set_planes
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError, ModelError
@@ -311,6 +311,8 @@ def prepare(
             if record.planes == 1:
                 why = "torsional friction leads needles that were turned out of their planes"
                 raise ConfigError(why, expected="2, or no torsional_friction_n of the medium")
+        flattened = everything if planes == 1 and dataset.pose == "known" else []
+        left = sorted({one.id for one in flattened if leaves_plane(one, dataset.noise)})
         dataset = set_planes(dataset, everything, planes)
     divided = make_folds(record, dataset)
     if record.planes is None and dataset.planes == 2:
@@ -318,6 +320,10 @@ def prepare(
             "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
         )
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
+    if left:
+        what = f"compared in the plane of their bevels, which they leave: {join_names(left, 8)}"
+        fix = "leave `planes` out: needles are then simulated and compared in space"
+        warnings.append(ResultWarning("bevel_plane", what, settings.place("planes"), fix))
     if isinstance(record, StudyRecord) and not record.same_specimen:
         key = "validate" if record.leave_out is None else "leave_out"
         warnings += warn_shared_specimens(name, divided, settings.place(key))
