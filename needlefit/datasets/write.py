@@ -76,11 +76,9 @@ def write_dataset(
         cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in rolls]
         files[turns] = "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
     if (curvature := record.insertions.curvature) is not None:
-        sensed = [
-            (row.id, *one) for row in rows if row.curvature is not None for one in row.curvature.tolist()
-        ]
-        cells = [(name, *(f"{value:.7g}" for value in values)) for name, *values in sensed]
-        files[curvature] = "".join(",".join(line) + "\n" for line in (CURVATURE_COLUMNS, *cells))
+        sensed = ((row.id, row.curvature) for row in rows if row.curvature is not None)
+        lines = [(name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist()]
+        files[curvature] = "".join(",".join(line) + "\n" for line in (CURVATURE_COLUMNS, *lines))
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}

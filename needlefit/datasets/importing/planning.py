@@ -265,6 +265,8 @@ class Planner:
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
             crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()
+            sensors = np.array(one.sensors).reshape(-1, 4)
+            read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
                 rows[n],
                 layers=len(crossed or select_layers(np.array(depths), float(bends[n] @ ways[n]))[1]),
@@ -275,7 +277,7 @@ class Planner:
                 pose_shift_sd=shift,
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
-                curvature=_turn_sensors(one, -zeros[n]) if one.sensors else None,
+                curvature=np.column_stack([read, sensors[:, 3]]) if one.sensors else None,
             )
         return rows
 
@@ -443,13 +445,6 @@ def fit_shaft(curve: ImportedCurve, pose: Stated) -> tuple[Floats, float]:
     centred = curve.shaft - curve.shaft.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
     return axis * np.sign(axis @ centred[-1]), float(np.linalg.norm(centred))
-
-
-def _turn_sensors(curve: ImportedCurve, angle: float) -> Floats:
-    """Return the sensors of a curve (n, 4), their curvatures turned about the needle."""
-    sensors = np.array(curve.sensors)
-    sensors[:, :3] = Rotation.from_rotvec([angle, 0.0, 0.0]).apply(sensors[:, :3])
-    return sensors
 
 
 def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:

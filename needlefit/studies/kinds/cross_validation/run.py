@@ -278,24 +278,25 @@ class _StudyRun:
         It is tried where a fit misses the tips of the first fold by more than the noise: after a turn the two
         rules differ most.
         """
-        job, fold, stated = self.job, self.job.folds[0], self.job.medium.bevel_parameter
-        place = {"fold": fold.name, "role": "tune", "method": "fitted"}
-        errors = [row for row in self.rows["errors"] if place.items() <= row.items()]
-        missed, noise = (np.mean([row[name] for row in errors]) for name in ("te_3d_mm", "floor_te_3d_mm"))
+        job, fold, recipe = self.job, self.job.folds[0], self.job.recipe
         turned = job.dataset.planes == 2 and any(turns_out_of_plane(one) for one in fold.tune)
-        free = stated in job.parameters.free and job.recipe.minimize == "posterior"
-        if not (turned and free and missed > noise) or self.settings.stop():
+        free = recipe.minimize == "posterior" and job.medium.bevel_parameter in job.parameters.free
+        if not (turned and free) or self.interrupted:
             return {}
-        medium = change_advance(job.medium)
-        parameters = with_hyperparameters(Parameters.from_record(medium), job.recipe.likelihood)
+        place = {"fold": fold.name, "role": "tune", "method": "fitted"}
+        errors = pd.DataFrame([row for row in self.rows["errors"] if place.items() <= row.items()])
+        missed = float(errors["te_3d_mm"].mean())
+        if not missed > errors["floor_te_3d_mm"].mean():
+            return {}
+        medium, scorer = change_advance(job.medium), replace(self.scorer, counts=ValidityCounts())
+        parameters = with_hyperparameters(Parameters.from_record(medium), recipe.likelihood)
         problem = replace(job.problem(fold), medium=medium, parameters=parameters)
-        rng = random_stream(job.recipe.seed, fold.name, "other advance", "starts")
-        fit = minimize(problem, job.recipe, rng, Callbacks(stop=self.settings.stop, jobs=self.settings.jobs))
+        rng = random_stream(recipe.seed, fold.name, "other advance", "starts")
+        fit = minimize(problem, recipe, rng, Callbacks(stop=self.settings.stop, jobs=self.settings.jobs))
         curves = model_predictor(fit.values, medium, job.dataset)
-        scored = [row for one in fold.tune for row in self.scorer.score(place, one, curves)[0]]
-        found = {"advance": medium.advance, "te_3d_mm": float(np.mean([row["te_3d_mm"] for row in scored]))}
-        is_better = found["te_3d_mm"] < missed
-        return {ADVANCE_KEY: {**found, "stated_te_3d_mm": float(missed)}} if is_better else {}
+        error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves)[0]])
+        found = {"advance": medium.advance, "te_3d_mm": float(error), "stated_te_3d_mm": missed}
+        return {ADVANCE_KEY: found} if error < missed else {}
 
     def _report(self, number: int, phase: str, step: int = 0, steps: int = 1) -> None:
         """Report so many steps of a phase of a fold as done."""
