@@ -700,6 +700,8 @@ def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_pa
     away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
     assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx([1.5, 2.2, 2.7, 3.4], abs=0.1)
     assert "bevel_plane" in {one.kind for one in check_all(tmp_path / "gel")[1]}
+    # a turn that is stated later is fitted as one that was imported
+    assert read_toml(tmp_path / "gel/tissue.toml")["advance"] == "path_angle"
 
 
 # ---- tip tracks and structure sets

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.planes import turns_out_of_plane
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
@@ -47,10 +46,11 @@ def write_scene(folder: Path, dataset: Dataset) -> None:
 def _choose_advance(dataset: Dataset) -> tuple[str, dict[str, str], dict[str, float]]:
     """Return the bevel's parameter, the key of the rule of advance, and the bevel of a scene.
 
-    Needles that were turned out of their plane advance by the path angle: after a turn the rule along the
-    tangent, the default, keeps a part of the curvature before it.
+    Needles that leave their planes were turned, and advance by the path angle: after a turn the rule along
+    the tangent, the default, keeps a part of the curvature before it.
     """
-    if any(turns_out_of_plane(one) for one in dataset.insertions):
+    left = "bevel_plane" in {one.kind for one in dataset.warnings} and dataset.pose == "known"
+    if left or any(one.turns for one in dataset.insertions):
         return "cut_angle_deg", {"advance": "path_angle"}, {"cut_angle_deg": 1.0}
     return "bevel_mm", {}, {"offset_mm": 0.05}
 

@@ -130,7 +130,7 @@ class Planner:
         if not low <= (longest := max(one.length for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-            where, fix = self.curves[0].points.where(), f"state --units: {', '.join(likely)}"
+            where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
 
     def settle_frame(self) -> None:
