@@ -281,18 +281,22 @@ class _StudyRun:
         job, fold, recipe = self.job, self.job.folds[0], self.job.recipe
         turned = job.dataset.planes == 2 and any(turns_out_of_plane(one) for one in fold.tune)
         free = recipe.minimize == "posterior" and job.medium.bevel_parameter in job.parameters.free
-        if not (turned and free) or self.interrupted:
-            return {}
         place = {"fold": fold.name, "role": "tune", "method": "fitted"}
-        errors = pd.DataFrame([row for row in self.rows["errors"] if place.items() <= row.items()])
-        missed = float(errors["te_3d_mm"].mean())
-        if not missed > errors["floor_te_3d_mm"].mean():
+        errors = [row for row in self.rows["errors"] if place.items() <= row.items()]
+        if not (turned and free and errors) or self.interrupted:
+            return {}
+        missed, noise = (
+            float(np.mean([row[name] for row in errors])) for name in ("te_3d_mm", "floor_te_3d_mm")
+        )
+        if not noise < missed < math.inf:
             return {}
         medium, scorer = change_advance(job.medium), replace(self.scorer, counts=ValidityCounts())
         parameters = with_hyperparameters(Parameters.from_record(medium), recipe.likelihood)
         problem = replace(job.problem(fold), medium=medium, parameters=parameters)
         rng = random_stream(recipe.seed, fold.name, "other advance", "starts")
         fit = minimize(problem, recipe, rng, Callbacks(stop=self.settings.stop, jobs=self.settings.jobs))
+        if not math.isfinite(fit.objective):
+            return {}
         curves = model_predictor(fit.values, medium, job.dataset)
         error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves)[0]])
         found = {"advance": medium.advance, "te_3d_mm": float(error), "stated_te_3d_mm": missed}
