@@ -77,7 +77,10 @@ def measure_shapes(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.parse_args()
-    dataset = load_dataset("stereo_shapes")
+    try:
+        dataset = load_dataset("stereo_shapes")
+    except needlefit.errors.DataError as error:  # of data that are not there
+        raise SystemExit(str(error)) from None
     fitted = needlefit.fit(dataset, "gel_stereo", recipe={"metric": False}).frames["parameters"]
     values = fitted.query("method == 'fitted'").set_index("parameter")["value"].to_dict()
     rows, profiles = measure_shapes(dataset, values, np.random.default_rng(1))

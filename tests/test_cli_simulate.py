@@ -48,6 +48,9 @@ def test_a_needle_in_space_has_three_coordinates(capsys, tmp_path):
     assert len(rolled["tip_mm"]) == len(rolled["constraints_mm"][0]) == 3
     assert rolled["tip_z_mm"] == pytest.approx(-planar["tip_lateral_mm"], abs=1e-6)
     assert rolled["tip_lateral_mm"] == pytest.approx(0, abs=1e-9)
+    assert rolled["tip_slope_z"] == pytest.approx(-planar["tip_slope"], abs=1e-6)
+    assert rolled["tip_elevation_deg"] == pytest.approx(-planar["tip_angle_deg"], abs=1e-4)
+    assert rolled["tip_angle_deg"] == pytest.approx(0, abs=1e-4) and planar["tip_elevation_deg"] == 0
     assert rolled["tip_mm"] == pytest.approx([planar["tip_mm"][0], 0, -planar["tip_mm"][1]], abs=1e-6)
     assert run("simulate", "phantom1", *settings("bevel.roll_deg=90")) == 0
     assert "90.00" in capsys.readouterr().out

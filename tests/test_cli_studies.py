@@ -174,4 +174,5 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
+    assert " reports/" not in out and "'mine out/" in out
     assert "μ₁ · b^1.9" in out

@@ -22,7 +22,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import DEPTHS_KEY
@@ -254,6 +254,16 @@ def test_every_kind_of_warning_has_a_section_that_explains_it():
             and one.paragraphs
             and not re.search(r"\]\(|\*\*|^#", "\n".join(one.paragraphs), re.MULTILINE)
         )
+
+
+def test_the_error_in_space_stands_beside_that_of_needles_that_leave_their_plane():
+    results = study(1)
+    errors = results.frames["errors"]
+    results = results.with_frames(errors=errors.assign(te_3d_mm=errors["te_mm"] + 2.0))
+    left = replace(results, run=results.run | warnings_entry([ResultWarning("bevel_plane", "x")]))
+    (one,), (other,) = (run.answer.verdicts for run in (results, left))
+    assert "te_3d_mm" not in one.numbers
+    assert other.numbers["te_3d_mm"] == pytest.approx(one.numbers["te_mm"] + 2.0)
 
 
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}

@@ -12,6 +12,7 @@ from import_cases import plan_import
 from refusals import refusal
 from scipy.io import savemat
 
+from needlefit.api import score_study, validate
 from needlefit.cli import main
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.files import read_content
@@ -23,10 +24,13 @@ from needlefit.datasets.importing.tables import (
     read_text_cells,
 )
 from needlefit.datasets.importing.writing import write_plan
+from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
+from needlefit.project.result_warnings import read_warnings
+from needlefit.reporting.dataset_import import write_import
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
@@ -615,6 +619,89 @@ def test_a_clock_position_is_a_side_or_another_plane():
     assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
     assert made["bevel side"] == ("12 o'clock, 6 o'clock, 3 o'clock", "file")
     refusal(DataError, "--bevel", planned, [CASES / "clock.csv"], pose="1,0,0")  # c bends as a does
+
+
+# ---- turns on the way, and curvatures
+
+TURNS = "id,depth_mm,bevel_roll_deg\n" + "".join(f"q{n},{25 + 5 * n},90\n" for n in range(1, 5))
+CURVATURES = "Nadel;s (cm);Krümmung y [1/m];kappa_z [1/m];sd [1/m]\nq1;1;0,1;3,3;0,1\nq1;4;3,3;-0,2;0,1\n"
+SHARP = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.05", "pose_angle_sd": "0.05"}
+
+
+def import_turned(folder, **answers):
+    """Import the four needles with their turns; return the folder of the dataset."""
+    (folder / "turns.csv").write_text(TURNS)
+    paths = [CASES / "two_plane.csv", folder / "turns.csv"]
+    settled = Answers({key.replace("_", " "): value for key, value in answers.items()})
+    content, plan = plan_import(paths, settled)
+    write_import(folder / "gel", content, plan, settled)
+    return folder / "gel"
+
+
+def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_path):
+    (tmp_path / "turns.csv").write_text(TURNS)
+    (tmp_path / "bragg.csv").write_text(CURVATURES)
+    paths = [CASES / "two_plane.csv", tmp_path]
+    assert "--pose 1,0,0" in refusal(DataError, "pose", planned, paths).what
+    refusal(DataError, "turn", planned, paths, pose="1,0,0", bevel="bend")
+    plan, made = planned(paths, pose="1,0,0")
+    toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned
+    assert made["bevel"][1] == "guess" and toward == pytest.approx([0, 1, 0], abs=0.03)
+    assert made["turns"][1] == made["curvatures"][1] == "file"
+    assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == pytest.approx([90.0] * 4)
+    assert plan.rows[2].turns[0][0] == 40.0 and plan.rows[1].curvature is None
+    wanted = [[10, 1e-4, 3.3e-3, 1e-4], [40, 3.3e-3, -2e-4, 1e-4]]
+    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-9)
+    # from up, where bevels that face right have their roll of 0
+    plan, _ = planned(paths, pose="1,0,0", bevel="0,1,0", bevel_side="90 deg")
+    np.testing.assert_allclose(plan.rows[0].curvature[0], [10, 3.3e-3, -1e-4, 1e-4], atol=1e-9)
+    assert plan.rows[0].turns[0][1] == pytest.approx(0.0) and plan.rows[0].bevel == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "reason"),
+    [
+        ("id,depth_mm,bevel_roll_deg\nq1,30,\n", 2, "bevel side"),
+        ("id,turn depth,roll\nq1,30,sideways\n", 0, "sideways"),
+        ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 1, "lacks"),
+        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", 2, "much"),
+        ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", 1, "ft"),
+    ],
+)
+def test_a_bad_row_of_turns_or_curvatures_stops_the_import_at_its_place(tmp_path, text, place, reason):
+    (tmp_path / "beside.csv").write_text(text)
+    error = refusal(DataError, reason, planned, [CASES / "two_plane.csv", tmp_path], **SHARP)
+    assert not place or error.where.endswith(f"beside.csv:{place}")
+
+
+def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_less_than_0_3_mm(tmp_path):
+    """Two arcs of one curvature at right angles, of no model."""
+    folder = import_turned(tmp_path, **SHARP)
+    found = score_study(f"{folder}/gel_study.toml", jobs=1)
+    errors = found[found["method"] == "fitted"].groupby("role")["te_3d_mm"].mean()
+    assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_rule_of_advance_that_fits_better_is_named_with_its_tip_error(tmp_path):
+    folder = import_turned(tmp_path, **SHARP)
+    text = (folder / "tissue.toml").read_text().replace('advance = "path_angle"', "")
+    (folder / "tissue.toml").write_text(text.replace("cut_angle_deg", "bevel_mm"))
+    found = validate(f"{folder}/gel_study.toml", jobs=1, recipe={"metric": False, "starts": 4})
+    other = found.run["other_advance"]
+    assert other["advance"] == "path_angle" and 0.1 < other["te_3d_mm"] < 0.3
+    assert other["stated_te_3d_mm"] > 0.4 and "advance" in [one.kind for one in read_warnings(found.run)]
+
+
+def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_path):
+    settled = Answers({"pose": "1,0,0", "bevel": "0,1,0"})
+    content, plan = plan_import([CASES / "two_plane.csv"], settled)
+    dataset = write_import(tmp_path / "gel", content, plan, settled)
+    away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
+    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx([1.5, 2.2, 2.7, 3.4], abs=0.1)
+    assert "bevel_plane" in {one.kind for one in inspect(tmp_path / "gel").warnings}
+    # a turn that is stated later is fitted as one that was imported
+    assert read_toml(tmp_path / "gel/tissue.toml")["advance"] == "path_angle"
 
 
 # ---- tip tracks and structure sets

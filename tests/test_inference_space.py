@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
@@ -26,7 +27,9 @@ from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
-from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.project.locate import find_file
+from needlefit.project.toml import load
+from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Inputs, Settings, prepare
 from needlefit.studies.planned_draws import PlannedInsertion
@@ -38,6 +41,7 @@ TURNED = {
     "media": {"given": {"boundaries_mm": [20.0]}},
 }
 FREE = LikelihoodRecord(bevel_spread=0.0)
+BY_CURVATURE = LikelihoodRecord(bevel_spread=0.0, measurement="curvature")
 
 
 def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
@@ -88,6 +92,15 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
         values = [replace(in_space([o]), noise=noise).log_posterior(theta) for o in pair]
         # half the square of the angle in SDs, and what the noise adds to these
         assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.02)
+    sensors = np.array([[8.0, 0.0, 0.0, 1e-5], [25.0, 0.0, 0.0, 1e-5]])
+    one = replace(exact, roll_sd=1e-9, curvature=sensors * [1, 1, 1, 1e-2])
+    read = simulate_measurement(dataset([one]), one, TRUTH, medium(), np.random.default_rng(0)).curvature
+    values = []
+    for turn in (0.0, angle):
+        kappa = turn_about_x(np.column_stack([sensors[:, 0], read[:, 1:3]]), turn)[:, 1:]
+        rolled = replace(one, roll_sd=0.05, curvature=np.column_stack([sensors[:, 0], kappa, sensors[:, 3]]))
+        values.append(in_space([rolled], BY_CURVATURE).log_posterior(theta))
+    assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.2)
 
 
 def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
@@ -121,7 +134,7 @@ def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
         (["a,20,90", "a,15,180"], {}, "known", "turns.csv:3"),
         (["a,60,90"], {}, "known", "turns.csv:2"),
         (["a,20,right"], {}, "known", "turns.csv:2"),
-        ([], {"roll": 1.0, "side": -1}, "known", "insertions.csv:2"),
+        ([], {"roll": math.pi}, "both", "insertions.csv:2"),
         ([], {"roll": 1.0, "bevel": None}, "known", "insertions.csv:2"),
         (["a,20,90"], {}, "free", "dataset.toml"),
     ],
@@ -131,6 +144,9 @@ def test_rolls_and_turns_that_contradict_are_faults(tmp_path, rows, row_changes,
     tables = record(**TURNED)
     file = write_dataset(tmp_path, tables, [one], {"a": CURVE}, {}, checksums=False)
     (tmp_path / "turns.csv").write_text("\n".join(["id,depth_mm,bevel_roll_deg", *rows, ""]))
+    if pose == "both":
+        table = pd.read_csv(tmp_path / "insertions.csv").assign(bevel_side=1)
+        table.to_csv(tmp_path / "insertions.csv", index=False)
     if pose == "free":
         file.write_text(file.read_text().replace('pose = "known"', 'pose = "free"'))
     assert any(place in fault.where for fault in check(file))
@@ -163,8 +179,13 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     tune = {"insertions": [flat.id, half.id]}
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
     assert prepare("x", record, settings).dataset.planes == 2
+    flattened = record.model_copy(update={"planes": 1})
     with pytest.raises(ConfigError, match="planes"):
-        prepare("x", record.model_copy(update={"planes": 1}), settings)
+        prepare("x", flattened, settings)
+    for other, kinds in ((half, []), (quarter, ["bevel_plane"])):
+        inputs = Inputs(dataset=dataset([flat, replace(other, id=half.id)]), medium=medium())
+        job = prepare("x", flattened, Settings(inputs=inputs))
+        assert [one.kind for one in job.warnings] == kinds and job.dataset.planes == 1
 
 
 def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
@@ -221,7 +242,7 @@ SENSORS = np.column_stack([[2.0, 10.0, 20.0, 30.0], np.zeros((4, 2)), np.full(4,
 
 def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     """By curvatures with an error of 2e-5 1/mm alone, tips lie within 0.1 mm of the measured ones."""
-    rng, how = np.random.default_rng(7), LikelihoodRecord(bevel_spread=0.0, measurement="curvature")
+    rng, how = np.random.default_rng(7), BY_CURVATURE
     planned = [turned(40.0, curvature=SENSORS), turned(45.0, ((20.0, -90.0),), curvature=SENSORS, side=-1)]
     data = replace(dataset(planned), planes=2)
     seen = [simulate_measurement(data, one, TRUTH, medium(), rng) for one in planned]
@@ -238,6 +259,11 @@ def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     assert_one_density(both, begin)
     with pytest.raises(DataError):
         in_space([turned()], how).log_posterior(begin)
+    recipe = load(find_file("recipe", "default"), RecipeRecord).model_copy(update={"likelihood": how})
+    fitted = {"schema": 2, "dataset": "x", "medium": "x", "tune": {"medium": "test"}}
+    inputs = Inputs(dataset=dataset([turned()]), medium=medium(), recipe=recipe)
+    with pytest.raises(DataError, match="curvature"):
+        prepare("x", FitRecord.model_validate(fitted), Settings(inputs=inputs))
 
 
 def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tmp_path):

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -254,6 +255,23 @@ def test_a_target_that_the_roll_does_not_reach_is_reached_by_bevel_and_base_roll
     assert found["reached"] and found["roll_deg"] == pytest.approx(np.degrees(np.arctan(4)))
     assert found["target_mm"] == pytest.approx([40, np.hypot(1, 4)]) and "tip_sd_mm" not in found
     assert found["obstacles_beside_the_plane"] == ["obstacle 1"]
+
+
+@pytest.mark.parametrize(("target", "roll"), [("40,-3", 90), ("40,1,4", -30)])
+def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_states(
+    target, roll, tmp_path, capsys
+) -> None:
+    text = (Path(__file__).parents[1] / "configs/scenes/phantom2.toml").read_text()
+    steps = "\n[[steps]]\ndepth_mm = 20.0\n[[steps]]\ndepth_mm = 38.06\nroll_deg = 45.0\n"
+    changed = text.replace("side = 1", f"roll_deg = {roll}").replace("depth_mm = 38.06", "", 1)
+    (tmp_path / "rolled.toml").write_text(changed + steps)
+    words = ("--target", target, "--radius", "0.5", "--turns", "0", "--json", "--jobs", "2")
+    found = []
+    for name in ("phantom2", str(tmp_path / "rolled.toml")):
+        assert run("plan", name, *words) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    keys = ("reached", "steps", "turns_mm", "roll_deg", "nominal_miss_mm")
+    assert [found[0][key] for key in keys] == [found[1][key] for key in keys] and found[0]["reached"]
 
 
 def test_a_goal_of_the_plane_becomes_one_in_space() -> None:

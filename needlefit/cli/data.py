@@ -283,7 +283,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         screen.show_frame(ranges.assign(insertions=groups.size()).reset_index(), "")
         if holes:
             screen.print_text(f"Holes: {holes}.")
-        if away := [f"{name} {mm:.2f} ({sds:.1f})" for name, mm, sds in planes]:
-            screen.print_text(f"Out of the plane at the tip, mm (SD): {join_names(away, 8)}.")
+        if away := [f"{name} {mm:.2f} mm = {sds:.1f} SD" for name, mm, sds in planes]:
+            screen.print_text(f"Out of the plane at the tip: {join_names(away, 8)}.")
     if faults:
         raise typer.Exit(DataError.exit_code)

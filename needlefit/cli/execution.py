@@ -1,5 +1,7 @@
 """Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
+import re
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -235,8 +237,11 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     for table in shown:
         screen.show_display(replace(table, breaks=()), notes=False)
     for head, words in (("What to do.", answer.advice), ("What the fit determined.", answer.determined)):
-        if words:
-            screen.print_text(f"{head} {words}")
+        if words:  # which name folders of results as if they were in ./reports
+            beside = re.sub(
+                r"(?<= )reports/([\w.-]+)", lambda m: shlex.quote(str(folder.parent / m[1])), words
+            )
+            screen.print_text(f"{head} {beside}")
     if invocation.explain:
         named_tables = {table.name for table in shown}
         further = [

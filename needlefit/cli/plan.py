@@ -85,9 +85,9 @@ def plan(
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
     plane = cut_plane(aim, radius, tuple(balls))
-    goal = make_space_goal(aim, radius, balls) if aim[2] or insertion.spatial else plane.goal
+    goal = make_space_goal(aim, radius, balls) if aim[2] else plane.goal
     found = plan_steering(insertion, goal, limits, invocation.jobs)
-    if goal.spatial and not found.hits and not insertion.spatial:  # base and bevel rolled together
+    if goal.spatial and not found.hits:  # base and bevel rolled together
         rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
         found = rolled if rolled.hits else found
     plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
@@ -204,14 +204,14 @@ def _show_steps(shown: "ViewedScene", summary: dict[str, Any]) -> None:
     screen.print_line()
     screen.print_text(shown.title)
     if summary["roll_deg"]:
-        screen.print_line(f"Roll the needle by {summary['roll_deg']:.1f} degrees about x, from y toward z,")
+        screen.print_line(f"Roll the needle by {summary['roll_deg']:z.1f} degrees about x, from y toward z,")
         screen.print_line("and move its base in that plane.")
     if abs(summary["entry_mm"]) > 0.005:
         screen.print_line(f"Shift the entry by {summary['entry_mm']:+.2f} mm along y.")
     rows = [
         {
             "Insert to mm": f"{step['depth_mm']:.2f}",
-            "Bevel": f"roll {step['bevel_roll_deg']:.1f}°"
+            "Bevel": f"roll {step['bevel_roll_deg']:z.1f}°"
             if "bevel_roll_deg" in step
             else "+y"
             if step["bevel_side"] > 0

@@ -5,13 +5,13 @@ from pathlib import Path
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord
-from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import StudyRecord
 
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
-MODULUS_BOUNDS_PA, BEVEL_BOUNDS_MM = [1e3, 1e9], [1e-3, 1.0]
-SCENE_MU_PA, SCENE_ALPHA, SCENE_BEVEL_MM = 2e5, 1.0, 0.05  # of a scene before any fit
+MODULUS_BOUNDS_PA = [1e3, 1e9]
+SCENE_MU_PA, SCENE_ALPHA = 2e5, 1.0  # of a scene before any fit
 _START_NOTE = "# A start, made by needlefit: {what}\n"
 
 
@@ -23,13 +23,15 @@ def name_study_file(name: str) -> str:
 def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
     """Write an insertion of a dataset as a scene, to be simulated, planned, viewed and predicted."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
+    _, advance, bevel = _choose_advance(dataset)
     scene: dict[str, object] = {
         "schema": 2,
         "title": f"A planned insertion as {insertion.id} of {dataset.name}",
         "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
         "depth_mm": round(insertion.depth, 3),
         "needle": load(dataset.path, DatasetRecord).needle.model_dump(exclude_defaults=True),
-        "bevel": {"offset_mm": SCENE_BEVEL_MM, "side": insertion.side},
+        "bevel": {**bevel, "side": insertion.side},
+        **({"rules": advance} if advance else {}),
         "layers": [
             {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
             for top, layer in zip(tops, insertion.sequence, strict=True)
@@ -37,6 +39,18 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
     }
     check(scene, SceneRecord, file.name)
     _write_start(file, scene, "needle, depth, layers and bevel.")
+
+
+def _choose_advance(dataset: Dataset) -> tuple[str, dict[str, str], dict[str, float]]:
+    """Return the bevel's parameter, the key of the rule of advance, and the bevel of a scene.
+
+    Needles that leave their planes were turned, and advance by the path angle: after a turn the rule along
+    the tangent, the default, keeps a part of the curvature before it.
+    """
+    left = "bevel_plane" in {one.kind for one in dataset.warnings} and dataset.pose == "known"
+    if left or any(one.turns for one in dataset.insertions):
+        return "cut_angle_deg", {"advance": "path_angle"}, {"cut_angle_deg": 1.0}
+    return "bevel_mm", {}, {"offset_mm": 0.05}
 
 
 def _write_start(file: Path, tables: dict[str, object], what: str) -> None:
@@ -54,14 +68,16 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
         return False
     layers = max(max(one.sequence) for one in dataset.insertions)
     numbers = range(1, layers + 1)
+    bevel, advance, _ = _choose_advance(dataset)
     tissue: dict[str, object] = {
         "schema": 1,
         "title": f"Tissue of {dataset.name}",
         "layers": layers,
+        **advance,
         "parameters": {
             **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
             **{f"alpha{n}": {"fixed": 1.0} for n in numbers},
-            "bevel_mm": {"bounds": BEVEL_BOUNDS_MM},
+            bevel: {"bounds": BEVEL_BOUNDS[bevel]},
         },
     }
     several = len({one.specimen for one in dataset.insertions}) > 1

@@ -147,9 +147,9 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
-        if not any(both):
-            fix = "state the roll, 0 too, or a bevel_side"
-            found.append(Fault(table.where(n), "states no bevel, as others do", "bevel_roll_deg", fix))
+        if all(both) or not any(both):
+            what = f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}"
+            found.append(Fault(table.where(n), what, "one of the two, 0 too", "fill one of the two cells"))
     sources = texts("pose_source") if pose_known else ["none"] * len(ids)
     return [
         InsertionRow(
@@ -215,9 +215,6 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
     if row.side not in (1, -1):
         what = "bevel_side is unknown"
         yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
-    if row.roll is not None and row.side != 1:
-        what = "bevel_side and bevel_roll_deg both state where the bevel faces"
-        yield Fault(where, what, "one of the two", "empty one of the two cells")
     if row.roll is not None and record.frame.pose == "free":
         what = "a roll is stated for a shape of unknown pose"
         yield Fault(where, what, "no bevel_roll_deg", 'remove it, or state poses (pose = "known")')

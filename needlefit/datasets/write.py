@@ -12,6 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     BEVEL_COLUMNS,
+    CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     HOLE_COLUMN,
@@ -68,6 +69,10 @@ def write_dataset(
         rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
         cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in rolls]
         files[turns] = "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
+    if (curvature := record.insertions.curvature) is not None:
+        sensed = ((row.id, row.curvature) for row in rows if row.curvature is not None)
+        lines = [(name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist()]
+        files[curvature] = "".join(",".join(line) + "\n" for line in (CURVATURE_COLUMNS, *lines))
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
@@ -110,7 +115,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         HOLE_COLUMN: row.hole,
         "layers": str(row.layers),
         "layers_alternative": str(alternative),
-        "bevel_side": f"{row.side:+d}",
+        "bevel_side": f"{row.side:+d}" if row.roll is None else "",
         "pose_source": row.pose_source,
     }
     for names, vector, digits in (

@@ -64,6 +64,7 @@ def _describe_needle(dataset: Dataset, one: Insertion) -> dict[str, object]:
     entry, tip = one.centerline[0], one.centerline[-1]
     depths = ", ".join(f"{depth:.1f}" for depth in one.boundaries)
     side = _SIDES[find_bend_side(one, dataset.noise)] if known else "(free shape)"
+    side = "(turned)" if one.turns else side
     row: dict[str, object] = {
         "insertion": one.id,
         "points": len(one.centerline),

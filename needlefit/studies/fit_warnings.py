@@ -22,7 +22,7 @@ from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.studies.fit_frames import DEPTHS_KEY, select_fitted, select_free
+from needlefit.studies.fit_frames import ADVANCE_KEY, DEPTHS_KEY, select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
@@ -179,4 +179,5 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "shared_residual": _find_shared_residual,
     "boundary_shift": _find_shifted_boundaries,
     "units": _find_implausible_moduli,
+    "advance": lambda run: filter(None, [run.run.get(ADVANCE_KEY)]),
 }

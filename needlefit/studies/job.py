@@ -10,10 +10,10 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.datasets.planes import set_planes
+from needlefit.datasets.planes import leaves_plane, set_planes
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
-from needlefit.errors import ConfigError, ModelError
+from needlefit.errors import ConfigError, DataError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.inference.parameter_changes import change_parameters
 from needlefit.inference.parameters import (
@@ -311,6 +311,8 @@ def prepare(
             if record.planes == 1:
                 why = "torsional friction leads needles that were turned out of their planes"
                 raise ConfigError(why, expected="2, or no torsional_friction_n of the medium")
+        flattened = everything if planes == 1 and dataset.pose == "known" else []
+        left = sorted({one.id for one in flattened if leaves_plane(one, dataset.noise)})
         dataset = set_planes(dataset, everything, planes)
     divided = make_folds(record, dataset)
     if record.planes is None and dataset.planes == 2:
@@ -318,11 +320,16 @@ def prepare(
             "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
         )
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
+    if left:
+        what = f"compared in the plane of their bevels, which they leave: {join_names(left, 8)}"
+        fix = "leave `planes` out: needles are then simulated and compared in space"
+        warnings.append(ResultWarning("bevel_plane", what, settings.place("planes"), fix))
     if isinstance(record, StudyRecord) and not record.same_specimen:
         key = "validate" if record.leave_out is None else "leave_out"
         warnings += warn_shared_specimens(name, divided, settings.place(key))
     job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings), medium_file)
     _check_layers(job)
+    _check_sensors(job)
     check_reach(job)
     _check_size(job)
     for one in dict.fromkeys(job.warnings):
@@ -417,6 +424,17 @@ def _check_layers(job: Job) -> None:
                 fix="name the medium that the needle went into, or select other insertions",
                 key="medium",
             )
+
+
+def _check_sensors(job: Job) -> None:
+    """Refuse a fit by curvatures alone to an insertion without any."""
+    wanted = [one for fold in job.folds for one in fold.tune if one.curvature is None]
+    if wanted and job.recipe.likelihood.measurement == "curvature":
+        raise DataError(
+            f"insertion `{wanted[0].id}` has no curvature",
+            expected='those of every insertion fitted to (`measurement = "curvature"`)',
+            fix="name their table under insertions.curvature",
+        )
 
 
 def check_reach(job: Job) -> None:

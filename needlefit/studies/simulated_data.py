@@ -128,7 +128,10 @@ def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.
     assert insertion.curvature is not None
     s, *_, sd = insertion.curvature.T
     about = append_sensors(insertion, np.empty(0))
-    across = pad_planes(read_points(insertion, shape, about), 2)[:, 1:].reshape(-1, 3, 2)
+    points = turn_about_x(
+        pad_planes(read_points(insertion, shape, about), 2), insertion.roll_sd * rng.normal()
+    )
+    across = points[:, 1:].reshape(-1, 3, 2)
     kappa = (across[:, 0] - 2 * across[:, 1] + across[:, 2]) / SENSOR_STEP_MM**2
     return np.column_stack([s, kappa + sd[:, None] * rng.standard_normal(kappa.shape), sd])
 

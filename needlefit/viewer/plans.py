@@ -56,11 +56,15 @@ def _read_numbers(row: object, count: int) -> list[float]:
 
 
 def begin_insertion(viewed_scene: ViewedScene) -> StartedInsertion:
-    """Return a scene's insertion at first contact, under the inputs of its first step."""
+    """Return a scene's insertion at first contact, under the inputs of its first step.
+
+    A bevel that is rolled out of the plane begins at a roll of 0: it cut nothing yet, and a plan rolls it.
+    """
     scene = make_scene(viewed_scene.record, viewed_scene.name)
     first = scene.steps[0]
     rules = replace(scene.rules, first_cell=viewed_scene.first_cell)
-    start = Step(0.0, first.bevel, first.controls)
+    bevel = replace(first.bevel, side=1, roll_deg=0.0) if first.bevel.toward[1] else first.bevel
+    start = Step(0.0, bevel, first.controls)
     return StartedInsertion(scene.needle, scene.tissue, rules, (start,), viewed_scene.spread)
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import TURN_COLUMNS
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.synonyms import (
+    UNITS_MM,
     Header,
     find_meaning,
     list_meanings,
@@ -28,6 +30,7 @@ from needlefit.geometry.surfaces import Surface
 ATTRIBUTES = ("bevel side", "depth", "medium", "specimen")
 # What rows above a table may state of the whole import.
 SHARED_ANSWERS = ("boundaries", "needle length", "diameter", "inner diameter", "modulus")
+SENSOR = ("sensor", "curvature y", "curvature z", "curvature sd")  # what a row of curvatures states
 _KEYS = ("specimen", "needle")  # columns that tell curves apart
 _VECTORS = ("entry", "target", "guide", "quaternion")  # columns x, y, z that are no points of a needle
 MAX_LABEL_ROWS = 4  # rows above a header in which the names of its columns are looked for
@@ -59,6 +62,8 @@ class ImportedCurve:
     axes: str = "x, y, z"  # its coordinates
     readings: Readings | None = None
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points up to the entry
+    turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then
+    sensors: list[Floats] = field(default_factory=list)  # (4,) each: `SENSOR` in mm and 1/mm
 
     @property
     def line(self) -> Floats:
@@ -81,7 +86,10 @@ class ImportContent:
     curves: list[ImportedCurve] = field(default_factory=list)
     # With their files and systems; in LPS where it is known. Kind and layer are not decided yet.
     surfaces: list[tuple[Surface, Path, PatientSystem | None]] = field(default_factory=list)
-    needles: list[tuple[str, dict[str, Stated]]] = field(default_factory=list)  # names, and what is stated
+    # Names of needles, and what a row states of one: of all of it, of a turn, or of a sensor.
+    needles: list[tuple[str, dict[str, Stated], list[tuple[float, Stated]], list[Floats]]] = field(
+        default_factory=list
+    )
     setup: dict[str, Stated] = field(default_factory=dict)  # answers by the names of questions
     unused: list[tuple[str, str]] = field(default_factory=list)  # what is not used; where it stands, or why
     unclear: list[UnclearColumnsError] = field(default_factory=list)  # of tables that were left out
@@ -393,10 +401,13 @@ class _TableReader:
     # ---- needles, and what is left
 
     def read_needles(self) -> None:
-        """Add what a table without coordinates states of needles; UnclearColumnsError if it names none."""
+        """Add what a table without coordinates states of needles, their turns or curvatures.
+
+        UnclearColumnsError if it names none.
+        """
         for n, row in enumerate(self.cells.rows):
             group = _Group(n, self.apply_columns([read_header(text) for text in row]), range(len(row)))
-            if keys := group.find("needle") if group.find(*ATTRIBUTES) else []:
+            if keys := group.find("needle") if group.find(*ATTRIBUTES, *SENSOR[1:3]) else []:
                 break
         else:
             texts = dict.fromkeys(text for row in self.cells.rows[:6] for text in row)
@@ -408,10 +419,31 @@ class _TableReader:
         units = self.find_units(n + 1)
         self.use(n, *range(len(row)))
         self.use(n + 1, *units)
+        depth = group.find("turn depth") or (group.find("depth") if {*TURN_COLUMNS} <= {*row} else [])
+        sensor = [m for one in SENSOR for m in group.find(one)[:1]] if group.find(*SENSOR[1:3]) else []
+        if 0 < len(sensor) < len(SENSOR):
+            what, expected = "a table of curvatures lacks a column", ", ".join(SENSOR)
+            raise DataError(what, where=self.cells.where(n), expected=expected, fix=COLUMNS_FIX)
         for m in range(n + 1 + bool(units), len(self.cells.rows)):
             if name := self.cells.cell(m, keys[0]):
                 self.use(m, keys[0])
-                self.content.needles.append((name, self.read_attributes(_Found(group, (name,), rows=[m]))))
+                stated = self.read_attributes(_Found(group, (name,), rows=[m]))
+                sensors = [self.read_lengths(group, m, sensor)] if sensor else []
+                turns = [float(one) for one in self.read_lengths(group, m, depth)]
+                rolls = [stated.pop("bevel side", Stated("", "", self.cells.where(m))) for _ in turns]
+                stated = {} if turns else stated  # its depth is that of the turn
+                self.content.needles.append((name, stated, [*zip(turns, rolls, strict=True)], sensors))
+
+    def read_lengths(self, group: _Group, n: int, columns: Sequence[int]) -> Floats:
+        """Return cells of a row in mm, curvatures in 1/mm; DataError if one or its unit is unknown."""
+        values = self.read_numbers([n], columns)[0]
+        for k, m in enumerate(columns):
+            header = group.headers[m]
+            if (unit := header.unit.removeprefix("1/").strip() or "mm") not in UNITS_MM:
+                what, where = f"the unit of {header.text} is {header.unit!r}", self.cells.where(group.row, m)
+                raise DataError(what, where=where, expected=", ".join(UNITS_MM), fix="correct the header")
+            values[k] *= UNITS_MM[unit] ** (-1 if header.meaning in SENSOR[1:] else 1)
+        return values
 
     def list_unused(self) -> Iterator[tuple[str, str]]:
         """Yield what is not used: columns by their headers, and other cells by their rows."""

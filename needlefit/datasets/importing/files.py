@@ -70,11 +70,13 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
     by_name = {name.lower(): one for name, one in curves.items()}
-    for name, stated in content.needles:
+    for name, stated, turns, sensors in content.needles:
         if (own := by_name.get(make_id(name, name)[:MAX_NAME_CHARS].lower())) is None:
             content.unused.append((f"row of needle {name}", "no curve has its name"))
         else:
             add_stated(own.stated, stated)
+            own.turns += turns
+            own.sensors += sensors
     content.curves = [*curves.values()]
     return content
 

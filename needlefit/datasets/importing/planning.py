@@ -130,7 +130,7 @@ class Planner:
         if not low <= (longest := max(one.length for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-            where, fix = self.curves[0].points.where(), f"state --units: {', '.join(likely)}"
+            where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
 
     def settle_frame(self) -> None:
@@ -160,9 +160,10 @@ class Planner:
         chord = np.sum([one.line[-1] - one.line[0] for one in self.curves], axis=0)
         along = format_direction(snap_to_axis(normalize(chord))) if chord.any() else "X,Y,Z"
         reason = f"not stated; --pose {along} if a stage pushed the needles as they run"
-        pose = self.settle("pose", "" if self.surfaces else "free", reason)
-        if pose.text == "free" and self.surfaces:
-            raise pose.error("pose", f"{along} or shaft: surfaces stand in the world")
+        is_posed = bool(self.surfaces) or any(one.turns or one.sensors for one in self.curves)
+        pose = self.settle("pose", "" if is_posed else "free", reason)
+        if pose.text == "free" and is_posed:
+            raise pose.error("pose", f"{along} or shaft, of surfaces, turns and curvatures")
         if pose.text not in ("free", "shaft"):
             cosine = normalize(pose.to_vector("pose")) @ chord / (np.linalg.norm(chord) or 1.0)
             if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
@@ -253,9 +254,19 @@ class Planner:
             sds = [float(np.radians(answer.to_number("pose angle sd", "deg")))] * len(rows)
         entries = [one.line[0] if entry is None else entry for one in self.curves]
         bends = np.array([one.line[-1] - start for one, start in zip(self.curves, entries, strict=True)])
-        bevels = self.settle_bevel(bends, ways, angles)
+        before = [
+            interpolate_at_arc(one.line, [min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
+            for one, start in zip(self.curves, entries, strict=True)
+        ]
+        bevels = self.settle_bevel(np.array(before), ways, angles)
+        for what, ones in (("turns", "turns"), ("curvatures", "sensors")):
+            if counts := [f"{len(own)} of {one.name}" for one in self.curves if (own := getattr(one, ones))]:
+                self.keep(what, join_names(counts, 8), "a table of them")
+        zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
             crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()
+            sensors = np.array(one.sensors).reshape(-1, 4)
+            read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
                 rows[n],
                 layers=len(crossed or select_layers(np.array(depths), float(bends[n] @ ways[n]))[1]),
@@ -265,6 +276,8 @@ class Planner:
                 pose_source="shaft" if pose.text == "shaft" else "stage",
                 pose_shift_sd=shift,
                 pose_angle_sd=sds[n],
+                turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
+                curvature=np.column_stack([read, sensors[:, 3]]) if one.sensors else None,
             )
         return rows
 
@@ -310,7 +323,8 @@ class Planner:
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
         source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
-        if differ := len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
+        is_turned = any(one.turns or one.sensors for one in self.curves)
+        if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
             mean = np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0)
@@ -320,7 +334,7 @@ class Planner:
         answer = self.settle("bevel", guess, reason, source)
         if answer.text == "bend":
             if differ:
-                raise answer.error("bevel", "X,Y,Z: bevels differ")
+                raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
             return [None] * len(bends)
         if angles is None:
             self.keep("bevel side", "1", "not stated", "assumption")
@@ -376,8 +390,9 @@ class Planner:
         if angles is None:
             self.keep("bevel side", "1", "not stated", "assumption")
         sides, turns = to_sides(angles or [0.0] * len(self.curves))
-        if any(turns):
-            what, fix = "bevels of tip tracks are at right angles", "import the runs of each plane"
+        if any(turns) or any(one.turns or one.sensors for one in self.curves):
+            what = "bevels of tip tracks are at right angles, turned, or beside curvatures"
+            fix = "import the runs of each plane; state bevel_roll_deg in tracks.csv"
             raise DataError(what, where=self.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
         self.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
         bends, rows = list[Floats](), list[InsertionRow]()

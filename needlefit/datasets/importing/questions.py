@@ -25,7 +25,9 @@ QUESTIONS = MappingProxyType(
         "entry point": Question(
             "Where tips touched the tissue: `first` point, stated `depth`, X,Y,Z, or name of a surface", "mm"
         ),
-        "bevel": Question("Direction toward which bevels of side 1 deflect: X,Y,Z, or `bend` of each needle"),
+        "bevel": Question(
+            "Direction toward which a bevel of side 1 (0 degrees, 12 o'clock) deflects: X,Y,Z, or `bend`"
+        ),
         "bevel side": Question("Side of the bevels of needles that state none: 1 or -1"),
         "boundaries": Question(
             "Depths of layer boundaries along the needles, mm (such as 15,30), or none", "mm"

@@ -49,7 +49,10 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
         medium = {"surfaces": parts} if parts else {"boundaries_mm": [*plan.depths_mm]}
         draft["media"] = {row.medium: medium for row in plan.rows}
-        draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv"}}
+        beside = {"turns": "turns.csv"} if any(row.turns for row in plan.rows) else {}
+        if any(row.curvature is not None for row in plan.rows):
+            beside["curvature"] = "curvature.csv"
+        draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
         draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(content.files[0]))
         curves = {name: one.to_columns() for name, one in points.items()}

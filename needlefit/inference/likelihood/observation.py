@@ -478,34 +478,33 @@ def append_sensors(insertion: Insertion, s: Floats) -> Floats:
 def add_curvature(one: Observation, only: bool) -> Observation:
     """Return an observation with the curvatures of its insertion, or of them `only`.
 
-    A curvature is the second difference of the deflections about its sensor, over `SENSOR_STEP_MM`. The
-    places about a sensor are given deflections with the measured curvature.
+    A curvature is the second difference of the deflections about its sensor, over `SENSOR_STEP_MM`. In space
+    those of a needle share an error of its roll, beside that of the points. The places about a sensor are
+    given deflections with the measured curvature.
 
     Raises DataError if nothing else counts, and no curvature was measured.
     """
     known = one.insertion.curvature
     if known is None:
         if only:
-            raise DataError(
-                f"insertion `{one.insertion.id}` has no curvature",
-                expected='those of every insertion (`measurement = "curvature"`)',
-                fix="name their table under insertions.curvature",
-            )
+            raise DataError(f"insertion `{one.insertion.id}` has no curvature", expected="that of a sensor")
         return one
     (_, *kappa, sd), planes, step = known.T, one.planes, SENSOR_STEP_MM
     sensors, points = len(sd), len(one.measured)
     shape = np.kron(np.ones(sensors), 0.5 * step**2 * np.array([1.0, 0.0, 1.0]))
     about = [one.nodes.s[0, points:], *(shape * np.repeat(part, 3) for part in kappa[:planes])]
     rows, whole = (0 if only else one.rows), points + 3 * sensors
+    cov = np.diag(np.tile(sd**2, planes))
+    if planes == 2:  # an error of the roll turns all curvatures alike
+        turned = one.insertion.roll_sd * np.concatenate([-kappa[1], kappa[0]])
+        cov += np.outer(turned, turned)
+    root = np.linalg.cholesky(cov)
+    second = np.kron(np.eye(planes * sensors), np.array([1.0, -2.0, 1.0]) / step**2)
     whitening = np.zeros((rows + planes * sensors, planes * whole))
-    second = np.kron(np.diag(1 / sd), np.array([1.0, -2.0, 1.0]) / step**2)  # (n, 3 n)
-    for plane in range(planes):
-        of_points, of_sensors = whole * plane, whole * plane + points
-        kept = one.whitening[:rows, points * plane : points * (plane + 1)]
-        whitening[:rows, of_points : of_points + points] = kept
-        first = rows + plane * sensors
-        whitening[first : first + sensors, of_sensors : of_sensors + 3 * sensors] = second
-    log_norm = -planes * float(np.sum(np.log(sd)) + 0.5 * sensors * math.log(2 * math.pi))
+    is_sensor = np.tile(np.arange(whole) >= points, planes)
+    whitening[:rows, ~is_sensor] = one.whitening[:rows]
+    whitening[rows:, is_sensor] = np.linalg.solve(root, second)
+    log_norm = -float(np.sum(np.log(np.diag(root))) + 0.5 * planes * sensors * math.log(2 * math.pi))
     nothing = np.zeros(planes * sensors)
     offset = 0.0 if only or isinstance(one.offset, float) else np.concatenate([one.offset, nothing])
     curves = one.pose_curves[:, :rows]

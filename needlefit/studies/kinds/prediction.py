@@ -281,14 +281,14 @@ def draw_parameters(
 
 
 def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
-    require_same_configuration(job, run.run, where)
     if not run.posteriors:
         raise ConfigError(
             f"holds no {POSTERIOR_FILE}",
             where=where,
             expected="the folder of a run of one fold that was sampled",
-            fix="tune it without --no-sample, or leave --run out",
+            fix="name a result of `needlefit tune` without --no-sample, or leave --run out",
         )
+    require_same_configuration(job, run.run, where)
     return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
 
 

@@ -13,6 +13,7 @@ from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
+from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import (
@@ -29,7 +30,7 @@ from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import CRPS, STATUS, judge, list_checks
+from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, list_checks
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run, once_per_run
 
@@ -92,9 +93,15 @@ def find_answer(results: Run) -> Answer:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     determined, intervals = _list_determined(results)
+    errors, space = results.frames["errors"], None
+    if not values["in_space"] and "bevel_plane" in {one.kind for one in read_warnings(results.run)}:
+        keys = {"role": role, "method": choose_method(results), "boundaries": "measured"}
+        scored = errors[(errors[[*keys]] == [*keys.values()]).all(axis=1)]
+        space = float(scored["te_3d_mm"].mean())
     words = {
         **values,
         "judged": judged,
+        "space_mm": space,
         "insertions": group.head["insertions"],
         "checks": {str(one.check): one for one in checks},
         "gain": None if pd.isna(gain) else float(gain),
@@ -110,6 +117,7 @@ def find_answer(results: Run) -> Answer:
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
         "insertions": group.head["insertions"],
+        **({} if space is None else {scores.TE_IN_SPACE: space}),
     }
     if role == "tune":
         words["opening"], status = _open_fit(results, [word for word, _ in determined])
