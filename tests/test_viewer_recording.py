@@ -15,17 +15,9 @@ from needlefit.viewer.steering import Change, SteeredNeedle
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
-def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> SteeredNeedle:
-    return SteeredNeedle(Scene.from_record(record), first_cell)
-
-
 def read(step) -> tuple[Change, ...]:
     """Return changes from rows of name, item (where there is one) and value."""
     return tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-
-
-def act(steering: SteeredNeedle, *changes) -> None:
-    steering.apply(read(changes))
 
 
 WANDERING = [
@@ -51,13 +43,14 @@ def nodes_y(shape) -> np.ndarray:
     return compute_positions(shape, shape.x)[:, 1]
 
 
-def recorded(path, changes=WANDERING, record: SceneRecord = PLAIN, keep: int = 2) -> SteeredNeedle:
+def recorded(path, changes=WANDERING) -> SteeredNeedle:
     """Write a recording of changes; return the needle, with the y of its nodes after each step as `found`."""
-    steering, recorder = steer(record), RecordingWriter(path, make_head("study2", 1.0, record))
+    steering = SteeredNeedle(Scene.from_record(PLAIN), 1.0)
+    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN))
     steering.found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
-        act(steering, *step)
-        if n == keep:
+        steering.apply(read(step))
+        if n == 2:
             steering.keep()
         recorder.write(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
         steering.found.append(nodes_y(steering.now.shape))
