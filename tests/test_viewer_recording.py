@@ -80,7 +80,7 @@ def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int)
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: .*`depth_m`"),
+        ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: .*`depth_m`.*expected: .*depth_mm"),
         ("depth_mm,,12.34567", "depth_mm,,deep", "`deep`"),
         ("depth_mm,,12.34567", "depth_mm,,nan", "line .*: `nan`"),
         ("1,0.2500,depth_mm", "1,inf,depth_mm", "line .*: `inf`"),
@@ -102,5 +102,6 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
+    fault = fault.replace("line .*", f"line {text[: text.index(old)].count(chr(10)) + 1}")
+    with pytest.raises(NeedlefitError, match=f"(?s)log.csv.*{fault}"):
         list(replay(read_recording(path)))
