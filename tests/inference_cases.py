@@ -165,12 +165,6 @@ class Analytic:
         slopes = [(self.function(theta + m) - self.function(theta - m)) / 2e-6 for m in moves]
         return self.function(theta), np.array(slopes)
 
-    def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
-        return np.array([self.log_posterior(theta) for theta in thetas])
-
-    def log_posterior(self, theta: np.ndarray) -> float:
-        return self.function(theta)
-
     def values(self, theta: np.ndarray) -> dict[str, float]:
         return {name: float(x) for name, x in zip(self.names, theta, strict=True)}
 

@@ -4,8 +4,6 @@ import doctest
 import os
 import re
 import signal
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -190,12 +188,6 @@ def test_an_interrupted_fit_is_the_best_so_far_and_goes_on(fitted, tmp_path):
     assert list(whole.frames["starts"]["stopped"]) == ["tolerance"] * 3
 
 
-def test_importing_the_package_loads_nothing_else():
-    code = "import sys, needlefit; print([m for m in sys.modules if m.startswith(('numpy', 'needlefit.'))])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_model(world, monkeypatch):
     monkeypatch.chdir(world.folder)
     found = api.score_study("held_out")
@@ -212,21 +204,6 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
         api.score_study("cohort")
     with pytest.raises(ConfigError):
         needlefit.validate("plan", medium=stiffer)
-
-
-def test_an_evidence_of_one_parameter_is_the_integral_over_it(world, monkeypatch):
-    monkeypatch.chdir(world.folder)
-    fixed = {"tune": {"insertions": ["needle-1"]}, "recipe": "tiny", "fix": {"b": 0.09}}
-    found = api.estimate_evidence("needles", "gel", **fixed)
-    record, inputs = api._change_fit(*api._begin_fit("needles", "gel")[1:], fixed)
-    job = api.prepare("x", record, api.Settings(inputs=inputs))
-    problem = job.problem(job.folds[0])
-    assert problem.names == ("mu1_pa",)
-    at = np.linspace(problem.lower[0], problem.upper[0], 2001)
-    heights = problem.log_posteriors(at[:, None])
-    exact = np.log(np.trapezoid(np.exp(heights - heights.max()), at)) + heights.max()
-    assert found["log_evidence"] == pytest.approx(exact, abs=4 * found["se"])
-    assert found["se"] < 0.1 and found["k"] < 0.7
 
 
 def test_a_simulated_dataset_has_its_insertions_and_no_files():

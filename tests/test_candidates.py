@@ -47,8 +47,3 @@ def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch) -> None:
     assert rows["role"].to_dict() == {"chicken-01": "repeat"} | dict.fromkeys(
         ("chicken-04", "chicken-06"), "candidate"
     )
-
-
-def test_a_design_has_the_table(world) -> None:
-    found = world.restore("identification").frames["candidates"]
-    assert set(found["insertion"]) == {"needle-2", "needle-3"}

@@ -27,9 +27,9 @@ FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
 
 
-def run(*words: str) -> int:
+def run(*words: object) -> int:
     with pytest.raises(SystemExit) as leaving:
-        main(words)
+        main([str(word) for word in words])
     return int(leaving.value.code or 0)
 
 

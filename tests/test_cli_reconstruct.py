@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from dicom_series import save_volume
+from made_again import read_files
 from reading_here import child_process_reader, read_here  # noqa: F401
+from test_cli import run
 
-from needlefit.cli import main
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
@@ -32,32 +33,8 @@ VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "samp
 LAYERS = [SAMPLE / "layers" / f"phantom2_{name}.stl" for name in ("interface1", "interface2", "cylinder")]
 
 
-def run(*words) -> int:
-    with pytest.raises(SystemExit) as leaving:
-        main([str(word) for word in words])
-    return int(leaving.value.code or 0)
-
-
-def files(folder):
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name != "timing.json"
-    }
-
-
 def warnings_of(folder) -> str:
     return pd.read_csv(folder / "reconstruction.csv")["warnings"].iloc[0]
-
-
-@pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    """The sample, reconstructed by its table."""
-    folder = tmp_path_factory.mktemp("done") / "mydata"
-    with pytest.MonkeyPatch.context() as patch:
-        search_once(patch)
-        assert run("reconstruct", SAMPLE / "scans.csv", "--out", folder, "-q") == 0
-    return folder
 
 
 FOUND: dict[tuple, object] = {}
@@ -70,10 +47,6 @@ pytestmark = pytest.mark.usefixtures("read_here")
 @pytest.fixture
 def searched_once(monkeypatch):
     """Search a volume once for its needle and markers: for tests of what is made of what was found."""
-    search_once(monkeypatch)
-
-
-def search_once(patch):
 
     def remembered(function):
         def found(volume, *arguments):
@@ -87,10 +60,11 @@ def search_once(patch):
         return found
 
     for user, function in (("reconstruct", trace_needle), ("reconstruct", find_markers)):
-        patch.setattr(f"needlefit.imaging.{user}.{function.__name__}", remembered(function))
+        monkeypatch.setattr(f"needlefit.imaging.{user}.{function.__name__}", remembered(function))
 
 
-def test_a_scan_becomes_a_checked_dataset(done):
+def test_a_scan_becomes_a_checked_dataset(world):
+    done = world.find("reconstruction")
     assert check(done) == []
     dataset = read_dataset(done)
     (insertion,) = dataset.insertions
@@ -106,6 +80,13 @@ def test_a_scan_becomes_a_checked_dataset(done):
         volume.origin + volume.direction @ (volume.spacing * (volume.values.shape[::-1])),
     )
     assert (on_scan > np.minimum(low, high) - 1).all() and (on_scan < np.maximum(low, high) + 1).all()
+    names = ("reconstruction", "markers", "crossings")
+    scans, markers, crossings = (pd.read_csv(done / f"{name}.csv") for name in names)
+    assert len(scans) == 1 and scans.loc[0, "markers_paired"] == len(markers) >= 4
+    gaps = np.linalg.norm(markers[[f"residual_{axis}_mm" for axis in "xyz"]], axis=1)
+    assert markers["residual_mm"].to_numpy() == pytest.approx(gaps, rel=1e-4)
+    assert scans.loc[0, "fre_mm"] == pytest.approx(np.sqrt(np.mean(gaps**2)), rel=1e-4)
+    assert crossings[["out_of", "into"]].to_numpy().tolist() == [[1, 2]]
 
 
 @pytest.mark.usefixtures("searched_once")
@@ -118,6 +99,7 @@ def test_a_scan_alone_gives_its_tip_and_a_scene(tmp_path, monkeypatch, capsys):
     tip = row[["tip_x_mm", "tip_y_mm", "tip_z_mm"]].to_numpy(dtype=float)
     assert insertion.centerline[-1] == pytest.approx(tip, abs=1e-3)  # without markers the world is the scan
     assert all(f"{abs(one):.2f}" in printed for one in (*tip, row["depth_mm"], 1.27))
+    assert np.isnan(row["markers_paired"])
     scene = load(Path("sample-dataset/scenes/sample.toml"), SceneRecord)
     assert scene.depth_mm == pytest.approx(row["depth_mm"], abs=1e-3)
     (proposed,) = (line.partition("needlefit ")[2] for line in printed.splitlines() if "predict" in line)
@@ -157,7 +139,7 @@ def test_one_failure_loses_nothing_and_resumed_results_equal_those_of_one_run(tm
     assert not out.with_name("out.partial").exists()
     again = out.with_name("again") / "out"
     assert run(*words, again) == 0
-    found, at_once = files(out), files(again)
+    found, at_once = read_files(out), read_files(again)
     assert found == at_once
 
 
@@ -286,7 +268,7 @@ NO_BEVEL = {"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}
 @pytest.mark.usefixtures("searched_once")
 def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words, tmp_path, capsys):
     arguments = spoil(tmp_path)
-    before = files(tmp_path)
+    before = read_files(tmp_path)
     capsys.readouterr()
     assert run("reconstruct", *arguments, "--out", tmp_path / "out", "-q") == 3
     printed = capsys.readouterr().err
@@ -295,7 +277,7 @@ def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words
     assert "fix:" in printed and "unexpected" not in printed
     # the id, and not again the file of its name
     assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", printed), printed
-    after = files(tmp_path)
+    after = read_files(tmp_path)
     pages = {name for name in after if name.startswith("out.refused/")}
     assert {name: after[name] for name in after.keys() - pages} == before
     assert "out.refused/refused.csv" in pages

@@ -64,15 +64,11 @@ def test_a_curve_that_no_one_term_law_describes_does_not_fit() -> None:
     assert noisy["law"] == "fits"
 
 
-def run_script(folder: Path, *words: str) -> str:
-    command = (sys.executable, str(SCRIPT), *words)
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout
-
-
 def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_test(tmp_path / "gel.csv")
     monkeypatch.chdir(tmp_path)
-    out = run_script(tmp_path, "gel.csv", "--quick", "--foundation", "0.2", "5")
+    words = (sys.executable, str(SCRIPT), "gel.csv", "--quick", "--foundation", "0.2", "5")
+    out = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     assert "gel2" in out and Path("reports/compression_prior.png").stat().st_size > 1000
     prior = load(Path("reports/compression_prior.toml"), MaterialRecord)
     assert prior.alpha.mean == pytest.approx(-4.5, abs=0.05) and prior.alpha.sd == pytest.approx(1.3, abs=0.1)

@@ -292,15 +292,11 @@ def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_pa
         assert words in found.fix
 
 
-def resample_line(curve, points):
-    at = np.linspace(0, len(curve) - 1, points)
-    return np.column_stack([np.interp(at, np.arange(len(curve)), axis) for axis in curve.T])
-
-
 def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path):
     """Measured once, and exported again with scatter, without points, or mirrored; and measured twice."""
     random = np.random.default_rng(11)
     once, twice = (CURVE + random.normal(0.0, 0.02, CURVE.shape) * [0, 1, 1] for _ in range(2))
+    again = np.linspace(0, len(once) - 1, 151)
     others = {
         "scatter": once + random.normal(0.0, 1e-3, CURVE.shape),
         "rounded": once + random.normal(0.0, 4e-3, CURVE.shape),
@@ -309,7 +305,7 @@ def test_curves_nearer_to_each_other_than_their_noise_allows_are_copies(tmp_path
         "last dropped": once[:-1],
         "every third": once[::3],
         "mirrored": once * [1, -1, 1],
-        "sampled again": resample_line(once, 151),
+        "sampled again": np.column_stack([np.interp(again, np.arange(len(once)), axis) for axis in once.T]),
         "twice": twice,
     }
     for name, curve in others.items():

@@ -212,31 +212,7 @@ def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
     assert tomllib.loads(dumps(tables | {"none": None, "empty": ""})) == tables | {"h": {}}
 
 
-# ---- what every insertion has for itself: deviations, its scan, its layers
-
-
-def own_layers(folder):
-    """A dataset in which the sheet lies at 20 mm for insertion a, at 30 for b; the cylinder is shared."""
-    media = {
-        "block": {
-            "surfaces": [
-                {"file": "layers/{id}_sheet.stl", "kind": "sheet", "into": 2},
-                {"file": "layers/core.stl", "kind": "solid", "into": 3},
-            ]
-        }
-    }
-    surfaces = {
-        f"layers/{name}_sheet.stl": make_sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
-        for name, x in (("a", 20), ("b", 30))
-    }
-    surfaces["layers/core.stl"] = SURFACES["layers/core.stl"]
-    curves = dict.fromkeys("ab", CURVE)
-    return write_dataset(folder, record(media=media), [row("a"), row("b")], curves, surfaces)
-
-
 # ---- other people's files: long tables, MATLAB, templates, public data
-
-SHIPPED = Path(__file__).parent.parent / "data"
 
 LONG = """\
 schema = 1

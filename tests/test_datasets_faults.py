@@ -15,7 +15,7 @@ from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 
 ROWS, A, B = "insertions.csv", "centerlines/a.csv", "centerlines/b.csv"
-CORE, SHEET, TOML = "layers/core.stl", "layers/sheet.stl", "dataset.toml"
+CORE, TOML = "layers/core.stl", "dataset.toml"
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from refusals import refusal
 from test_datasets import block, without_checksums
+from test_datasets_faults import cell
 from track_cases import DEPTH, GUIDE, HEAD, TOML, measured, track, written
 
 from needlefit.datasets.formats.csv import read_table
@@ -62,17 +63,6 @@ def table(folder):
     return folder / "steps.csv"
 
 
-def edit(folder, line, **cells):
-    """Change cells of one line of the table, counted as an editor does."""
-    lines = table(folder).read_text().splitlines()
-    names = lines[0].split(",")
-    values = lines[line - 1].split(",")
-    for name, value in cells.items():
-        values[names.index(name)] = value
-    lines[line - 1] = ",".join(values)
-    table(folder).write_text("\n".join(lines) + "\n")
-
-
 def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp_path, runs):
     dataset = read(written(tmp_path, runs))
     assert [one.id for one in dataset.insertions] == ["rest", "moved"]
@@ -82,7 +72,7 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
     assert moved.tip == pytest.approx(runs[1].tip, abs=1e-5) and moved.heading is None
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
     folder = written(tmp_path, runs)
-    edit(folder, 20, ok="0")
+    cell("steps.csv", 20, ok="0")(folder)
     dataset = read(folder)
     assert [one.id for one in dataset.insertions] == ["rest"]
     (remark,) = dataset.remarks
@@ -100,7 +90,7 @@ def test_runs_count_from_first_contact_and_an_invalid_reading_leaves_one_out(tmp
 )
 def test_faults_name_line_and_cell(tmp_path, runs, line, cells, expected):
     folder = written(tmp_path, runs)
-    edit(folder, line, **cells)
+    cell("steps.csv", line, **cells)(folder)
     refusal(DataError, expected, read, folder)
 
 

@@ -11,7 +11,6 @@ from contextlib import chdir
 
 import pytest
 from made_again import assert_made_again, read_files
-from test_same_bytes import ELSEWHERE
 from world import COMMANDS, find_words
 
 from needlefit.errors import ConfigError
@@ -22,6 +21,18 @@ from needlefit.studies.study_files import load_target
 
 EVERY = pytest.mark.parametrize("kind", list(COMMANDS))
 WRITTEN = {"needlefit.json", "report.html", "report.pdf", "results.json.gz", "run.json", "timing.json"}
+ELSEWHERE = {
+    "PYTHONHASHSEED": "2",
+    "TZ": "Pacific/Kiritimati",
+    "LC_ALL": "POSIX",
+    "PYTHONCOERCECLOCALE": "0",
+    "PYTHONUTF8": "0",  # files whose encoding is not named are then ASCII
+    "PYTHONIOENCODING": "utf-8",
+    "SOURCE_DATE_EPOCH": "1",
+    "COLUMNS": "40",
+    "OPENBLAS_NUM_THREADS": "2",
+}
+"""Hash seed, time zone, locale, encodings, the width of a terminal, and a setting that must not be heeded."""
 
 
 @EVERY

@@ -11,8 +11,7 @@ from test_viewer_recording import recorded
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
-from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.scene import Scene, iterate_states
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation
 from needlefit.reporting.figures.needles import (
@@ -26,19 +25,7 @@ TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
 HELD = Controls(1.0, guides=(Guide(-20.0, 0.4), Guide(6.5, 0.1, None, in_tissue=True, name="ring")))
 
 
-def scene(entry: Entry = Entry(), controls: Controls = HELD) -> Scene:
-    steps = (Step(20.0, Bevel(0.085), controls), Step(15.25, Bevel(0.085, -1), controls))
-    return Scene(NEEDLE, TISSUE, steps, entry=entry)
-
-
-def end(of: Scene) -> NeedleState:
-    return NeedleState(simulate_scene(of)[-1], of.steps[-1], of.tissue)
-
-
-# ---- the table ----
-
-
-# ---- the picture ----
+SCENE = Scene(NEEDLE, TISSUE, (Step(20.0, Bevel(0.085), HELD), Step(15.25, Bevel(0.085, -1), HELD)))
 
 
 # ---- on the way ----
@@ -67,8 +54,8 @@ def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, m
 
     monkeypatch.setattr(animation, "StateFigure", Watched)
     small(monkeypatch)
-    moments = [(seconds * gone / 24.75, moment) for gone, moment in iterate_states(scene(), 12.0)]
-    animation.animate("Held", scene(), moments, seconds, tmp_path / "a.gif")
+    moments = [(seconds * gone / 24.75, moment) for gone, moment in iterate_states(SCENE, 12.0)]
+    animation.animate("Held", SCENE, moments, seconds, tmp_path / "a.gif")
     assert titles == ["Held" if speed == 1 else f"Held ({speed} times as fast)"]
     assert len(drawn) - 1 <= animation.MAX_FRAMES and drawn[-1] is moments[-1][1]  # the first for the layout
     with Image.open(tmp_path / "a.gif") as film:

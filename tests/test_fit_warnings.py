@@ -4,6 +4,7 @@ import ast
 import json
 import math
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from inference_cases import TRUTH, two_layers
 from reporting_results import study
 from test_cli import run
 from test_datasets import CURVE, record, row
+from world import PROJECT
 
 import needlefit
 from needlefit.datasets.read import read
@@ -174,29 +176,11 @@ def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out
         assert all(name in str(caught.value) for name in ("a", "d")) and caught.value.key == "validate"
 
 
-GEL = """
-schema = 1
-layers = 1
-[parameters]
-mu1_pa = { bounds = [1e3, 1e9] }
-alpha1 = { fixed = 1.0 }
-bevel_mm = { bounds = [1e-3, 0.5] }
-"""
-
-FAST = """
-schema = 1
-starts = 2
-metric = false
-[likelihood]
-bevel_spread = 0.0
-"""
-FLIPPED = """
-schema = 1
+FLIPPED = """schema = 1
 dataset = "./data"
-medium = "./gel.toml"
-recipe = "./fast.toml"
-[tune]
-insertions = ["a", "b"]
+medium = "gel"
+recipe = "tiny"
+tune = { insertions = ["a", "b"] }
 """
 
 
@@ -204,11 +188,10 @@ insertions = ["a", "b"]
 def flipped(tmp_path, monkeypatch):
     """A fit to needles whose bevels are stated to face the other side."""
     monkeypatch.chdir(tmp_path)
-    rows = [row(name, "gel", layers=1, bevel=np.array([0, 1.0, 0]), side=-1) for name in "ab"]
-    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    shutil.copytree(PROJECT / "configs", tmp_path / "configs")
+    rows = [row(name, "gel", layers=2, bevel=np.array([0, 1.0, 0]), side=-1) for name in "ab"]
+    tables = record(media={"gel": {"boundaries_mm": [20.0]}}, noise={"point_sd_mm": 0.02})
     write_dataset(tmp_path / "data", tables, rows, dict.fromkeys("ab", CURVE), {})
-    (tmp_path / "gel.toml").write_text(GEL)
-    (tmp_path / "fast.toml").write_text(FAST)
     (tmp_path / "fit.toml").write_text(FLIPPED)
     return tmp_path
 

@@ -2,7 +2,6 @@
 
 import shlex
 import shutil
-from pathlib import Path
 
 import openpyxl
 import pytest
@@ -34,17 +33,6 @@ def list_examples():
             yield f"{name} {word}".strip(), shlex.split(example)
 
 
-def prepare_folder(folder: Path) -> None:
-    """Write what the examples read: tables, a dataset, scans, and two runs."""
-    book = openpyxl.Workbook()
-    for row in [("x_mm", "y_mm", "z_mm"), *((x, 4e-4 * x**2, 0) for x in range(40))]:
-        book.active.append(row)
-    book.save(folder / "curves.xlsx")
-    shutil.copytree(shipped_folder() / "data/sample_scan", folder, dirs_exist_ok=True)
-    leave_run(folder / "reports/study3")
-    leave_run(folder / "old/study3")
-
-
 @pytest.mark.parametrize(
     ("command", "words"),
     [
@@ -55,7 +43,13 @@ def prepare_folder(folder: Path) -> None:
 @pytest.mark.usefixtures("stubs")
 def test_the_example_of_a_command_runs(command, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    prepare_folder(tmp_path)
+    book = openpyxl.Workbook()
+    for row in [("x_mm", "y_mm", "z_mm"), *((x, 4e-4 * x**2, 0) for x in range(40))]:
+        book.active.append(row)
+    book.save("curves.xlsx")
+    shutil.copytree(shipped_folder() / "data/sample_scan", tmp_path, dirs_exist_ok=True)
+    leave_run(tmp_path / "reports/study3")
+    leave_run(tmp_path / "old/study3")
     if command == "check":
         write_mine(tmp_path / "mydata")
     assert words[: len(command.split())] == command.split()

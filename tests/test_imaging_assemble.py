@@ -2,21 +2,33 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from reconstruction_cases import small
 
 from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
+from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
 from needlefit.imaging.reconstruct import collect_warnings
+from needlefit.imaging.scans import read_scans
+from needlefit.project.locate import shipped_folder
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 RECIPE = ReconstructionRecord(schema=1)
-ABOUT = DatasetDescription("mine", "Mine", notes="As scanned.", media={"phantom1": "A box."})
+ABOUT = DatasetDescription("mine", "Mine", notes="As scanned.", media={"phantom2": "A box."})
+
+
+@cache
+def small():
+    """The shipped sample with the pose of its shaft and the one surface that its needle crosses."""
+    (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
+    free = replace(scan, stage=None, bevel=None, layers=None, layers_alternative=None)
+    ((one,),) = reconstruct_all([free], RECIPE, ReconstructionBatch())
+    return replace(one, layers=replace(one.layers, surfaces=one.layers.surfaces[:1]))
 
 
 def named(name, **changes):
@@ -43,16 +55,17 @@ def test_the_dataset_records_what_was_reconstructed(tmp_path):
     assert first.sd == pytest.approx(one.sd, abs=1e-4)
     assert first.patient.rotation == pytest.approx(one.patient.rotation, abs=1e-7)
     assert first.boundaries == pytest.approx(one.layers.boundaries, abs=2e-3)
-    assert first.boundary_sd == pytest.approx(0.12)
+    assert first.boundary_sd == pytest.approx(one.layers.sd[0], abs=1e-4)
     assert first.depth_sd == pytest.approx(one.depth_sd, abs=1e-4)
-    assert (first.pose_shift_sd, first.pose_source) == (0.04, "shaft")
+    assert first.pose_shift_sd == pytest.approx(one.pose.shift_sd, abs=1e-4)
+    assert first.pose_source == "shaft"
     assert dataset.noise.registration_mean == pytest.approx(one.target_error.mean(), abs=1e-4)
     assert dataset.noise.correlated_sd == pytest.approx(np.sqrt(np.mean(one.sd**2)), abs=1e-4)
 
 
 def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
     assemble_dataset(tmp_path / "shared", [named("a"), named("b")], RECIPE, ABOUT)
-    assert [file.name for file in (tmp_path / "shared" / "layers").iterdir()] == ["phantom1_interface1.stl"]
+    assert [file.name for file in (tmp_path / "shared" / "layers").iterdir()] == ["phantom2_interface1.stl"]
     into = small().frame.rotation[:, 0]
     assemble_dataset(tmp_path / "own", [named("a"), shifted(named("b"), 0.5 * into)], RECIPE, ABOUT)
     assert sorted(file.name for file in (tmp_path / "own" / "layers").iterdir()) == ["a_1.stl", "b_1.stl"]
@@ -100,7 +113,7 @@ def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     assert kept == () and not (tmp_path / "out").exists()
     assert [one.scan.id for one in failed] == ["a", "b"]
     message = str(failed[0].error)
-    assert message.startswith("scans/phantom1-03.nrrd: ") and "20 mm" in message
+    assert message.startswith(f"{small().scan.volume}: ") and "20 mm" in message
     assert "needle.length_mm" in message and "recipe" in message and "dataset.toml" not in message
 
 

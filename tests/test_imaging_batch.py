@@ -3,7 +3,6 @@
 import pickle
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from needlefit.project.progress import never_stop
 from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 RECIPE = ReconstructionRecord(schema=1)
 
 
@@ -57,24 +55,6 @@ def worked(monkeypatch, reconstructed):
     return Worked(monkeypatch, reconstructed)
 
 
-@pytest.mark.sweep
-def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_path):
-    truncated = tmp_path / "truncated.nrrd"
-    truncated.write_bytes(sample.volume.read_bytes()[:50_000])
-    scans = [
-        replace(sample, id="truncated", volume=truncated),
-        sample,
-        replace(sample, id="gone", volume=tmp_path / "x"),
-    ]
-    steps = []
-    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(progress=lambda *step: steps.append(step)))
-    assert [type(one) is ReconstructionFailure for (one,) in found] == [True, False, True]
-    (first,), (second,), _ = found
-    assert first.scan.id == "truncated" and str(truncated) in str(first.error)
-    assert second.depth == pytest.approx(25.0, abs=0.3)
-    assert steps[-1][1:] == (3, 3)
-
-
 def test_an_error_of_the_program_is_no_error_of_the_scan(sample, monkeypatch):
     def broken(*_):
         raise ZeroDivisionError
@@ -104,20 +84,6 @@ def test_another_machine_gets_the_files_and_gives_the_same_reconstruction(sample
         np.testing.assert_array_equal(arrays[0][name], one)
     (missed,) = there[1]
     assert missed.scan == gone and str(gone.volume) in str(missed.error)
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, monkeypatch, jobs):
-    header = next(path for path in CORPUS if path.name == "crash-labels-1-900.seg.nrrd")
-    crashing = tmp_path / "crashing.nrrd"
-    crashing.write_bytes(header.read_bytes())
-    monkeypatch.setattr("needlefit.project.tasks.can_fork", lambda: False)
-    scans = [replace(sample, id="crashing", volume=crashing), sample]
-    (first,), (second,) = reconstruct_all(scans, RECIPE, ReconstructionBatch(LocalPool(jobs)))
-    assert isinstance(first, ReconstructionFailure) and str(crashing) in str(first.error)
-    assert "exit code -" in str(first.error)
-    assert second.depth == pytest.approx(25.0, abs=0.3)
 
 
 def kept(folder):

@@ -176,18 +176,14 @@ def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults()
 TRUTH = cases.axis(tip=(1.0, 2.0, 28.0))
 
 
-def trace(volume, needle=cases.RECIPE):
-    return centerline.trace_needle(volume, select_needle(volume, needle).needle, needle)
-
-
 @pytest.mark.sweep
 def test_a_model_that_is_not_to_be_trusted_gives_way_to_the_threshold(monkeypatch):
     volume = cases.scan(TRUTH)
-    by_model = trace(volume)
+    by_model = found(volume)
     assert by_model.tip_source == "model"
     assert abs(by_model.tip_disagreement) < 0.5
     monkeypatch.setattr(tip, "MAX_MODEL_SD_MM", 1e-6)
-    by_threshold = trace(volume)
+    by_threshold = found(volume)
     assert by_threshold.tip_source == "threshold"
     assert np.isnan(by_threshold.bevel).all()
     assert np.linalg.norm(by_threshold.tip - TRUTH[-1]) < 0.6

@@ -137,7 +137,7 @@ def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
 def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
     (path,) = two_needles(tmp_path)
     words = ["reconstruct", path, "-q", "--out"]
-    assert run(*map(str, [*words, tmp_path / "out"])) == 3
+    assert run(*words, tmp_path / "out") == 3
     volume, recipe = read_volume(path), ReconstructionRecord(schema=1)
     ends = find_ends(volume, find_tubes(volume, recipe)[0])
     points = [
@@ -151,6 +151,6 @@ def test_a_refused_scan_is_corrected_by_points_that_are_added(tmp_path, capsys):
     }
     file = tmp_path / "mine.mrk.json"
     file.write_text(json.dumps({"markups": [one]}))
-    assert run(*map(str, [*words, tmp_path / "out", "--corrections", file])) == 0
+    assert run(*words, tmp_path / "out", "--corrections", file) == 0
     (row,) = pd.read_csv(tmp_path / "out/reconstruction.csv").to_dict(orient="records")
     assert row["depth_mm"] > 20 and "correct" in row["warnings"]

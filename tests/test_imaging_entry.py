@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from layer_cases import save_mesh
 from numpy.testing import assert_allclose
-from reconstruction_cases import small_scan
 from refusals import refusal
 from scipy.special import ndtr
 
@@ -152,7 +151,7 @@ FACE_MM = cases.ENTRY[2]
 
 
 def scan(folder, mesh):
-    write_volume(small_scan(), folder / "small.nrrd")
+    write_volume(cases.scan(cases.axis(curve=(0.0, 3.0))), folder / "small.nrrd")
     own = LayerSource(save_mesh(folder / "own.stl", mesh), into=1)
     return Scan("small", folder / "small.nrrd", "box", surfaces=(own,), surfaces_in="scan")
 

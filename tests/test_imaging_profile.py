@@ -74,9 +74,6 @@ def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
     assert sd < 0.12
 
 
-# the profile
-
-
 # pictures
 
 

@@ -26,12 +26,6 @@ def pose_of(rng):
     return Frame(rng.normal(size=3) * 100, Rotation.random(rng=rng).as_matrix())
 
 
-def proper(rotation):
-    return abs(np.linalg.det(rotation) - 1) < 1e-12 and np.allclose(
-        rotation @ rotation.T, np.eye(3), atol=1e-12
-    )
-
-
 # known poses
 
 
@@ -45,7 +39,8 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     np.testing.assert_allclose(
         scan_frame(registration).to_world(pose.to_local(3 * SQUARE)), 3 * SQUARE, atol=1e-9
     )
-    assert proper(registration.rotation)
+    turn = registration.rotation
+    assert abs(np.linalg.det(turn) - 1) < 1e-12 and np.allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert registration.fre < 1e-9
     assert registration.warnings == ()
 
@@ -167,6 +162,3 @@ def test_unrelated_markers_three_of_many_and_understated_noise_are_refused():
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     assert "no pairing" in refused(found, LAYOUT, 0.03)
-
-
-# pairings

@@ -11,9 +11,9 @@ import trimesh
 from import_cases import plan_import
 from refusals import refusal
 from scipy.io import savemat
+from test_cli import run
 
 from needlefit.api import score_study, validate
-from needlefit.cli import main
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.synonyms import read_header
@@ -66,11 +66,6 @@ def points_of(paths, **options):
     """Return the points of the curves, mm, as they are written."""
     content, _ = plan_import(paths, Answers({key.replace("_", " "): text for key, text in options.items()}))
     return [one.points for one in content.curves]
-
-
-def run(*words):
-    ending = refusal(SystemExit, "", lambda: main([str(word) for word in words]))
-    return ending.code
 
 
 # ---- headers, numbers, units

@@ -6,21 +6,15 @@ import numpy as np
 import test_inference_document as document
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
-from sampling_cases import Known, banana, two_hills
-from test_inference_identify import COVARIANCE, fit_at, predict_data, tied_problem
-from test_inference_importance import weighted
+from test_inference_identify import fit_at, tied_problem
 from test_inference_predict import measured as bent
-from test_inference_specimens import BOUNDS, MODEL, NOTHING_STATED, gaussian
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
 from needlefit.inference.baseline_fit import fit_baselines
-from needlefit.inference.identifiability.design_gain import nested_gain
 from needlefit.inference.identifiability.identify import identify, profile_parameters
-from needlefit.inference.predict import PredictiveMixture, cdf, crps, draw_from_prior, interval, quantile
+from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import make_problem
-from needlefit.inference.sampling.importance import resample
-from needlefit.inference.specimens import Population, make_specimen
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
@@ -45,22 +39,8 @@ def test_verdicts_profiles_and_designs():
     assert_golden("identifiability", found, rtol=1e-4)
 
 
-def test_gains_and_specimens():
-    thetas = rng().multivariate_normal([0.0, 0.0], COVARIANCE, size=200)
-    of, by_depth = np.arange(60), np.array([0.5, -1.0, 2.0])
-    means = rng().multivariate_normal([10.0, -1.6], np.diag([0.16, 0.04]), size=5)
-    known = [make_specimen(gaussian(mean, COVARIANCE, n)[::10]) for n, mean in enumerate(means)]
-    posterior = Population(tuple(known), BOUNDS, MODEL, NOTHING_STATED).posterior(rng())
-    found = {
-        "gain": nested_gain(predict_data(thetas, by_depth), of, thetas, rng()),
-        "posterior": [posterior.thetas.mean(axis=0), posterior.thetas.std(axis=0), posterior.k],
-    }
-    assert_golden("gains", found)
-
-
-def test_baselines_and_predictive_distributions():
+def test_baselines():
     shapes = [bent(d, (1e-3, 1e-5, 1e-7), side) for d, side in ((80.0, 1), (95.0, -1))]
-    mixture = PredictiveMixture(rng().standard_t(3, size=(300, 2)), np.array([0.3, 0.05]))
     found = {
         pose: {
             name: [*one.coefficients, one.curve(shapes[0])(np.array([20.0, 77.0]))]
@@ -68,15 +48,7 @@ def test_baselines_and_predictive_distributions():
         }
         for pose in ("known", "free")
     }
-    scores = [crps(mixture, [0.3, -1.0]), cdf(mixture, [0.3, -1.0]), quantile(mixture, 0.9)]
-    assert_golden("baselines", {**found, "mixture": [*scores, *interval(mixture, 0.95)]})
-
-
-def test_weighted_draws():
-    modes = [[5.0, 0.0], [-5.0, 0.0]]
-    hills, bent = weighted(Known(two_hills), modes), weighted(Known(banana, half=40.0))
-    kept = [resample(bent, size, rng()) for size in (40, 4000)]
-    assert_golden("weighted_draws", {"hills": hills, "banana": bent, "kept": kept}, rtol=1e-4)
+    assert_golden("baselines", found)
 
 
 DENSITIES: dict[str, tuple[dict, dict, dict]] = {  # by changes of the data set, its noise and the likelihood

@@ -20,7 +20,7 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.identifiability.precision import (
     STATED_TIES,
 )
-from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group, make_nodes
+from needlefit.inference.likelihood.nodes import ErrorAxis, Nodes, make_group
 from needlefit.inference.parameters import loosen_ties
 from needlefit.studies.identification import identify_parameters
 
@@ -242,14 +242,3 @@ def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_dep
     assert found.nats == pytest.approx(nats, abs=3.5 * found.nats_se)
     assert found.nats_se < 0.06
     assert found.sds == pytest.approx(np.sqrt(np.diag(after)), rel=0.05)
-
-
-def test_uninformative_data_have_no_gain():
-    rng = np.random.default_rng(4)
-    thetas = rng.standard_normal((100, 1))
-    group = make_group(make_nodes(insertion(30.0), np.empty(0), "fixed"))
-    logs = np.full(100, -np.log(100.0))
-    blind = design_gain.PredictedData(logs, np.ones(100), np.zeros(100), np.zeros((100, 1, 5)), group)
-    found = design_gain.nested_gain(blind, np.arange(30), thetas, rng)
-    assert found.nats == pytest.approx(0.0, abs=1e-12)
-    assert found.effective_sample_size == pytest.approx(100.0)

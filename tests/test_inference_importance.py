@@ -148,8 +148,3 @@ def test_resampled_draws_stand_once_and_by_their_weight():
     found = WeightedDraws(wide[:, None], np.zeros(1000), log_weights, 0.0, 250.0, 0.0)
     exact = np.sqrt(np.exp(log_weights) @ wide**2)
     assert np.std(wide[resample(found, 1000, rng)]) == pytest.approx(exact, rel=0.02)
-
-
-# ---- how probable further data are: evidences of linear Gaussian data
-
-SD, FREE = 0.02, 4

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from inference_cases import BEVEL, MU, assert_one_density, insertion, measure, problem
+from test_inference_identify import fit_at
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.fit import Fit, Start
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.identify import (
     identify,
@@ -37,19 +37,13 @@ def make_case(law, thickness=3.0, **stated):
     return problem(record, made, noise=Noise(point_sd=0.02)), truth
 
 
-def exact_fit(p, truth):
-    theta = tuple(p.parameters.theta(truth).tolist())
-    start = Start(0, theta, theta, p.objective(np.array(theta)), 1, 0, "tolerance")
-    return Fit(theta, p.values(theta), start.objective, (start,), 1, 0, False)
-
-
 @pytest.mark.parametrize("law", SHAPE)
 def test_information_verdict_and_scene_have_every_parameter_of_a_law(law):
     p, truth = make_case(law)
     assert set(p.names) == set(truth)
     usual = {f"{one.name}{layer}": one.usual for one in LAWS[law].parameters for layer in (1, 2)}
     assert {name: p.parameters.bounds[name] for name in usual} == usual
-    verdict = identify(p, exact_fit(p, truth))
+    verdict = identify(p, fit_at(p, truth))
     assert set(verdict.sds) == set(truth) and all(np.isfinite(sd) for sd in verdict.sds.values())
     for name, (low, high) in usual.items():
         assert name.endswith("2") or verdict.sds[name] <= 1.01 * (high - low) / np.sqrt(12)

@@ -89,6 +89,3 @@ def case(name, **options):
 @pytest.mark.parametrize("name", CASES)
 def test_values_and_derivatives_are_of_one_density(name, pose):
     assert_one_density(*case(name, pose=pose, drop=3.0 if pose == "free" else 0.0))
-
-
-# ---- what a set of values gives depends neither on the sets beside it nor on threads: to the bit

@@ -6,7 +6,7 @@ from dataclasses import replace
 import needles
 import numpy as np
 import pytest
-from inference_cases import assert_one_density
+from inference_cases import TRUTH, assert_one_density, medium
 from numpy.testing import assert_allclose
 from refusals import refusal
 
@@ -31,25 +31,10 @@ from needlefit.inference.likelihood.observation import (
 from needlefit.inference.problem import make_problem
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 from needlefit.studies.simulated_data import simulate_measurement
 
-TRUE = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": needles.BEVEL}
-MEDIUM = MediumRecord.model_validate(
-    {
-        "schema": 1,
-        "title": "gel",
-        "layers": 2,
-        "parameters": {
-            "mu1_pa": {"bounds": [1e3, 1e9]},
-            "alpha1": {"fixed": 1.0},
-            "mu2_pa": {"bounds": [1e3, 1e9]},
-            "alpha2": {"fixed": -1.0},
-            "bevel_mm": {"bounds": [1e-3, 0.5]},
-        },
-    }
-)
+TRUE, MEDIUM = TRUTH | {"bevel_mm": needles.BEVEL}, medium()
 KNOT, SIGMA = 15.0, 0.02
 
 

@@ -16,23 +16,18 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import NeedleRecord
 
 UNUSUAL = {"thickness_mm": 3.0, "law": "neo_hookean", "constraint_spacing_mm": 2.0}
 
 
-def unusual(*kept: str) -> MediumRecord:
-    """A medium that differs from the default one in the given keys."""
-    return medium().model_copy(update={key: UNUSUAL[key] for key in kept})
-
-
 def test_a_prediction_is_the_simulation_that_the_medium_describes():
-    met = make_tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), unusual(*UNUSUAL))
+    unusual = medium().model_copy(update=UNUSUAL)
+    met = make_tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), unusual)
     assert met.thickness.tolist() == [3.0, 3.0, 3.0]
     assert met.law == "neo_hookean"
     planned = insertion(31.3, (12.0,), (1, 2), -1)
-    got = predict(TRUTH, unusual(*UNUSUAL), NEEDLE, planned)
+    got = predict(TRUTH, unusual, NEEDLE, planned)
     met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
     options = ModelOptions(2.0, 1.0, MAX_TOLERANCE_MM)
     meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), options)

@@ -76,11 +76,6 @@ def test_the_predictive_median_is_judged_where_there_is_one():
     assert [one.status for one in (results.verdicts[0], both.verdicts[0])] == ["pass", "warn"]
 
 
-def test_several_groups_share_one_verdict():
-    (verdict,) = study(1).verdicts
-    assert verdict.numbers["insertions"] == 7
-
-
 def test_what_is_not_complete_passes_nowhere():
     good = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
     assert good.verdicts[0].status == "pass"

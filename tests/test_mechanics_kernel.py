@@ -78,14 +78,6 @@ def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle() -> None:
     np.testing.assert_allclose(np.hypot(place[:, 0] + 95.0, place[:, 1] - radius), radius, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_points_in_the_plane_are_those_of_the_reference(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    shape = simulate_steps(*random_case(rng))
-    s = np.union1d(shape.x, rng.uniform(shape.x[0], shape.depth, 100))
-    np.testing.assert_allclose(compute_positions(shape, s), reference.compute_positions(shape, s), atol=1e-6)
-
-
 # ---- numbers of the kernel that no comparison of shapes determines
 
 DEPTH = 55.0

@@ -13,7 +13,6 @@ from needlefit.mechanics.batch import (
     Batch,
     Jacobians,
     compute_batch_positions,
-    differentiate_batch_positions,
     linearize,
     linearize_batches,
     linearize_steps,
@@ -83,28 +82,6 @@ def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_dee
     np.testing.assert_allclose(found.u[:, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
 
 
-def test_points_in_the_plane_move_as_finite_differences() -> None:
-    controls = Controls(base_slope=0.01, guides=(Guide(-15.0, 0.2, None), Guide(4.6, 0.3, in_tissue=True)))
-    rules = ModelOptions(tolerance=1e-11)
-    batch = Batch(NEEDLE, PHANTOM, (Step(25.0, Bevel(0.15), controls),), rules, offset=np.array([0.15]))
-    shapes, found = linearize_batch(batch, ("offset", "guides"))
-    s = np.array([-100.0, -15.5, -3.0, 0.0, 4.3, 4.9, 12.5, 25.0])
-    (moves,) = differentiate_batch_positions(shapes, found, s)
-    assert moves.shape == (8, 2, 7)
-
-    def points(offset: float = 0.0, before: float = 0.0, within: float = 0.0) -> np.ndarray:
-        guides = (Guide(-15.0 + before, 0.2, None), Guide(4.6 + within, 0.3, in_tissue=True))
-        moved_controls = Controls(base_slope=0.01, guides=guides)
-        return compute_positions(
-            simulate(NEEDLE, PHANTOM, Bevel(0.15 + offset), 25.0, moved_controls, rules), s
-        )
-
-    for column, name in ((0, "offset"), (1, "before"), (4, "within")):
-        slope = (points(**{name: 1e-4}) - points(**{name: -1e-4})) / 2e-4
-        assert np.abs(slope).max() > 1e-3
-        np.testing.assert_allclose(moves[:, :, column], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
-
-
 def test_failed_needles_and_unknown_kinds_have_no_derivatives():
     shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
     assert shape.status == "over-compressed"
@@ -120,8 +97,8 @@ GUIDED = Controls(0.2, 0.004, 0.002, (Guide(-9.0, 0.1, None), Guide(3.7, 0.05, i
 STEPS = (Step(6.0, Bevel(0.1), GUIDED), Step(11.4, Bevel(0.05, -1), GUIDED))
 
 
-def linearize_batch(batch: Batch, wrt=DERIVATIVE_KINDS, threads: int | None = None):
-    ((shapes, jacobians),) = linearize_batches([batch], wrt, threads)
+def linearize_batch(batch: Batch):
+    ((shapes, jacobians),) = linearize_batches([batch], DERIVATIVE_KINDS)
     return shapes, jacobians
 
 

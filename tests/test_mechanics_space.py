@@ -317,7 +317,6 @@ def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z() -> None:
 
 # ---- the roll lag
 
-FREE = Tissue(mu=[0.2], alpha=[1.0])
 TWISTED = Tissue(mu=[0.2], alpha=[1.0], torsional_friction=0.5)
 
 
@@ -346,12 +345,3 @@ def test_a_retraction_lets_the_tip_follow_and_sub_steps_change_nothing() -> None
     assert find_roll(one) == pytest.approx(90.0 - compute_roll_lag(NEEDLE, TWISTED, 5.0))
     out = turn_tip(NEEDLE, TWISTED, [*back[:2], Step(0.0, turned)])[-1].bevel
     assert out == turned
-
-
-def test_a_lagging_needle_leaves_its_plane_when_it_is_turned_over() -> None:
-    steps = Step(15.0, Bevel(0.1)), Step(25.0, Bevel(0.1, -1))
-    shape = reference.simulate_steps(NEEDLE, TWISTED, steps)
-    behind = Bevel(0.1, roll_deg=180.0 - compute_roll_lag(NEEDLE, TWISTED, 15.0))
-    expected = reference.simulate_steps(NEEDLE, FREE, (steps[0], Step(25.0, behind)))
-    assert shape.w is not None and expected.w is not None and abs(shape.w[-1]) > 0.01
-    np.testing.assert_allclose(shape.w, expected.w, atol=1e-9)

@@ -21,11 +21,6 @@ pytestmark = pytest.mark.skipif(
     not needle_page.kernel_exists(), reason="a system compiler has built no WebAssembly"
 )
 ROOT = Path(__file__).parents[1]
-PACKAGE = Path(needle_page.__file__).parents[1]
-MODULES = sorted((PACKAGE / "viewer/page").rglob("*.js"))
-IMPORTS = re.compile(r"""^import (?:([^"]*?) from )?"([^"]+)";$""", re.MULTILINE)
-EXPORTS = re.compile(r"^export (?:async )?(?:function\*?|class|const|let) (\w+)", re.MULTILINE)
-LISTS = re.compile(r"^export (?:const )?\{([^}]*)\}", re.MULTILINE)
 MOST_BYTES = 1_500_000
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -49,19 +44,6 @@ def page(result, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
     path.write_bytes(compile_html(compose_run_report(result, {})))
     return path
-
-
-def list_exports(module: Path) -> set[str]:
-    text = module.read_text("utf-8")
-    lists = [name.strip() for found in LISTS.findall(text) for name in found.split(",")]
-    return {*EXPORTS.findall(text), *lists}
-
-
-@pytest.mark.parametrize("module", MODULES, ids=lambda one: one.name)
-def test_every_name_that_a_module_imports_is_exported(module) -> None:
-    for names, path in IMPORTS.findall(module.read_text("utf-8")):
-        wanted = {one.split(" as ")[0].strip() for one in names.strip("{} \n").split(",")} - {"", "*"}
-        assert wanted <= list_exports((module.parent / path).resolve())
 
 
 @pytest.mark.skipif(not (ROOT / "node_modules/.bin/tsc").exists(), reason="`npm ci` has installed no tsc")

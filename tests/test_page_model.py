@@ -69,10 +69,6 @@ console.log(JSON.stringify({found, band, forces}))
 """
 
 
-def to_hex(array: np.ndarray) -> str:
-    return np.ascontiguousarray(array, dtype=np.float64).tobytes().hex()
-
-
 def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = None) -> dict[str, Any]:
     program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
     program = program.replace("PAGE", repr((PAGE / "model").as_uri() + "/"))
@@ -186,7 +182,8 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         shape = steering.now.shape
         assert found["tip"] == shape.tip_lateral
         parts = (shape.x, *list_planes(shape), shape.constraints)
-        assert found["shape"] == [to_hex(a) for a in parts]
+        parts = [np.ascontiguousarray(one, dtype=np.float64) for one in parts]
+        assert found["shape"] == [one.tobytes().hex() for one in parts]
         assert found["reach"] == steering.reach()
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
         expected = compute_validity(shape)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from light_runs import draw_blank, predict_by_few_draws
+from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from reporting_results import skip_figures
 from test_cli import run
@@ -19,64 +19,13 @@ from needlefit import plugins
 from needlefit.errors import ConfigError
 from needlefit.mechanics.laws import LAWS
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
-from needlefit.project.locate import find_file
 from needlefit.registry import Registry
 
-STUDY = """\
-schema = 2
-title = "Small"
-dataset = "twin"
-medium = "phantom2"
-recipe = "small"
-paper_study = 2
-tune = { insertions = ["phantom2-16"] }
-validate = [{ insertions = ["phantom2-15"] }]
-"""
-
-
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return install(tmp_path_factory.mktemp("site"))
-
 
 @pytest.fixture
-def plugin(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with plugin_folder(site, monkeypatch):
+def plugin(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with plugin_folder(install(tmp_path_factory.mktemp("site")), monkeypatch):
         yield
-
-
-@pytest.fixture(scope="module")
-def project(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which a small study was run with the plugin."""
-    folder = tmp_path_factory.mktemp("project")
-    (folder / "studies").mkdir()
-    (folder / "studies/small.toml").write_text(STUDY, encoding="utf-8")
-    recipe = find_file("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 1")
-    (folder / "configs/recipes").mkdir(parents=True)
-    (folder / "configs/recipes/small.toml").write_text(recipe, encoding="utf-8")
-    with pytest.MonkeyPatch.context() as patch, plugin_folder(site, patch):
-        patch.chdir(folder)
-        draw_blank(patch)
-        predict_by_few_draws(patch)
-        assert run("validate", "small", "-q") == 0
-    return folder
-
-
-@pytest.fixture
-def report(project: Path, plugin: None, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The result's folder, with the plugin in use."""
-    monkeypatch.chdir(project)
-    return project / "reports/small"
-
-
-def test_a_metric_and_a_baseline_are_in_every_table(report: Path) -> None:
-    errors = pd.read_csv(report / "errors.csv")
-    assert errors[["end_error_mm", "floor_end_error_mm"]].gt(0).all(axis=None)
-    assert set(errors.loc[errors["method"] == "parabola", "role"]) == {"tune", "validate"}
-    for name in ("validation", "tuning"):
-        rows = pd.read_csv(report / f"{name}.csv").query("metric == 'end_error_mm'")
-        assert {"fitted", "straight", "parabola"} <= set(rows["method"])
-        assert rows[["value", "floor"]].gt(0).all(axis=None) and rows["paper"].isna().all()
 
 
 @pytest.mark.sweep
@@ -110,6 +59,7 @@ bevel_mm = { bounds = [1e-3, 0.5] }
 
 LAW_STUDY = """schema = 2
 title = "Mine"
+paper_study = 2
 dataset = "mine"
 medium = "soft"
 recipe = "tiny"
@@ -178,6 +128,13 @@ def test_a_study_with_everything_of_a_plugin(
     version = stored["versions"][EXAMPLE]
     assert version == VERSION if not options else version.startswith("sha256:")
     assert stored["rules"]["law"] == "logarithmic"
+    errors = pd.read_csv("reports/mine/errors.csv")
+    assert errors[["end_error_mm", "floor_end_error_mm"]].gt(0).all(axis=None)
+    assert set(errors.loc[errors["method"] == "parabola", "role"]) == {"tune", "validate"}
+    for name in ("validation", "tuning"):
+        rows = pd.read_csv(f"reports/mine/{name}.csv").query("metric == 'end_error_mm'")
+        assert {"fitted", "straight", "parabola"} <= set(rows["method"])
+        assert rows[["value", "floor"]].gt(0).all(axis=None) and rows["paper"].isna().all()
     assert run("report", "mine", *options) == 0
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_again import read_files
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.fit import Start, keep_start, read_starts
@@ -189,10 +190,6 @@ def test_what_does_not_agree_with_the_manifest_is_named(tmp_path):
             require_unchanged(folder)
 
 
-def everything(folder):
-    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
 def test_an_unchanged_result_is_replaced_and_has_the_same_manifest(tmp_path):
     folder = tmp_path / "out"
     write(folder)
@@ -217,11 +214,11 @@ def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     write(folder)
     (folder / file).parent.mkdir(exist_ok=True)
     (folder / file).write_text("mine")
-    before = everything(tmp_path)
+    before = read_files(tmp_path)
     with pytest.raises(ConfigError) as error:
         write(folder, "two")
     assert file in str(error.value) and "--out" in error.value.fix
-    assert everything(tmp_path) == before
+    assert read_files(tmp_path) == before
 
 
 def test_links_are_kept_and_not_followed(tmp_path):

@@ -53,9 +53,6 @@ def test_the_scene_s_references_lead_to_nodes_and_files_that_lie_where_they_did(
     assert {tag: tags.count(tag) for tag in counts} == counts
     for file in (tmp_path / "sample/Data").glob("*.mrk.json"):
         assert len(json.loads(file.read_text())["markups"]) == 1
-    bundle = exported / "one/slicer/sample.mrb"
-    with zipfile.ZipFile(bundle) as archive:
-        archive.extractall(tmp_path)
     scan = read_volume(exported / "scans/volumes/sample.nrrd")
     again = read_volume(tmp_path / "sample/Data/scan.nrrd")
     np.testing.assert_array_equal(again.values, scan.values)

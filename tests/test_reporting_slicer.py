@@ -113,19 +113,12 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
     assert placed["needle-4"].band is None and placed["needle-1"].band is None
 
 
-def turned(folder: Path) -> None:
-    """Let the scan stand in the world by a half turn about z and a shift."""
-    file = folder / "data" / "needles" / "dataset.toml"
-    motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
-    text = file.read_text()
-    assert text.count("[frame]") == 1
-    file.write_text(text.replace("[frame]", f"[frame]\n{motion}"))
-
-
 @pytest.mark.sweep
 def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     world = read_needles(run("needles", study(), Settings()).frames["needles"])
-    turned(project)
+    file = project / "data" / "needles" / "dataset.toml"  # by a half turn about z and a shift
+    motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
+    file.write_text(file.read_text().replace("[frame]", f"[frame]\n{motion}"))
     results = run("needles", study(), Settings())
     out, again = tmp_path / "slicer", tmp_path / "again"
     write_needles(results.frames["needles"], results.synthetic, out)

@@ -8,7 +8,7 @@ from page_files import ALL_STATES, open_offline, read_page_data
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 from needlefit.mechanics.scene import Scene
-from needlefit.reporting.needle_page import PageData, compose_file, kernel_exists
+from needlefit.reporting.needle_page import kernel_exists
 from needlefit.viewer.export import compose_share, export
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording, replay
@@ -62,14 +62,10 @@ def test_the_file_holds_the_recording_and_no_address(shared) -> None:
     assert text.encode() == export(RECORDING, "share.html")
 
 
-def test_hostile_names_are_escaped() -> None:
-    data = PageData({"needlefit": HOSTILE})
-    text = compose_file(HOSTILE, HOSTILE, data)
-    assert "<img" not in text and read_page_data(text)["needlefit"] == HOSTILE
-
-
 def test_laws_that_are_tables_come_along(tabulated) -> None:
-    (needle,) = read_page_data(compose_share(read_recording(tabulated)))["needles"]
+    text = compose_share(read_recording(tabulated))
+    (needle,) = read_page_data(text)["needles"]
+    assert "<img" not in text and needle["scene"]["title"] == HOSTILE
     law = needle["scene"]["simulation"]["law"]
     assert law["terms"] is None
     assert [shape for shape, _ in law["tables"]] == [[[2, 5, 5, 5]], [[2, 0.9, 5, 5]], [[5, 0.9, 5, 5]]]

@@ -19,9 +19,6 @@ def quiet(_what, _done, _of):
     """Report nothing."""
 
 
-# ---- what is in a volume
-
-
 # ---- pose, seed, files
 
 

@@ -123,18 +123,12 @@ def paper(name):
         return list(csv.DictReader(file))
 
 
-# ---- the plan
-
-
 @pytest.mark.parametrize("row", paper("insertions.csv"), ids=lambda row: f"{row['medium']}-{row['layers']}")
 def test_counts_and_depth_ranges_are_the_papers(row):
     depths = [p.depth for p in PLAN.values() if (p.medium, str(p.layers)) == (row["medium"], row["layers"])]
     assert len(depths) == int(row["insertions"])
     assert (min(depths), max(depths)) == (float(row["depth_min_mm"]), float(row["depth_max_mm"]))
     assert len(set(depths)) == len(depths)
-
-
-# ---- phantoms and truth
 
 
 # ---- the population of calibration truths

@@ -41,17 +41,13 @@ def _pieces(done: list[str]):
     return {key: piece(key, value) for key, value in values.items()}
 
 
-def _stopping_after(count: int, done: list[str]) -> Settings:
-    return Settings(stop=lambda: len(done) >= count)
-
-
 def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
     whole = list(run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {})))
     assert [part["errors"][0]["of"] for part in whole] == ["a", "b", "c", "d"]
     assert whole[0]["errors"][0]["te_mm"] == THIRD and type(whole[1]["errors"][0]["te_mm"]) is float
     first: list[str] = []
     kept = open_checkpoint(tmp_path, False, {"work": 1})
-    part = list(run_tasks(_pieces(first), "x", _stopping_after(3, first), kept))
+    part = list(run_tasks(_pieces(first), "x", Settings(stop=lambda: len(first) >= 3), kept))
     assert part == whole[:2]  # the third was caught half done
     second: list[str] = []
     again = list(run_tasks(_pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})))

@@ -12,15 +12,11 @@ from light_runs import (
 import needlefit
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import (
     Draws,
     PredictiveMixture,
     simulate_shape_pit,
-    thin_posterior,
 )
-from needlefit.inference.sampling.importance import sample_about_fit
-from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.json_values import to_json_values
@@ -28,7 +24,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import write_json
-from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
@@ -37,7 +33,6 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
 from needlefit.studies.kinds.prediction import (
     REPORT,
-    draw_parameters,
     find_tip,
     forecast,
     make_scene,
@@ -262,23 +257,6 @@ def test_a_posterior_of_other_data_is_refused(job, tmp_path):
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(DataError):
         require_same_configuration(job, read_run(tmp_path), "run")
-
-
-@pytest.mark.sweep
-def test_importance_draws_match_the_posterior(job):
-    """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
-    problem = job.problem(job.folds[0])
-    drawn = draw_parameters(job, None, Settings()).thetas
-    fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    begin, rng = sample_about_fit(problem, fit, np.random.default_rng(3)), np.random.default_rng(2)
-    walked = sample(problem, begin, SampleRecord(independent_draws=2000), rng)
-    assert walked is not None
-    thetas = thin_posterior(walked, job.parameters, 2000).thetas
-    axes = np.linalg.eigh(np.cov(thetas.T))[1]
-    for direction in axes.T:
-        one, two = drawn @ direction, thetas @ direction
-        assert np.median(one) == pytest.approx(np.median(two), abs=0.35 * np.std(two))
-        assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
 
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])

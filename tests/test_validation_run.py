@@ -12,6 +12,7 @@ import pytest
 from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
 from light_runs import predict_by_few_draws
 from scipy.optimize import brentq
+from world import PROJECT
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
@@ -29,15 +30,7 @@ from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, curve_predictor, model_predictor
 from needlefit.studies.validity import list_outside
 
-MEDIUM = """schema = 1
-layers = 2
-[parameters]
-mu1_pa = { bounds = [3e4, 3e6] }
-alpha1 = { fixed = 1.0 }
-mu2_pa = { fixed = 2e7 }
-alpha2 = { fixed = -1.0 }
-bevel_mm = { bounds = [0.02, 0.3] }
-"""
+MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
 RECIPE = """schema = 1
 starts = 4
 evaluations = 250
@@ -119,13 +112,6 @@ def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
         run("hand", study(paper_parameters="chicken"), Settings())
 
 
-def rewrite(project: Path, kind: str, old: str, new: str) -> None:
-    file = project / "configs" / kind / "gel.toml"
-    text = file.read_text()
-    assert old in text
-    file.write_text(text.replace(old, new))
-
-
 def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path) -> None:
     one = [line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0]]
     (project / "configs" / "media" / "gel.toml").write_text(
@@ -136,7 +122,8 @@ def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path
 
 
 def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Path) -> None:
-    rewrite(project, "media", "bevel_mm", "guide_distance_mm = { bounds = [1.0, 120.0] }\nbevel_mm")
+    guided = f"{MEDIUM}\nguide_distance_mm = {{ bounds = [1.0, 120.0] }}\n"
+    (project / "configs" / "media" / "gel.toml").write_text(guided)
     with pytest.raises(ConfigError, match="needle of 150 mm"):
         run("guide", study(), Settings())
 

@@ -13,10 +13,7 @@ from light_runs import predict_by_few_draws
 from made_again import store
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.forward_model import (
-    ParameterDraws,
-    make_simulation_inputs,
-)
+from needlefit.inference.forward_model import make_simulation_inputs
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.insertion_scene import make_scene_record
@@ -84,11 +81,6 @@ def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return made
 
 
-def followed(record: SceneRecord):
-    scene = Scene.from_record(record)
-    return simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
-
-
 def rules(**changes: float) -> MediumRecord:
     return medium().model_copy(update=changes)
 
@@ -121,7 +113,8 @@ def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
     expected = simulate_steps(needle, tissue, steps, sharp)
     assert np.array_equal(sharper.u, expected.u) and np.array_equal(sharper.x, expected.x)
     # a scene is solved to 1e-7 mm, a prediction further, as searches take its derivatives
-    np.testing.assert_allclose(followed(again).u, expected.u, rtol=0, atol=1e-7)
+    coarser = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+    np.testing.assert_allclose(coarser.u, expected.u, rtol=0, atol=1e-7)
 
 
 def test_draws_beside_a_scene_are_checked(tmp_path):
@@ -167,20 +160,16 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert abs(deviations.mean()) < 0.3 and deviations.std() == pytest.approx(np.sqrt(1.5), abs=0.2)
 
 
-def assert_new(new: ParameterDraws, same: ParameterDraws, between: float) -> None:
-    """Where one specimen was tuned on, another one's ln mu differs by N(0, 2 tau^2), tau half-normal."""
-    rng, known = np.random.default_rng(3), np.log(same.mu[:, 0])
-    tau = between * np.abs(rng.standard_normal((100, len(known))))
-    ends = np.quantile(known + np.sqrt(2) * tau * rng.standard_normal(tau.shape), [0.1, 0.25, 0.75, 0.9])
-    off = np.quantile(np.log(new.mu[:, 0]), [0.1, 0.25, 0.75, 0.9]) - ends
-    assert np.all(np.abs(off) < [0.3, 0.15, 0.15, 0.3])  # three standard errors of 400 draws
-
-
 def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
     row = restore_run(project / "reports/small").frames["predictive"].set_index("insertion").loc["needle-3"]
     assert row["specimen_treatment"] == "others"
     new, same = (open_target("small", specimen=one).spread for one in ("new", "same"))
-    assert_new(new, same, row["between_sd_ln_mu"])
+    # One specimen was tuned on: another one's ln mu differs by N(0, 2 tau^2), tau half-normal.
+    rng, known = np.random.default_rng(3), np.log(same.mu[:, 0])
+    tau = row["between_sd_ln_mu"] * np.abs(rng.standard_normal((100, len(known))))
+    ends = np.quantile(known + np.sqrt(2) * tau * rng.standard_normal(tau.shape), [0.1, 0.25, 0.75, 0.9])
+    off = np.quantile(np.log(new.mu[:, 0]), [0.1, 0.25, 0.75, 0.9]) - ends
+    assert np.all(np.abs(off) < [0.3, 0.15, 0.15, 0.3])  # three standard errors of 400 draws
     assert set(new.mu[:, 1]) == set(same.mu[:, 1])  # fixed in the medium
     with pytest.raises(ConfigError, match="nobody"):
         open_target("small", specimen="nobody")

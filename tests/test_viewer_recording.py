@@ -15,17 +15,9 @@ from needlefit.viewer.steering import Change, SteeredNeedle
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
-def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> SteeredNeedle:
-    return SteeredNeedle(Scene.from_record(record), first_cell)
-
-
 def read(step) -> tuple[Change, ...]:
     """Return changes from rows of name, item (where there is one) and value."""
     return tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
-
-
-def act(steering: SteeredNeedle, *changes) -> None:
-    steering.apply(read(changes))
 
 
 WANDERING = [
@@ -51,13 +43,14 @@ def nodes_y(shape) -> np.ndarray:
     return compute_positions(shape, shape.x)[:, 1]
 
 
-def recorded(path, changes=WANDERING, record: SceneRecord = PLAIN, keep: int = 2) -> SteeredNeedle:
+def recorded(path, changes=WANDERING) -> SteeredNeedle:
     """Write a recording of changes; return the needle, with the y of its nodes after each step as `found`."""
-    steering, recorder = steer(record), RecordingWriter(path, make_head("study2", 1.0, record))
+    steering = SteeredNeedle(Scene.from_record(PLAIN), 1.0)
+    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN))
     steering.found = [nodes_y(steering.now.shape)]
     for n, step in enumerate(changes, start=1):
-        act(steering, *step)
-        if n == keep:
+        steering.apply(read(step))
+        if n == 2:
             steering.keep()
         recorder.write(RecordedStep(n, 0.25 * n, read(step), steering.now.shape.tip_lateral))
         steering.found.append(nodes_y(steering.now.shape))
@@ -87,7 +80,7 @@ def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int)
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: .*`depth_m`"),
+        ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: .*`depth_m`.*expected: .*depth_mm"),
         ("depth_mm,,12.34567", "depth_mm,,deep", "`deep`"),
         ("depth_mm,,12.34567", "depth_mm,,nan", "line .*: `nan`"),
         ("1,0.2500,depth_mm", "1,inf,depth_mm", "line .*: `inf`"),
@@ -109,5 +102,6 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
+    fault = fault.replace("line .*", f"line {text[: text.index(old)].count(chr(10)) + 1}")
+    with pytest.raises(NeedlefitError, match=f"(?s)log.csv.*{fault}"):
         list(replay(read_recording(path)))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from inference_cases import medium
 
 from needlefit.datasets.insertion import Dataset, Noise, TipReadings, TipTrack, make_track
 from needlefit.inference.compared_points import pad_planes
@@ -22,17 +23,11 @@ GUIDE = np.array([0.0, 0, 1, 3, 4, 4, 2, 0, -1, -2, -2, 0, 1])
 #: the same across it
 GUIDE_Z = np.array([0.0, 1, 1, 0, -2, -3, -3, -1, 0, 2, 3, 3, 2])
 
-MEDIUM = MediumRecord.model_validate(
-    {
-        "schema": 1,
-        "layers": 1,
-        "parameters": {
-            "mu1_pa": {"bounds": [1e3, 1e7]},
-            "alpha1": {"fixed": 1.0},
-            "bevel_mm": {"bounds": [1e-4, 0.3]},
-            "guide_distance_mm": {"bounds": [2.0, 100.0]},
-        },
-    }
+MEDIUM = medium(
+    1,
+    mu1_pa={"bounds": [1e3, 1e7]},
+    bevel_mm={"bounds": [1e-4, 0.3]},
+    guide_distance_mm={"bounds": [2.0, 100.0]},
 )
 
 HEAD = "run,phantom,at_mm,x_mm,stage_mm,ok\n"

@@ -58,14 +58,13 @@ def saved(name: str, write: Callable[..., object], *arguments: object, **options
 def datasets() -> list[Seed]:
     """A dataset with surfaces, one with a long table, and one of tip tracks."""
     import numpy as np
-    from test_datasets import LONG, block, own_layers, without_checksums
+    from test_datasets import LONG, block, without_checksums
     from track_cases import GUIDE, track
     from track_cases import written as write_tracks
 
     tables = ("dataset.toml", "insertions.csv", "centerlines/a.csv", "centerlines/b.csv")
     plain = written(lambda folder: without_checksums(block(folder)), "dataset.toml", tables)
     meshes = [name for name in plain.files if name.endswith(".stl")]
-    own = written(lambda folder: without_checksums(own_layers(folder)), "dataset.toml", tables)
     checked = written(block, "dataset.toml", ("dataset.toml",))
     rows = [f"{hole},50,{x},{4e-4 * x * x:.4f},0.0" for hole in (1, 2) for x in range(0, 52, 2)]
     files = {
@@ -75,32 +74,22 @@ def datasets() -> list[Seed]:
     runs = [track("r1", GUIDE), track("r2", np.zeros_like(GUIDE))]
     tracks = written(lambda folder: write_tracks(folder, runs), "dataset.toml")
     surfaces, long = Seed(plain.files, plain.opened, tuple(meshes)), Seed(files, "dataset.toml", tuple(files))
-    return [plain, own, checked, surfaces, long, tracks]
+    return [plain, checked, surfaces, long, tracks]
 
 
 # ---- files of other programs
 
-SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema"
-MRK = f"""{{"@schema": "{SCHEMA}/markups-schema-v1.0.3.json#", "markups": [{{"type": "Curve",
-"coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": false, "labelFormat": "%N-%d",
-"controlPoints": [POINTS], "display": {{"visibility": true, "color": [0.4, 1.0, 1.0]}}}}]}}
-"""
-
 
 def markups() -> list[Seed]:
+    from test_datasets_markups import COLUMNS, HEADER, markup, save
+
     points = [(5.0 * k, 0.0, 0.01 * k * k) for k in range(12)]
-    listed = ", ".join(
-        f'{{"id": "{k}", "label": "C-{k}", "position": {list(p)}, "positionStatus": "defined"}}'
-        for k, p in enumerate(points)
-    )
     rows = "".join(f"F_{k},{x},{y},{z},0,0,0,1,1,1,0,F-{k},,,2,0\n" for k, (x, y, z) in enumerate(points))
-    head = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n"
-    columns = "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
     old = "".join(f"p{k},{x},{y},{z},1,1\n" for k, (x, y, z) in enumerate(points))
-    curve = MRK.replace("POINTS", listed)
+    tables = (HEADER.format("4.11", "LPS") + COLUMNS + rows, f"# CoordinateSystem = 0\n{old}")
     return [
-        *(one_file("curve.mrk.json", text) for text in (curve, curve.replace("Curve", "Fiducial"))),
-        *(one_file("curve.fcsv", text) for text in (head + columns + rows, "# CoordinateSystem = 0\n" + old)),
+        *(saved("curve.mrk.json", save, markup(kind, points=points)) for kind in ("Curve", "Fiducial")),
+        *(one_file("curve.fcsv", text) for text in tables),
     ]
 
 
