@@ -20,7 +20,6 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import emcee
-import lmfit
 import numpy as np
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE
 from sampling import prepare_target
@@ -63,6 +62,10 @@ def compare_models() -> tuple[float, float]:
 
 def compare_fits(problem: Problem, fit: Callable[[], Fit]) -> tuple[float, float]:
     """Return the ratio for a fit, and how much lower lmfit's log posterior is."""
+    try:
+        import lmfit
+    except ImportError:
+        raise SystemExit("lmfit is missing: pip install lmfit") from None
 
     def by_lmfit() -> float:
         best = -np.inf
