@@ -18,12 +18,7 @@ from world import build_project
 from needlefit.cli.application import build
 from needlefit.mechanics import scene
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.folders import (
-    MANIFEST,
-    replace_folder,
-    require_output_files,
-    write_manifest,
-)
+from needlefit.project.folders import MANIFEST, replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports

@@ -9,10 +9,7 @@ import pytest
 import trimesh
 from test_datasets import CURVE, X, record, row
 
-from needlefit.datasets.dataset_warnings import (
-    find_side_warnings,
-    measure_scatter,
-)
+from needlefit.datasets.dataset_warnings import find_side_warnings, measure_scatter
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import check, inspect, read
 from needlefit.datasets.write import write_dataset as write_curves

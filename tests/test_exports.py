@@ -14,9 +14,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene, iterate_states
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation
-from needlefit.reporting.figures.needles import (
-    StateFigure,
-)
+from needlefit.reporting.figures.needles import StateFigure
 from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
 from needlefit.viewer.recording import read_recording
 

@@ -17,11 +17,7 @@ from needlefit.geometry.curves import (
     interpolate_at_arc,
     make_normal,
 )
-from needlefit.geometry.frames import (
-    Frame,
-    align_rigid,
-    make_entry_frame,
-)
+from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
 from needlefit.metrics import compute_metrics
 
 seeds = st.integers(0, 2**32 - 1)

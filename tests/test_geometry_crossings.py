@@ -12,12 +12,7 @@ from refusals import refused_file
 
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.meshes import extract_solid
-from needlefit.geometry.surfaces import (
-    find_mesh_faults,
-    make_cylinder,
-    make_sheet,
-    read_surface,
-)
+from needlefit.geometry.surfaces import find_mesh_faults, make_cylinder, make_sheet, read_surface
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -7,9 +7,7 @@ from test_inference_identify import fit_at
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.forward_model import predict
-from needlefit.inference.identifiability.identify import (
-    identify,
-)
+from needlefit.inference.identifiability.identify import identify
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, simulate_scene
 from needlefit.planning.insertion_scene import make_scene_record

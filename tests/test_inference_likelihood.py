@@ -8,10 +8,7 @@ from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
-from needlefit.inference.likelihood.observation import (
-    make_observation,
-    whiten_residuals,
-)
+from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
 from needlefit.schemas.recipe import LikelihoodRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])

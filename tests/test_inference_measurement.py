@@ -14,12 +14,7 @@ from needlefit.datasets.read import check, read
 from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.smoothing_spline import (
-    SplineSections,
-    design_matrix,
-    fit_matrices,
-    make_knots,
-)
+from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices, make_knots
 from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import (

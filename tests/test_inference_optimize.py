@@ -4,28 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import (
-    Analytic,
-    Squares,
-    box,
-    recipe,
-    squares_recipe,
-)
+from inference_cases import Analytic, Squares, box, recipe, squares_recipe
 from refusals import refusal
 
 from needlefit.errors import FitError, ModelError
-from needlefit.inference.fit import (
-    Callbacks,
-    ObjectiveFunction,
-    Start,
-    start_from_dict,
-    start_to_dict,
-)
-from needlefit.inference.optimize import (
-    minimize,
-    select_leaders,
-    starting_points,
-)
+from needlefit.inference.fit import Callbacks, ObjectiveFunction, Start, start_from_dict, start_to_dict
+from needlefit.inference.optimize import minimize, select_leaders, starting_points
 
 
 def bowl(theta):

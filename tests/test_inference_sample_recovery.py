@@ -4,15 +4,7 @@ import dynesty
 import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
-from sampling_cases import (
-    Known,
-    draw,
-    flat,
-    gaussian,
-    standard_errors,
-    two_hills,
-    weighted,
-)
+from sampling_cases import Known, draw, flat, gaussian, standard_errors, two_hills, weighted
 from scipy.stats import truncnorm
 
 pytestmark = pytest.mark.sweep

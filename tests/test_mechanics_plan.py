@@ -4,13 +4,7 @@ import pytest
 
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import (
-    Lattice,
-    Move,
-    make_lattice,
-    make_stops,
-    plan_stops,
-)
+from needlefit.mechanics.plan import Lattice, Move, make_lattice, make_stops, plan_stops
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 

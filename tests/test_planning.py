@@ -27,12 +27,7 @@ from needlefit.planning.goals import (
     make_space_goal,
     read_goal_points,
 )
-from needlefit.planning.steering import (
-    PlanLimits,
-    StartedInsertion,
-    SteeringPlan,
-    plan_steering,
-)
+from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target

@@ -12,13 +12,7 @@ import pytest
 from needlefit.cli.data import copy_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import locate
-from needlefit.project.input_files import (
-    parse_json,
-    parse_toml,
-    read_bytes,
-    read_json,
-    read_text,
-)
+from needlefit.project.input_files import parse_json, parse_toml, read_bytes, read_json, read_text
 from needlefit.project.toml import check, load
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord

@@ -9,19 +9,12 @@ from reporting_results import study
 
 from needlefit.reporting import paper
 from needlefit.reporting.latex import escape_latex, format_cell
-from needlefit.reporting.number_format import (
-    format_number,
-)
+from needlefit.reporting.number_format import format_number
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_tables import lay_out_parameters
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import (
-    aggregate,
-    compare_methods,
-    list_groups,
-    tabulate_validation,
-)
+from needlefit.studies.scored_groups import aggregate, compare_methods, list_groups, tabulate_validation
 
 BY = ("role", "method", "boundaries")
 

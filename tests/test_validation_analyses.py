@@ -8,9 +8,7 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.parameters import (
-    Parameters,
-)
+from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps

@@ -42,12 +42,7 @@ from needlefit.studies.rank_statistics import (
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study
-from needlefit.synthetic.design import (
-    POPULATION,
-    draw_deviations,
-    draw_specimen,
-    list_planned_insertions,
-)
+from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_planned_insertions
 
 STIFF = {"mu1_pa": 0.3, "bevel_mm": 0.95}
 

@@ -5,18 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from light_runs import (
-    do_not_escalate,
-)
+from light_runs import do_not_escalate
 
 import needlefit
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.predict import (
-    Draws,
-    PredictiveMixture,
-    simulate_shape_pit,
-)
+from needlefit.inference.predict import Draws, PredictiveMixture, simulate_shape_pit
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.json_values import to_json_values

@@ -14,10 +14,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.viewer.messages import read_message as read_message
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
-from needlefit.viewer.server import (
-    KERNEL_FILES,
-    AccessControl,
-)
+from needlefit.viewer.server import KERNEL_FILES, AccessControl
 from needlefit.viewer.steering import Change, SteeredNeedle
 from needlefit.viewer.steering_page import SteeringPage
 from needlefit.viewer.trials import TrialRegistry

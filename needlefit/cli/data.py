@@ -10,15 +10,7 @@ import typer
 
 from needlefit.cli import screen
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import (
-    Json,
-    Out,
-    Plugins,
-    Strict,
-    argument,
-    option,
-    split_pair,
-)
+from needlefit.cli.options import Json, Out, Plugins, Strict, argument, option, split_pair
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder

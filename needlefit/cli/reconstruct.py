@@ -108,11 +108,7 @@ def reconstruct(
     with begin(context) as execution:
         from needlefit.datasets.read import inspect
         from needlefit.imaging.assembly import DatasetDescription
-        from needlefit.imaging.batch import (
-            ReconstructionBatch,
-            ReconstructionFailure,
-            reconstruct_all,
-        )
+        from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
         from needlefit.imaging.corrections import correct_scans, list_control_points
         from needlefit.imaging.scans import scan_id
         from needlefit.project.checkpoint import (

@@ -8,12 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack, find_free_reach
-from needlefit.geometry.curves import (
-    COMPARISON_POINTS,
-    ComparedCurves,
-    arc_length,
-    compare_curves,
-)
+from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, arc_length, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 

@@ -60,12 +60,7 @@ from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load, locate_key
 from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import (
-    MIN_SD_MM,
-    DatasetRecord,
-    NoiseRecord,
-    TrackDatasetRecord,
-)
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`

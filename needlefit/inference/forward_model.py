@@ -31,9 +31,7 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.scene import (
-    RulesRecord,
-)
+from needlefit.schemas.scene import RulesRecord
 
 if TYPE_CHECKING:
     import pandas as pd

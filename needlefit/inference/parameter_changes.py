@@ -7,12 +7,7 @@ from needlefit.inference.parameter_names import dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, check_values, state_usual_bounds, without_prior
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.toml import renamed_keys
-from needlefit.schemas.medium import (
-    MAX_CUT_ANGLE_DEG,
-    MIN_CUT_ANGLE_DEG,
-    MediumRecord,
-    ParameterRecord,
-)
+from needlefit.schemas.medium import MAX_CUT_ANGLE_DEG, MIN_CUT_ANGLE_DEG, MediumRecord, ParameterRecord
 
 #: of a modulus that is freed where no other one is free and untied
 MODULUS_BOUNDS_PA = (1e2, 1e9)

@@ -23,11 +23,7 @@ from needlefit.inference.compared_points import (
 )
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.observation import (
-    PLAIN_LIKELIHOOD,
-    Discrepancy,
-    make_observation,
-)
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy, make_observation
 from needlefit.inference.metric_objective import metric_misfit_gradients, metric_misfits, station_weights
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters

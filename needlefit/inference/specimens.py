@@ -31,16 +31,8 @@ from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
-from needlefit.inference.sampling.importance import (
-    Effort,
-    WeightedDraws,
-    resample,
-    sample_by_importance,
-)
-from needlefit.inference.sampling.log_density import (
-    approximate_by_information,
-    difference_information,
-)
+from needlefit.inference.sampling.importance import Effort, WeightedDraws, resample, sample_by_importance
+from needlefit.inference.sampling.log_density import approximate_by_information, difference_information
 from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 #: least and largest tau, in standard deviations of its half-normal prior

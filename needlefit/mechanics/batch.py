@@ -19,13 +19,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle, require_type
-from needlefit.mechanics.packing import (
-    Columns,
-    Evaluation,
-    PreparedInsertion,
-    count_planes,
-    run_evaluations,
-)
+from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, count_planes, run_evaluations
 from needlefit.mechanics.plan import Lattice, count_element_solves
 from needlefit.mechanics.shape import (
     NeedleShape,

@@ -22,14 +22,7 @@ from numpy.polynomial import chebyshev
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
-from needlefit.mechanics.control import (
-    Bevel,
-    Controls,
-    Guide,
-    ModelOptions,
-    Step,
-    TrackedTip,
-)
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.native import (
     MAX_SERIES_COMPRESSION,

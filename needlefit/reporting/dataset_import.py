@@ -22,11 +22,7 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.folders import replace_folder
-from needlefit.reporting.figures.style import (
-    draw,
-    draw_grid,
-    separate_positions,
-)
+from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
 from needlefit.reporting.labels import GREY, INK
 
 PICTURE_FILE = "import.png"

@@ -5,13 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
-from needlefit.schemas.limits import (
-    MAX_DENSITIES,
-    MAX_EVALUATIONS,
-    MAX_SEED,
-    MAX_STARTS,
-    MAX_WALKERS,
-)
+from needlefit.schemas.limits import MAX_DENSITIES, MAX_EVALUATIONS, MAX_SEED, MAX_STARTS, MAX_WALKERS
 
 ObjectiveName = Literal["posterior", "metric"]
 

@@ -13,12 +13,7 @@ from needlefit.reporting.table_files import all_files, write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies import fit_tables
 from needlefit.studies.fit_figures import draw_groups
-from needlefit.studies.report import (
-    compose_warnings,
-    label_figures,
-    state_blocks,
-    write_report,
-)
+from needlefit.studies.report import compose_warnings, label_figures, state_blocks, write_report
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import tabulate_tuning, tabulate_validation
 

@@ -21,9 +21,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.reporting.number_format import (
-    interval_width,
-)
+from needlefit.reporting.number_format import interval_width
 from needlefit.reporting.table_files import Row
 
 

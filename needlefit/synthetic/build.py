@@ -26,12 +26,7 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
 from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.design import (
-    PlannedInsertion,
-    Population,
-    TrueSpecimen,
-    list_planned_insertions,
-)
+from needlefit.synthetic.design import PlannedInsertion, Population, TrueSpecimen, list_planned_insertions
 from needlefit.synthetic.insertion import (
     SUBLAYER_THICKNESS_MM,
     TRUTH_OPTIONS,

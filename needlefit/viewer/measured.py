@@ -13,10 +13,7 @@ from needlefit.datasets.read import read_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.compared_points import select_points
-from needlefit.inference.forward_model import (
-    ParameterDraws,
-    select_layer_draws,
-)
+from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps

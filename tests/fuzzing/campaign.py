@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import Self
 from unittest.mock import patch
 
-from fuzzing.worker import (
-    CASE,
-    MAX_MIB,
-    MAX_SECONDS,
-    Verdict,
-    begin_process,
-    count_inputs,
-    read_mutant,
-)
+from fuzzing.worker import CASE, MAX_MIB, MAX_SECONDS, Verdict, begin_process, count_inputs, read_mutant
 
 
 class Workers:

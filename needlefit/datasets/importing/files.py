@@ -28,12 +28,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.errors import DataError
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.geometry.surfaces import (
-    READ_SUFFIXES,
-    read_coordinate_system,
-    read_surface,
-    transform_surface,
-)
+from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
 from needlefit.project.input_files import is_dir, is_file, path_exists
 
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.

@@ -18,10 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from needlefit.arrays import Floats
-from needlefit.inference.identifiability.precision import (
-    linearize,
-    prior_and_noise_information,
-)
+from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.marginal import stack_residuals
 from needlefit.inference.likelihood.nodes import NodeGroup
 from needlefit.inference.problem import Problem

@@ -36,11 +36,7 @@ from needlefit.inference.identifiability.precision import (
     loosen,
     prior_information,
 )
-from needlefit.inference.identifiability.profile import (
-    LikelihoodProfile,
-    compute_profile,
-    minimize_squares,
-)
+from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile, minimize_squares
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side

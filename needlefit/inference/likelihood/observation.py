@@ -31,14 +31,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, make_tracker_columns
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
 from needlefit.inference.compared_points import pad_planes, rotate_to_entry_axes
-from needlefit.inference.likelihood.nodes import (
-    FRAME,
-    GROUP_GAIN,
-    GROUP_SLOPE,
-    ErrorAxis,
-    Nodes,
-    make_nodes,
-)
+from needlefit.inference.likelihood.nodes import FRAME, GROUP_GAIN, GROUP_SLOPE, ErrorAxis, Nodes, make_nodes
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
 from needlefit.schemas.dataset import MeasurementRecord

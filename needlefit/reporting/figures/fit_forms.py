@@ -32,19 +32,8 @@ from needlefit.reporting.figures.style import (
     draw_grid,
     set_margins,
 )
-from needlefit.reporting.labels import (
-    GREY,
-    INK,
-    METHOD_COLOURS,
-    PAPER_COLOUR,
-    method_colour,
-)
-from needlefit.reporting.number_format import (
-    choose_interval_unit,
-    format_number,
-    typeset,
-    typeset_interval,
-)
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, method_colour
+from needlefit.reporting.number_format import choose_interval_unit, format_number, typeset, typeset_interval
 from needlefit.reporting.table_files import Row, to_records
 
 _OURS = METHOD_COLOURS["fitted"]

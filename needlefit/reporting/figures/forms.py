@@ -11,13 +11,7 @@ from matplotlib.lines import Line2D
 
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.looks import Look, Panel
-from needlefit.reporting.figures.style import (
-    GAP_IN,
-    TEXT_WIDTH_IN,
-    add_legend,
-    draw_grid,
-    set_margins,
-)
+from needlefit.reporting.figures.style import GAP_IN, TEXT_WIDTH_IN, add_legend, draw_grid, set_margins
 from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR, medium_name, method_colour
 from needlefit.reporting.number_format import choose_printed_unit
 

@@ -51,12 +51,7 @@ from markupsafe import Markup
 from needlefit.reporting import document
 from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
-from needlefit.reporting.number_format import (
-    format_bare_symbol,
-    format_quantity,
-    insert_symbols,
-    join_words,
-)
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity, insert_symbols, join_words
 from needlefit.reporting.table import Table, TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")

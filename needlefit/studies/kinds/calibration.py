@@ -74,12 +74,7 @@ from needlefit.studies.simulated_data import (
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_unscanned
-from needlefit.synthetic.design import (
-    POPULATION,
-    PlannedInsertion,
-    draw_specimen,
-    list_planned_insertions,
-)
+from needlefit.synthetic.design import POPULATION, PlannedInsertion, draw_specimen, list_planned_insertions
 
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
 PRINTED_LEVELS = (0.50, 0.95)  #: central intervals whose coverage is printed

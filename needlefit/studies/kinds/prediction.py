@@ -27,12 +27,7 @@ from needlefit.inference.compared_points import pad_planes, turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import (
-    INTERVAL_PROBABILITIES,
-    Draws,
-    find_geometric_median,
-    thin_posterior,
-)
+from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, find_geometric_median, thin_posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.json_values import to_json_values
@@ -49,12 +44,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.studies.answer import Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
-from needlefit.studies.fold_draws import (
-    PREDICTION_DRAWS,
-    Specimens,
-    choose_specimen,
-    draw_fold_parameters,
-)
+from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import simulate_scene, vary_bevels

@@ -16,11 +16,7 @@ from needlefit.metrics import list_metrics
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
-from needlefit.reporting.number_format import (
-    format_bare_symbol,
-    format_metric,
-    format_quantity_range,
-)
+from needlefit.reporting.number_format import format_bare_symbol, format_metric, format_quantity_range
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables

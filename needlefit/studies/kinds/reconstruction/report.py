@@ -35,10 +35,7 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
-from needlefit.studies.slicer_scene import (
-    write_control_points,
-    write_slicer_scene,
-)
+from needlefit.studies.slicer_scene import write_control_points, write_slicer_scene
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")
