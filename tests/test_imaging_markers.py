@@ -10,10 +10,7 @@ from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.markers import (
-    find_markers,
-    refine_fiducials,
-)
+from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.volume import Volume
 from needlefit.synthetic.render import ScannerTable, SceneMarkers

@@ -6,12 +6,7 @@ from refusals import refusal
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
-from needlefit.imaging.scans import (
-    LayerSource,
-    Scan,
-    make_scans,
-    read_scans,
-)
+from needlefit.imaging.scans import LayerSource, Scan, make_scans, read_scans
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
 

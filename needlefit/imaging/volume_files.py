@@ -29,12 +29,7 @@ from needlefit.imaging.volume import (
 from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
 from needlefit.project.folders import replace_file
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
-from needlefit.project.reader_process import (
-    MEMORY_VARIABLE,
-    Arrays,
-    read_in_process,
-    stated_memory_bytes,
-)
+from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process, stated_memory_bytes
 
 CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 # A volume that is read more slowly, in processor time, is taken for one that never ends.

@@ -29,12 +29,7 @@ from needlefit.imaging.dicom.stack import (
     stack_slices,
 )
 from needlefit.imaging.refusals import refusal
-from needlefit.imaging.volume import (
-    begins_as_dicom,
-    grid_to_json,
-    is_dicomdir,
-    list_series_files,
-)
+from needlefit.imaging.volume import begins_as_dicom, grid_to_json, is_dicomdir, list_series_files
 from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory
 

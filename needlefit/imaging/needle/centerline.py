@@ -28,13 +28,7 @@ from needlefit.imaging.needle.axis_spline import (
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
-from needlefit.imaging.needle.tip import (
-    MAX_DISAGREEMENT_MM,
-    TipFit,
-    TipSource,
-    bevel_length,
-    fit_tip,
-)
+from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
