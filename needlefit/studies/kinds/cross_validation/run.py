@@ -4,33 +4,25 @@ import math
 import os
 import pickle
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.planes import turns_out_of_plane
 from needlefit.grouping import group_values
 from needlefit.inference.error_fit import ErrorMinimisingFit, Target, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
-from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
-    Identifiability,
     identify,
-    objective_excess,
     profile_parameters,
-    within_tolerance,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameter_names import HYPERPARAMETERS
-from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
 from needlefit.inference.sampling.posterior import Posterior
@@ -41,7 +33,6 @@ from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
-from needlefit.schemas.medium import change_advance
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault, find_fault_kind
 from needlefit.studies.explorer import describe_insertions
@@ -51,18 +42,24 @@ from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.fold_draws import FoldDraws, Specimens, draw_fold_parameters
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.identification import (
-    NO_SOURCE,
     add_intervals,
     identify_parameters,
     intervals_of_draws,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings, prepare
+from needlefit.studies.kinds.cross_validation.rows import (
+    list_error_fit,
+    list_fitted,
+    list_published,
+    make_start_row,
+)
 from needlefit.studies.needle_placement import place_needles
 from needlefit.studies.needles_in_scan import NeedleInScan, tabulate_needles
+from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
-from needlefit.studies.score import Predictor, Row, Scorer, make_predictors, model_predictor
+from needlefit.studies.score import Predictor, Row, Scorer, make_predictors
 from needlefit.studies.simulated_data import find_true_value
 from needlefit.studies.stated_depths import examine_depths
 from needlefit.studies.validity import MOSTLY_OUTSIDE, VALIDITY_KEY, ValidityCounts
@@ -96,6 +93,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         going.run_fold(number, fold)
         if going.interrupted:
             break
+    errors = [] if going.interrupted else going.rows["errors"]
+    better = find_better_advance(job, errors, going.scorer, settings)
     found = Run(
         kind="cross_validation" if isinstance(record, StudyRecord) else "fit",
         name=name,
@@ -118,7 +117,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             **_find_truth(job),
             "search_faults": going.search_faults,
             **({DEPTHS_KEY: going.depths} if going.depths else {}),
-            **going.try_other_advance(),
+            **({ADVANCE_KEY: better} if better else {}),
             VALIDITY_KEY: going.counts.table(),
         },
         timing={"dataset": str(job.dataset.path)},
@@ -240,7 +239,7 @@ class _StudyRun:
             usable.pop("fitted_metric", None)
         else:
             usable["fitted_metric"] = self._tabulate_error_fit(fold, usable["fitted_metric"], least)
-        self.rows["parameters"] += _published_rows(job, fold, usable.get("hand_tuned_b"))
+        self.rows["parameters"] += list_published(job, fold, usable.get("hand_tuned_b"))
         for method, curves in make_predictors(job.problem(fold), usable, job.hand_tuned).items():
             for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
                 self._score({"fold": fold.name, "role": role, "method": method}, insertions, curves)
@@ -272,36 +271,6 @@ class _StudyRun:
         other = copy(self)
         other.settings = replace(self.settings, progress=no_progress, stop=stop_requested)
         return other
-
-    def try_other_advance(self) -> dict[str, Row]:
-        """Return what the other rule of advance makes of needles that were turned, where it fits better.
-
-        It is tried where a fit misses the tips of the first fold by more than the noise: after a turn the two
-        rules differ most.
-        """
-        job, fold, recipe = self.job, self.job.folds[0], self.job.recipe
-        turned = job.dataset.planes == 2 and any(turns_out_of_plane(one) for one in fold.tune)
-        free = recipe.minimize == "posterior" and job.medium.bevel_parameter in job.parameters.free
-        place = {"fold": fold.name, "role": "tune", "method": "fitted"}
-        errors = [row for row in self.rows["errors"] if place.items() <= row.items()]
-        if not (turned and free and errors) or self.interrupted:
-            return {}
-        missed, noise = (
-            float(np.mean([row[name] for row in errors])) for name in ("te_3d_mm", "floor_te_3d_mm")
-        )
-        if not noise < missed < math.inf:
-            return {}
-        medium, scorer = change_advance(job.medium), replace(self.scorer, counts=ValidityCounts())
-        parameters = with_hyperparameters(Parameters.from_record(medium), recipe.likelihood)
-        problem = replace(job.problem(fold), medium=medium, parameters=parameters)
-        rng = random_stream(recipe.seed, fold.name, "other advance", "starts")
-        fit = minimize(problem, recipe, rng, Callbacks(stop=self.settings.stop, jobs=self.settings.jobs))
-        if not math.isfinite(fit.objective):
-            return {}
-        curves = model_predictor(fit.values, medium, job.dataset)
-        error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves)[0]])
-        found = {"advance": medium.advance, "te_3d_mm": float(error), "stated_te_3d_mm": missed}
-        return {ADVANCE_KEY: found} if error < missed else {}
 
     def _report(self, number: int, phase: str, step: int = 0, steps: int = 1) -> None:
         """Report so many steps of a phase of a fold as done."""
@@ -404,7 +373,7 @@ class _StudyRun:
                 "evaluations": found.evaluations,
             }
         )
-        self.rows["parameters"] += _error_fit_rows(problem, fold, reported)
+        self.rows["parameters"] += list_error_fit(problem, fold, reported)
         return reported
 
     def _draw(self, number: int, fold: Fold, fits: Mapping[str, Fit]) -> "_Drawn | None":
@@ -451,7 +420,7 @@ class _StudyRun:
         """Add the starts of a fold, what failed in them, and why the best point may not be the best."""
         for name, fit in fits.items():
             problem, place = self.job.problem(fold, name), {"fold": fold.name, "fit": name}
-            self.rows["starts"] += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
+            self.rows["starts"] += [{**place, **make_start_row(problem, start, fit)} for start in fit.starts]
             ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
             self.counts.starts.add(len(ends), int(find_outside_validity(problem, ends).sum()))
         faults = [fits["fitted"].fault] if "fitted" in fits and fits["fitted"].fault else []
@@ -501,7 +470,7 @@ class _StudyRun:
             judged = [{"fold": fold.name, **row} for row in found.rows]
             self.rows["profiles"] += [{"fold": fold.name, **row} for row in found.points]
             verdict = reconcile_verdict(verdict, found.by_profile)
-        fitted = _fitted_rows(job, fold, fit, verdict)
+        fitted = list_fitted(job, fold, fit, verdict)
         sampled = intervals_of_draws(job.parameters, draws, posterior)
         ties, together = job.parameters.ties, verdict.together
         add_intervals(fitted, judged, sampled, ties, together, verdict.model_error)
@@ -520,90 +489,3 @@ def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProf
     met = Start(len(fit.starts), best, best, objective, evaluations=0, failures=0, stopped=MET_BY_PROFILE)
     values = problem.values(theta)
     return replace(fit, theta=best, values=values, objective=objective, starts=(*fit.starts, met))
-
-
-# ---- rows of the tables of `Run`
-
-
-def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
-    return {
-        "start": start.index,
-        "minimized": fit.minimized,
-        "objective": start.objective,
-        "excess": objective_excess(start, fit),
-        "within_tolerance": within_tolerance(start, fit),
-        "evaluations": start.evaluations,
-        "gradients": start.gradients,
-        "failed_solves": start.failures,
-        "stopped": start.stopped,
-        "joined": start.joined,
-        **problem.values(np.array(start.theta)),
-    }
-
-
-#: of a row of "parameters": what is known of fitted ones only
-_UNKNOWN: Row = {
-    **dict.fromkeys(("bound_low", "bound_high"), math.nan),
-    **NO_SOURCE,
-    **dict.fromkeys(("sd", "low", "high"), math.nan),
-    **dict.fromkeys(("determined", "condition", "note"), ""),
-}
-
-
-def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> list[Row]:
-    """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
-    rows = []
-    for name, value in fit.values.items():
-        status, (factor, source) = job.parameters.status[name], job.parameters.ties.get(name, (1.0, name))
-        low, high = job.parameters.bounds.get(name, (math.nan, math.nan))
-        condition = verdict.conditions.get(name, "")
-        row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
-        row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
-        known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
-        if status != "fixed":
-            row["determined"] = name_determined(known and not condition, bool(condition) or known or together)
-        if source in verdict.sds:
-            row["low"] = factor * verdict.spread_low[source]
-            row["high"] = factor * verdict.spread_high[source]
-        if status == "free":
-            row |= {"sd": verdict.sds[name], "note": verdict.notes[name]}
-        else:
-            tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
-            note = ["fixed" if status == "fixed" else tied]
-            row["note"] = "; ".join([*note, *filter(None, [condition])])
-        rows.append(row)
-    return rows
-
-
-def _error_fit_rows(problem: Problem, fold: Fold, fit: Fit) -> Iterator[Row]:
-    """Yield the values that minimise the errors; hyperparameters are of the likelihood alone."""
-    parameters = problem.parameters
-    for name, value in fit.values.items():
-        if name in HYPERPARAMETERS:
-            continue
-        factor, source = parameters.ties.get(name, (1.0, name))
-        row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
-        row["status"] = parameters.status[name]
-        if source in parameters.bounds:
-            ends = (factor * bound for bound in parameters.bounds[source])
-            row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
-        yield row
-
-
-def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
-    """Return the paper's set, and that set with the bevel alone fitted."""
-    if job.hand_tuned is None:
-        return []
-    sets: dict[str, Mapping[str, Any]] = {"hand_tuned": job.hand_tuned}
-    found: Mapping[str, bool] = {}
-    if retuned is not None:
-        sets["hand_tuned_b"] = retuned.values
-        found = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
-    rows = []
-    for method, values in sets.items():
-        for name, value in values.items():
-            free = method == "hand_tuned_b" and name == "bevel_mm"
-            row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
-            row |= {"status": "free" if free else "published", **_UNKNOWN}
-            rows.append(row | {"determined": name_determined(found.get(name, False), False) if free else ""})
-    return rows
