@@ -21,7 +21,7 @@ from needlefit.datasets.formats.markups import Markups
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
-from needlefit.imaging.corrections import describe_changes, make_control_points
+from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import list_candidates
 from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
@@ -209,9 +209,8 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
         one = add_views(found.reconstruction, search.volume)
         if scan.corrections is None:
             return one
-        plain = replace(scan, corrections=None)
-        before = examine(search.volume, plain, search.recipe, search).reconstruction
-        return replace(one, warnings=(describe_changes(before, one), *one.warnings))
+        moved = [name for name, places in vars(scan.corrections).items() if places is not None]
+        return replace(one, warnings=(f"corrected by hand: {', '.join(moved)}", *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     needle = None if found.needle_axis is None else found.needle_axis.points
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers

@@ -161,15 +161,3 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                         fix: move the entry back, or empty entry_x_mm ... pose_angle_sd_deg""")
                 corrected[id_] = replace(scan, corrections=found)
     return tuple(corrected.values())
-
-
-def describe_changes(before: Reconstruction | None, after: Reconstruction) -> str:
-    """Return in words what corrections changed; `before`: without them, None if the scan was refused."""
-    if before is None:
-        return "corrected; without its corrections the scan is refused"
-    entries = [one.patient.to_local(one.points[:1])[0] for one in (before, after)]
-    moved = {"entry": entries[1] - entries[0], "tip": after.needle_axis.tip - before.needle_axis.tip}
-    words = [f"{name} moved by {np.linalg.norm(move):.2f} mm" for name, move in moved.items()]
-    for name, value in {"inserted length": "depth", "tip deflection": "deflection"}.items():
-        words.append(f"{name} {getattr(before, value):.2f} -> {getattr(after, value):.2f} mm")
-    return f"corrected: {', '.join(words)}"

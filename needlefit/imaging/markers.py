@@ -158,7 +158,9 @@ def find_markers(
         likest = min(others, key=lambda one: one[0])[2]
         seen += f"; {len(others)} other candidates, the most similar {likest}"
     warnings: list[str] = []
-    measured = _measure_diameter(volume, shown, fit) if len(balls) >= MIN_MARKERS else None
+    # values that were cut before the scan was resampled do not show a ball's own edge
+    shows_edge = len(balls) >= MIN_MARKERS and volume.resampled_top is None
+    measured = _measure_diameter(volume, shown, fit) if shows_edge else None
     if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
         warnings.append(
             f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "

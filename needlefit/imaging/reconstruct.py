@@ -10,11 +10,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.special import chdtrc
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.columns import BEVEL_FIX
@@ -65,7 +63,7 @@ from needlefit.imaging.reconstruction import (
     render_views,
 )
 from needlefit.imaging.refusals import located, refusal
-from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET, motion_jacobian
+from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET
 from needlefit.imaging.registration.register import (
     Registration,
     predict_mean_target_error,
@@ -74,7 +72,7 @@ from needlefit.imaging.registration.register import (
 )
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, to_index
+from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -82,7 +80,6 @@ MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less oft
 MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
 # Degrees between the stated bevel and the one seen from which on something was mixed up.
 MAX_BEVEL_ANGLE_DEG = 30.0
-MIN_SHIFTED_MARKERS = 2  # markers on either side of a slice at which the table moved, at least
 MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which on a shape does not tell it
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
@@ -293,29 +290,6 @@ class Examination:
     def world(self) -> Floats:
         """The whole needle in the world (N, 3), mm."""
         return self.patient.to_world(self.axis.points)
-
-
-def _note_shifted_markers(
-    markers: MarkerResult, fit: Registration, volume: Volume, recipe: ReconstructionRecord
-) -> Iterator[str]:
-    """Yield that all markers beyond a slice are shifted, where that explains what the noise does not."""
-    pairs, number = fit.pairs[:, 0], len(fit.pairs)
-    heights = to_index(volume, markers.centers[pairs])[:, 2]
-    sd = np.hypot(markers.sd[pairs], recipe.markers.reference_sd_mm)[:, None, None]
-    moved = motion_jacobian(scan_frame(fit).to_world(markers.centers[pairs]) - fit.centre)  # (P, 3, 6)
-    order = np.sort(heights)
-    for low, high in pairwise(order[MIN_SHIFTED_MARKERS - 1 : number - MIN_SHIFTED_MARKERS + 1]):
-        beyond = (heights > (low + high) / 2)[:, None, None] * np.eye(3)
-        design = (np.concatenate([moved, beyond], axis=2) / sd).reshape(3 * number, 9)
-        left = (fit.residuals[..., None] / sd).reshape(-1)
-        best = np.linalg.lstsq(design, left)[0]
-        chi2 = float(np.sum((left - design @ best) ** 2))
-        if fit.p_value <= MIN_P_VALUE < chdtrc(3 * number - 9, chi2):
-            yield (
-                f"the markers beyond a slice between {low:.0f} and {high:.0f} (counted from 0) are shifted "
-                f"by {np.linalg.norm(best[6:]):.2f} mm: table or specimen moved during the scan; scan again"
-            )
-            return
 
 
 BRIGHT_CONTRAST_HU = 400.0  # what exceeds the tissue by more is listed, HU: balls and metal do
@@ -565,7 +539,8 @@ def examine(
         if found.markers is not None and scan.markers is not None:
             places, markers = read_markers(scan.markers), found.markers
             try:
-                fit = register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
+                sd = recipe.markers.reference_sd_mm
+                found.registration = register(markers.centers, places, markers.sd, sd)
             except DataError as error:
                 if error.where == KNOWN_SET:
                     raise error.at(str(scan.markers)) from None
@@ -573,8 +548,6 @@ def examine(
                 what = f"{error.what}: {markers.candidates}" if seen else error.what
                 fix = f"{error.fix}; {CANDIDATE_FIX}" if seen else error.fix
                 raise DataError(what, where=error.where, expected=error.expected, fix=fix) from None
-            shifted = _note_shifted_markers(markers, fit, volume, recipe)
-            found.registration = replace(fit, warnings=(*shifted, *fit.warnings))
     if found.needle_axis is not None:
         needle = found.needle_axis.points
         ahead = needle[-1] - needle[-5]  # over four stations: the last step alone is too noisy a direction

@@ -38,8 +38,8 @@ class AxisSpline:
     final_weights: Floats
     # Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
     shared_sd: float = 0.0
-    # (S,); of a needle near the slices: deviation along their normal at `s`, mm.
-    normal_sd: Floats | None = None
+    # (2, S); of a needle near the slices: deviations in them and along their normal at `s`, mm.
+    slice_sds: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: flo
         variance=axis.variance,
         covariance=covariance,
         shared_sd=axis.shared_sd,
-        normal_sd=axis.normal_sd,
+        slice_sds=axis.slice_sds,
     )
 
 
@@ -123,10 +123,11 @@ def correlation_factor(residuals: Floats, parameters: int) -> float:
 
 def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
     """Return the standard deviation in any one direction across (N,) at `s` (N,), mm."""
+    if axis.slice_sds is not None:
+        both = [np.interp(s, axis.s[: len(one)], one) for one in axis.slice_sds]
+        return np.asarray(np.hypot(*both) / np.sqrt(2))
     matrix = design_matrix(s, axis.spline.t)
     variance = np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2
-    if axis.normal_sd is not None:  # one of the two directions across
-        variance = (variance + np.interp(s, axis.s[: len(axis.normal_sd)], axis.normal_sd) ** 2) / 2
     return np.asarray(np.sqrt(variance))
 
 

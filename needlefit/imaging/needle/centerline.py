@@ -26,6 +26,7 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
+from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
@@ -127,7 +128,7 @@ def trace_needle(
         placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
         dark, wide = _measure_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
-        if wide > (MAX_WIDE_PART if axis.normal_sd is None else MAX_WIDE_PART_IN_SLICES):
+        if wide > (MAX_WIDE_PART if axis.slice_sds is None else MAX_WIDE_PART_IN_SLICES):
             raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle,
                     as a marker, or other metal in thick slices
                 expected: an end that is surrounded by tissue
@@ -151,7 +152,7 @@ def trace_needle(
         point, unknown = axis_frames(axis, here).origins[0], np.full(3, np.nan)
         end = TipFit(place, point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
-    alone = axis.normal_sd is None
+    alone = axis.slice_sds is None
     notes = _list_warnings(volume, axis, end, recipe, (dark, wide)) if alone else ()
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
@@ -300,10 +301,16 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
                 where: ends at L, P, S = {where} mm""")
         forward = bool(cut[0])
     elif not clear and not all(cut):
-        raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
-            expected: one end in tissue or the other beyond the volume
-            fix: set centerline.entry_direction (LPS, from base to tip) in the recipe
-            where: ends at L, P, S = {where} mm""")
+        points = axis.spline(np.arange(0.0, axis.length, 1.0))
+        held = [
+            find_hub(volume, one, recipe.needle.diameter_mm) is not None for one in (points, points[::-1])
+        ]
+        if held[0] == held[1]:
+            raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
+                expected: one end in tissue, in a hub or beyond the volume
+                fix: set centerline.entry_direction (LPS, from base to tip) in the recipe
+                where: ends at L, P, S = {where} mm""")
+        forward = held[0]
     if cut[1 if forward else 0]:
         raise refusal(f"""the needle leaves the volume with its tip
             expected: the tip and some tissue beyond it in the scan
@@ -334,7 +341,7 @@ def _sample_centerline(
     heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
     # what neighbours share: of a needle near thick slices by their fit, otherwise by the slices' thickness
-    if axis.normal_sd is None:
+    if axis.slice_sds is None:
         # the thicker the slice, the less shows where in it the needle lies, unless it leaves it between knots
         thick, wide, (first, last) = (
             volume.grid.slice_distance,
@@ -346,7 +353,7 @@ def _sample_centerline(
         hidden = float(thick / np.sqrt(24) * thick / (thick + wide) / (1 + left**2)) * (thick > MIN_SLICE_MM)
         more = float(np.hypot(SYSTEMATIC_SD_MM, hidden))
     else:  # in the spline's own deviation already
-        hidden, more = float(np.sqrt(np.mean(axis.normal_sd**2) / 2)), SYSTEMATIC_SD_MM
+        hidden, more = float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2)), SYSTEMATIC_SD_MM
     sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
     sections = axis.s[:-1]  # the last is the tip
@@ -375,7 +382,7 @@ def _sample_centerline(
         end.bevel_probability,
         end.disagreement,
         end.source,
-        0.0 if axis.normal_sd is None else float(axis.normal_sd[-1]),
+        0.0 if axis.slice_sds is None else float(axis.slice_sds[1, -1]),
     )
 
 

@@ -79,10 +79,11 @@ class Rod:
         ramp[0] = 1 / (2 * CELL_MM) ** 2
         return rfftfreq(length, CELL_MM), rfft(ramp).real * CELL_MM
 
-    def _half_area(self, height: Floats) -> Floats:
-        """Return half the area of the rod's section below `height` from its middle, mm2."""
-        u = np.clip(height / self.radius, -1, 1)
-        return np.asarray(self.radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u)))
+    @staticmethod
+    def _half_area(height: Floats, radius: float) -> Floats:
+        """Return half the area of a rod's section below `height` from its middle, mm2."""
+        u = np.clip(height / radius, -1, 1)
+        return np.asarray(radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u)))
 
     def back_projection(self, aside: float) -> csr_array:
         """Return the sum over the views (S U, V cells) at the samples moved by `aside` mm, interpolated."""
@@ -100,23 +101,28 @@ class Rod:
             self._back_projections[aside] = csr_array((parts.ravel(), columns.ravel(), ends), shape=shape)
         return self._back_projections[aside]
 
-    def lengths(self, across: Floats, along: Floats, end: float, roll: float) -> csr_array:
+    def lengths(
+        self, across: Floats, along: Floats, end: float, roll: float, hub: tuple[float, float] | None = None
+    ) -> csr_array:
         """Return the metal of a rod (P, N) in every plane, on the rays of all views' parts, mm.
 
         `across`, `along`: (C,); where the axis lies. `end`: where the bevel's point is; `roll`: its side,
-        from the direction across.
+        from the direction across. `hub`: of a hub that ends there its beginning, and its radius, mm.
         """
         rise, drift = np.gradient(along, self.columns), np.gradient(across, self.columns)
         steepness = np.sqrt(1 + rise**2)
         away = (self.planes[:, None] - along) / steepness
         # half the mean chord in the thickness of a plane: smooth as the rod moves through the planes
         reach = self.thick / self.in_slice / 2 / steepness
-        chord = self._half_area(away + reach) - self._half_area(away - reach)
+        radius = self.radius if hub is None else hub[1]
+        chord = self._half_area(away + reach, radius) - self._half_area(away - reach, radius)
         chord /= 2 * reach
         # of the chord the part beyond the bevel's face is missing
         lean = chord * max(abs(np.cos(roll)), 0.05)
         face = self.radius - away * np.sin(roll) - (end - self.columns) * self.steep
         part = np.clip((lean - face) / np.maximum(2 * lean, 1e-9), 0, 1)
+        if hub is not None:
+            part = np.where((self.columns > hub[0]) & (self.columns < end), np.ones_like(part), 0.0)
         plane, c = np.nonzero((chord > 0) & (part > 0))
         chord, part, slant = chord[plane, c], part[plane, c], np.sqrt(1 + drift[c] ** 2)
         width = 2 * chord * part * slant

@@ -21,6 +21,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
+from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
 from needlefit.imaging.point_spread import PointSpread, expected_spread
@@ -68,12 +69,9 @@ FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
 SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.0, 1.26, 1.5
 SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.05, 0.02, 4.0
 TIP_ERROR_MM = 0.03  # across, where the bevel is
-# A hub or holder in view hides the shaft before it, from rays along it, too: deviation along the normal, in
-# slices, where a needle begins farther than that from the volume's face, and the length over which it fades.
-# Set on 13 with a hub of `benchmarks/real_scanners.py --seeds 12000:12037, 13000:13030, 14000:14060`.
-HELD_ERROR, HELD_LENGTH_MM, MAX_EDGE_MM = 0.35, 8.0, 3.0
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
+HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
 
 
@@ -107,7 +105,9 @@ def place_in_slices(
     origin = points[-1] - way * needle.length_mm / 2
     origin = origin + normal * ((volume.origin - origin) @ normal)  # heights count from the first slice
     x, y, z = ((points - origin) @ frame.T).T
-    problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread)
+    hub = find_hub(volume, points, needle.diameter_mm)
+    hub = hub and replace(hub, ends=(hub.ends - origin) @ frame.T)
+    problem = _make_problem(volume, needle, frame, origin, (x, y, z), knot, spread, hub)
     if problem is None:
         return None
     theta, covariance, error = problem.solve()
@@ -126,15 +126,11 @@ def place_in_slices(
     sds = factors * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
     # with what no residual shows; the tip's stands for that of the last section
     side, upright = np.delete(np.hypot(sds, np.hypot([[SIDE_ERROR_MM], [hidden]], missed)), -2, axis=1)
-    s, first = arc_length(points), to_index(volume, points[:1])[0]
-    edge = np.minimum(first, np.array(volume.grid.size) - 1 - first) * volume.spacing
-    if edge[:2].min() > MAX_EDGE_MM:
-        upright = np.hypot(upright, HELD_ERROR * thick * np.exp(-np.delete(s, -2) / HELD_LENGTH_MM))
+    s = arc_length(points)
     placed = fit_axis(s[:-1], points[:-1], axis.weights, knot, max(s[-1], s[-2] + MIN_END_MM))
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(side**2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
-    variance, covariance = placed.variance * wider, placed.covariance * wider
-    placed = replace(placed, variance=variance, covariance=covariance, normal_sd=upright)
+    placed = replace(placed, variance=placed.variance * wider, slice_sds=np.stack([side, upright]))
     sd = np.array(
         [
             np.linalg.norm([END_FACTOR * end_sd, END_ERROR_MM, 2 * missed]),
@@ -185,6 +181,7 @@ def _make_problem(
     axis: tuple[Floats, Floats, Floats],
     knot: float,
     spread: PointSpread | None,
+    hub: Hub | None,
 ) -> "_SliceProblem | None":
     x, y, z = axis
     thick, radius = volume.grid.slice_distance, needle.diameter_mm / 2
@@ -226,7 +223,9 @@ def _make_problem(
         ]
     )
     columns = np.arange(x[-1] + BEYOND_MM, x[-1] - needle.length_mm, -COLUMN_MM)
-    steep = min(np.tan(np.radians(needle.bevel_deg)), needle.diameter_mm / COLUMN_MM)  # a blunt end, too
+    # a blunt end is a bevel of one piece of the rod, too, whose middle is where it ends
+    true = np.tan(np.radians(needle.bevel_deg))
+    steep = min(true, needle.diameter_mm / COLUMN_MM)
     sway = np.abs(_extend(basis, columns) @ start[:, 0]) + SWAY_MM
     rod = Rod(columns, radius, steep, thick, slices * thick, stations, side, sway)
     return _SliceProblem(
@@ -242,6 +241,8 @@ def _make_problem(
         np.abs(line) > RIM_MM,
         cut,
         spread or expected_spread(thick),
+        hub,
+        radius / steep - radius / true,
     )
 
 
@@ -275,6 +276,8 @@ class _SliceProblem:
     rim: Bools  # (U,); what shows the surroundings
     cut: Floats  # (2,); smallest and largest that the scanner shows
     spread: PointSpread  # what is known of it before
+    hub: Hub | None  # in the frame of the parameters
+    blunter: float  # by how much farther a bevel reaches that projects as the end does, mm
 
     @cached_property
     def means(self) -> Floats:
@@ -295,16 +298,28 @@ class _SliceProblem:
     def known(self, theta: Floats) -> Floats:
         """Return what is known before, in its deviations; linear in the parameters."""
         across, along, end, scan = self.split(theta)
-        return np.concatenate(
-            [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
-        )
+        known = [self.bent @ across, self.bent @ along, end / TIP_SDS, (scan - self.means) / self.sds]
+        if self.hub is not None:
+            place = self.hub.ends[1]
+            row = _extend(_basis(self.knots), place[:1])
+            sds = HUB_SDS * np.array([1.0, self.rod.thick])
+            known += [(row @ across - place[1]) / sds[0], (row @ along - place[2]) / sds[1]]
+        return np.concatenate(known)
 
     def project(self, theta: Floats) -> csr_array:
         """Return the metal on the rays."""
         across, along, end, _ = self.split(theta)
-        return self.rod.lengths(
-            self.to_columns @ across, self.to_columns @ along, self.end + float(end[0]), float(end[1])
-        )
+        tip = self.end + float(end[0]) + self.blunter
+        needle = self.rod.lengths(self.to_columns @ across, self.to_columns @ along, tip, float(end[1]))
+        return needle if self.hub is None else needle + self.held
+
+    @cached_property
+    def held(self) -> csr_array:
+        """The metal of the hub on the rays."""
+        assert self.hub is not None
+        (back, front), columns = self.hub.ends, self.rod.columns
+        across, along = (np.interp(columns, [back[0], front[0]], [back[n], front[n]]) for n in (1, 2))
+        return self.rod.lengths(across, along, float(front[0]), 0.0, (float(back[0]), self.hub.radius))
 
     @cached_property
     def level(self) -> Floats:
