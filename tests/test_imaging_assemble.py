@@ -153,10 +153,6 @@ def own_surface(profile):
             ),
             "leaves the bending plane",
         ),
-        (
-            lambda: replace(small(), layers=replace(small().layers, sd=np.array([0.8]))),
-            r"poorly known: .* \+- 0\.80",
-        ),
     ],
 )
 def test_doubtful_reconstructions_give_warnings(one, words):

@@ -72,7 +72,7 @@ from needlefit.imaging.registration.register import (
 )
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield
+from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, turn_slices
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -85,8 +85,6 @@ MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
 TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
-# Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply.
-MAX_LAYER_SD_MM = 0.5
 
 
 def collect_warnings(one: Reconstruction, earlier: Sequence[str] = ()) -> tuple[str, ...]:
@@ -189,10 +187,6 @@ def _plane_warnings(one: Reconstruction) -> Iterator[str]:
         angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
         if angle > MAX_BEVEL_ANGLE_DEG:
             yield f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated"
-    depths = zip(one.layers.boundaries, one.layers.sd, strict=True)
-    steep = [f"{depth:.2f} +- {sd:.2f} mm" for depth, sd in depths if sd > MAX_LAYER_SD_MM]
-    if steep:
-        yield f"layer depths that are poorly known: {', '.join(steep)}"
     probability, seen = one.needle_axis.bevel_probability, np.isfinite(one.needle_axis.bevel).all()
     if np.isfinite(probability) and not seen and one.plane != "stated":
         yield f"the scan does not show the bevel's side (probability {probability:.2f}): it is left open"
@@ -299,7 +293,7 @@ class VolumeSearch:
     """What is looked for in a whole volume, which takes long: once for all needles of a scan."""
 
     def __init__(self, volume: Volume, recipe: ReconstructionRecord) -> None:
-        self.volume, self.recipe = volume, recipe
+        self.volume, self.recipe = turn_slices(volume), recipe
         self._balls: dict[tuple[float, float | None, bytes], SphereFit] = {}
 
     @cached_property
@@ -492,7 +486,7 @@ def examine(
     `search`: of the volume, with what was found in it before.
     """
     search, moved = search or VolumeSearch(volume, recipe), scan.corrections or Corrections()
-    found = Examination(scan)
+    volume, found = search.volume, Examination(scan)
     for name, places in vars(moved).items():
         with found.step():
             if places is not None and len(outside := find_outside(volume, np.atleast_2d(places))):

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -251,6 +251,20 @@ class Volume:
         bright = np.concatenate([plane[plane > BRIGHTEST_FRACTION * top] for plane in self.values])
         shared = np.count_nonzero(bright == top)
         return top if len(bright) >= MIN_BRIGHTEST and shared < MAX_SHARED_FRACTION * len(bright) else None
+
+
+MIN_STEP_RATIO = 1.2  # distance of slices over that of columns and rows from which on they are the slices
+
+
+def turn_slices(volume: Volume) -> Volume:
+    """Return a volume whose longest steps are along k, as scanners' are; itself if they are, or it leans."""
+    longest = int(np.argmax(volume.spacing))
+    ratio = float(volume.spacing[longest] / volume.spacing[2])
+    if ratio < MIN_STEP_RATIO or is_tilted(volume.direction):
+        return volume
+    order = [*np.delete(range(3), longest), longest]
+    values = np.ascontiguousarray(volume.values.T.transpose(order).T)
+    return replace(volume, values=values, spacing=volume.spacing[order], direction=volume.direction[:, order])
 
 
 def require_same_frame(part: Volume, frame_of_reference: str) -> None:

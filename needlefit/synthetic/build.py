@@ -327,6 +327,4 @@ def _simulate_axis(
         tip=points[-1],
         tip_sd=np.array(TIP_SD_MM),
         bevel=np.full(3, np.nan),
-        sections_s=np.empty(0),
-        residuals=np.empty((0, 3)),
     )

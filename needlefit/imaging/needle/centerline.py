@@ -82,9 +82,6 @@ class Centerline:
     # (3,); unit vector across the needle to the side of the bevel's point; nan for a blunt needle, and where
     # the scan does not show the side.
     bevel: Floats
-    sections_s: Floats  # (S,); where along the needle cross-sections were taken, mm from its first point
-    # (S, 3); by how much the needle shows beside the axis there, LPS, mm; across the needle.
-    residuals: Floats
     # Cross-sections and spline, LPS, arc lengths from the first point; None where no scan was traced.
     sections: SplineSections | None = None
     # That the side seen is right, within 90 degrees; nan for a blunt needle.
@@ -356,10 +353,6 @@ def _sample_centerline(
         hidden, more = float(np.sqrt(np.mean(axis.slice_sds[1] ** 2) / 2)), SYSTEMATIC_SD_MM
     sd = np.hypot(np.maximum(axis_sd(axis, s), swung), more)
     points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
-    sections = axis.s[:-1]  # the last is the tip
-    beside = axis.points[:-1] - axis.spline(sections)
-    tangents = axis_frames(axis, sections).tangents
-    beside -= np.einsum("sd,sd->s", beside, tangents)[:, None] * tangents
     drawn = SplineSections(
         q=axis.s,
         s=np.interp(axis.s, s, arc_length(points)),
@@ -376,8 +369,6 @@ def _sample_centerline(
         points[-1],
         tip_sd,
         end.bevel,
-        sections,
-        beside,
         drawn,
         end.bevel_probability,
         end.disagreement,

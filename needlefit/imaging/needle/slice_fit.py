@@ -63,14 +63,16 @@ ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in th
 STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
 FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
-# Factors of the fit's deviations in the slices, along their normal, of end and roll; what no residual shows:
-# mm, along the normal slices; it falls with the slices that are crossed. Set on volumes of
-# `benchmarks/real_scanners.py --seeds 7000:7080`, that of the roll on 6000:6090, of the end on 12000:12032.
-SIDE_FACTOR, NORMAL_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.0, 1.26, 1.5
-SIDE_ERROR_MM, END_ERROR_MM, SLICE_ERROR, CROSSED_SLICES = 0.01, 0.05, 0.02, 4.0
-TIP_ERROR_MM = 0.03  # across, where the bevel is
-# What a fit adds to these deviations, in slices, by which the model's error exceeds this; at the end twice.
-MISSED_FACTOR, MAX_GOOD_ERROR = 1.3, 0.4
+# Factors of the fit's deviations in the slices, of end and roll; what no residual shows: mm, and along the
+# normal slices, which falls with the slices that are crossed, and from the base on. Set on volumes of
+# `benchmarks/real_scanners.py --seeds 12000:12037, 13000:13030, 14000:14060`, that of the roll on 6000:6090.
+SIDE_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.26, 1.5
+ERROR_MM, END_ERROR_MM, TIP_ERROR_MM = 0.012, 0.05, 0.04  # across, of the end, and across at the end
+SLICE_ERROR, CROSSED_SLICES, BASE_ERROR, BASE_MM = 0.02, 4.0, 0.04, 8.0
+# What a fit adds to these deviations, in slices, by which the model's error exceeds this, and by which part
+# of a slice the needle does not cross: its mirror image looks the same. At the end twice.
+MISSED_FACTOR, MAX_GOOD_ERROR, FLAT_FACTOR = 1.3, 0.4, 0.18
+SHADOW_MM, HUB_WEIGHT = 10.0, 5.0  # length of the axis that a hub hides, mm; its own weight in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
 
@@ -115,26 +117,28 @@ def place_in_slices(
     count, end = len(across), float(x[-1] + end)
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
-    missed = MISSED_FACTOR * thick * max(0.0, error - MAX_GOOD_ERROR)
-    hidden = SLICE_ERROR * thick / (1 + (float(np.ptp(problem.at @ along)) / thick / CROSSED_SLICES) ** 2)
+    crossed = float(np.ptp(problem.at @ along)) / thick
+    excess = max(0.0, error - MAX_GOOD_ERROR)
+    missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
     # where the axis lies at the sections of the one that was traced, and at its end
     places = np.append((axis.points - origin) @ frame[0], end)
     basis = _extend(_basis(problem.knots), places)
     beside = np.stack([across, along], axis=1)
     points = origin + np.column_stack([places, basis @ beside]) @ frame
-    factors = np.array([[SIDE_FACTOR], [NORMAL_FACTOR]])
-    sds = factors * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
-    # with what no residual shows; the tip's stands for that of the last section
-    side, upright = np.delete(np.hypot(sds, np.hypot([[SIDE_ERROR_MM], [hidden]], missed)), -2, axis=1)
     s = arc_length(points)
+    sds = np.array([[SIDE_FACTOR], [1.0]]) * np.sqrt(np.einsum("nc,kcd,nd->kn", basis, variances, basis))
+    unseen = SLICE_ERROR / (1 + (crossed / CROSSED_SLICES) ** 2)
+    hidden = thick * np.stack([0 * s, np.hypot(unseen, BASE_ERROR * np.exp(-s / BASE_MM))])
+    # the tip's stands for that of the last section
+    sds = np.delete(np.hypot(np.hypot(sds, hidden), np.hypot(ERROR_MM, missed)), -2, axis=1)
     placed = fit_axis(s[:-1], points[:-1], axis.weights, knot, max(s[-1], s[-2] + MIN_END_MM))
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
-    wider = np.mean(side**2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
-    placed = replace(placed, variance=placed.variance * wider, slice_sds=np.stack([side, upright]))
+    wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
+    placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
     sd = np.array(
         [
             np.linalg.norm([END_FACTOR * end_sd, END_ERROR_MM, 2 * missed]),
-            np.linalg.norm([side[-1] / np.sqrt(2), upright[-1] / np.sqrt(2), TIP_ERROR_MM]),
+            np.linalg.norm([*sds[:, -1] / np.sqrt(2), TIP_ERROR_MM]),
         ]
     )
     rolled = needle.bevel_deg < MAX_BEVEL_DEG
@@ -190,8 +194,14 @@ def _make_problem(
     stations = np.arange(x[0], x[-1] + BEYOND_MM, STATION_MM)
     at = _extend(basis, stations)
     # where the axis follows a staircase from slice to slice, its parabola does not
-    smooth = np.polynomial.Polynomial.fit(x, z, 2)(x)
-    start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, smooth]))[0], float)
+    places, weights = np.column_stack([x, y, z]), np.ones(len(x))
+    if hub is not None:  # its shadow pulls the axis aside where it begins
+        places = np.vstack([places[x > x[0] + SHADOW_MM], hub.ends[1:]])
+        weights = np.append(np.ones(len(places) - 1), HUB_WEIGHT)
+    fit = np.polynomial.Polynomial.fit
+    z = fit(places[:, 0], places[:, 2], 2, w=weights)(x)
+    y = y if hub is None else fit(places[:, 0], places[:, 1], 3, w=weights)(x)
+    start: Floats = np.asarray(np.linalg.lstsq(_extend(basis, x), np.column_stack([y, z]))[0], float)
     line = np.arange(-LINE_REACH_MM, LINE_REACH_MM + 1e-6, LINE_STEP_MM)
     height = at @ start[:, 1] / thick
     last = volume.values.shape[0] - 1

@@ -119,14 +119,6 @@ def _list_warnings(sets: MarkerSets, best: Alignment) -> Iterator[str]:
         yield f"found markers {listed} (counted from 0) belong to no known one"
     if known.size:
         yield f"known markers {missing} (counted from 0) were not found"
-    here = best.frame.to_world(sets.found[found])
-    for i, place in zip(found, here, strict=True):
-        away = np.linalg.norm(sets.known[known] - place, axis=1)
-        if away.size and away.min() < 0.1 * sets.extent:
-            yield (
-                f"found marker {i} lies {away.min():.2f} mm from known marker {known[np.argmin(away)]}: "
-                "one of them has moved, or is measured wrongly"
-            )
     # flat layouts always fit a mirrored scan nearly as well
     if align_pairs(mirror(sets), best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
         yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
