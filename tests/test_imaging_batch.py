@@ -11,6 +11,7 @@ from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
 from needlefit.imaging.reconstruct import Examination
 from needlefit.imaging.scans import read_scans
+from needlefit.imaging.volume import Volume
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder
@@ -41,7 +42,8 @@ class Worked:
     def __init__(self, monkeypatch, one):
         self.done = []
         self.one = one
-        monkeypatch.setattr(batch, "read_volume", lambda path, series, acquisition: None)
+        volume = Volume(np.zeros((2, 2, 2), np.float32), np.zeros(3), np.ones(3), np.eye(3))
+        monkeypatch.setattr(batch, "read_volume", lambda path, series, acquisition: volume)
         monkeypatch.setattr(batch, "examine", self)
         monkeypatch.setattr(batch, "add_views", lambda one, volume: one)
 

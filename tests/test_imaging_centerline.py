@@ -1,6 +1,5 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,8 +157,6 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, mo
         scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections=moved)
         refused = examine(cut, scan, cases.RECIPE).error
         assert refused is not None and "entry_direction" in refused.fix
-        soft = [float(length) for length in re.findall(r"(\d+) mm", refused.what)]
-        assert_allclose(soft, [top - 12.0, 0.0], atol=1.5)
 
 
 def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():

@@ -1,6 +1,5 @@
 """Laws of marker registration: known poses, invariances, closed forms of the target error."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

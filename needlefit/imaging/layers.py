@@ -6,8 +6,7 @@ point's layer.
 
 The voxels are averaged in cells of `CELL_MM`, smoothed by a normal distribution of `SMOOTHING_SD_MM`, and the
 average is turned into a distance along which marching cubes may interpolate: beside a plane it is the normal
-distribution function of the distance. A plane stays where it was; a cylinder of radius 10 mm shrinks by
-0.03 mm, a right-angled edge loses about 0.5 mm along its bisector, the corner of a box about 1 mm.
+distribution function of the distance. A plane stays where it was; a right-angled edge loses about 0.5 mm.
 """
 
 from collections.abc import Sequence

@@ -5,10 +5,9 @@ the image falls short by sqrt(1 - r^2 / R^2) in every slice, so that ball and sh
 their Fourier transforms are Bessel functions, which the scanner multiplies by its modulation transfer. The
 image is a table over the distances across and along the slices' normal.
 
-The ball takes the place of the background where it is. The background is two levels with a soft step between
-them, as a marker glued on a phantom has it: a ramp or one level are steps that are wide or small. All is cut
-where the scanner's numbers end. What the voxels leave open, such as the height of a ball that is cut low, is
-held by what is known of scanners.
+The ball takes the place of the background: two levels with a soft step between them, as a marker glued on a
+phantom has it. All is cut where the scanner's numbers end. What the voxels leave open, such as the height of
+a ball that is cut low, is held by what is known of scanners.
 """
 
 from dataclasses import dataclass
@@ -147,8 +146,7 @@ FIT_MARGIN_MM = 1.5
 GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
 MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
-# Relative change of the cost at which the first fit ends, for the noise, and the second. With 1e-8 centres of
-# 58 rendered balls were no nearer to the truth (0.014 mm), and took 2.6 times as long.
+# Relative change of the cost at which the first fit ends, for the noise, and the second.
 FIRST_TOLERANCE, FINAL_TOLERANCE = 1e-3, 1e-4
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Bounds and typical changes of the model's parameters.

@@ -107,8 +107,7 @@ def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: flo
 def correlation_factor(residuals: Floats, parameters: int) -> float:
     """Return how many correlated cross-sections count as one: 1 + 2 sum of the autocorrelation, at least 1.
 
-    The sum ends where the autocorrelation first falls below zero. Residuals of a fit of P parameters to
-    S points are less correlated than the errors, about as if each lag's sum lacked P / S.
+    Residuals of a fit of P parameters to S points are less correlated than the errors, by about P / S.
     """
     power = float(np.sum(residuals**2))
     total, missing = 1.0, parameters / len(residuals)
@@ -147,9 +146,8 @@ def find_step(
 ) -> tuple[int, float, float] | None:
     """Return the most significant step of the needle between two slices; None where none can be tested.
 
-    Where the table or the specimen moves, everything beyond is shifted. No needle is bent so sharply: a
-    spline leaves the step in its residuals. Returned are the number of the slice before it, how far what lies
-    beyond is shifted, and the deviation of that, mm.
+    Where the table moves, everything beyond is shifted, and a spline leaves the step in its residuals.
+    Returned are the number of the slice before it, the shift, and its deviation, mm.
 
     `stop`: where the bevel begins, mm along the axis. `diameter`, `patch`: of the needle, and of what is
     looked at around it, mm.
@@ -186,8 +184,7 @@ RING_WIDTH_MM = 0.15  # width of the rings over which the common profile is aver
 SECTION_HUBER_SD = 2.0  # points of a plane that stray by more than so many deviations count less
 SHARED_ERROR_LENGTH_MM = 15.0  # length over which what the cross-sections have in common is looked for, mm
 # Shift of a section for a background that slopes by the needle's brightness in 1 mm, mm: a ray that tilts
-# what lies around the needle also bends it, and a bend is taken for a shift. Set on the scans of
-# `benchmarks/reconstruction.py --seed 100000`, others than its own.
+# what lies around the needle also bends it, and a bend is taken for a shift.
 SHIFT_PER_TILT_MM = 5.0
 MIN_FRACTION_IN_VOLUME = 0.7  # part of a plane's points that must lie in the volume
 
@@ -276,9 +273,7 @@ def estimate_shared_sd(
 ) -> float:
     """Return the deviation (mm) that `good` neighbours share, so that their scatter does not show it.
 
-    It shows in how two ways to place them differ, centroids and fits, and in how far the background slopes:
-    rays that run along a needle pull at many sections alike, and both stay when they are averaged over
-    `SHARED_ERROR_LENGTH_MM`.
+    Rays along a needle pull at many sections alike: at centroids more than at fits, and at the background.
     """
     bent = SHIFT_PER_TILT_MM * found.tilt / np.median(found.amplitude[good])
     both = np.hstack([rough.shifts - found.shifts, bent])[good]  # (S, 4)

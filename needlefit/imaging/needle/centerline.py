@@ -48,9 +48,8 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-# A step between slices is spoken of from this size on, mm, and from so many of its deviations on. Steps of
-# 0.8 mm in scans of `benchmarks/reconstruction.py` show as 0.2 to 0.7 mm and 15 to 80 deviations, where
-# nothing moved as at most 0.06 mm and 14. Within 2.5 mm of the tip, about its bevel's length, none shows.
+# A step between slices is spoken of from this size on, mm, and from so many of its deviations on: where
+# nothing moved at most 0.06 mm and 14 show. Within 2.5 mm of the tip, about its bevel's length, none does.
 MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
 # Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
 # axis exceeds that along the shaft, by parts of the shaft's own, over two sections: that are spoken of, and
@@ -61,8 +60,7 @@ BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
 WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
 # Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
-# what right ones show on the average. Of 24 scans of `benchmarks/reconstruction.py --seed 9001` with the
-# right one none does.
+# what right ones show on the average.
 MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD = 0.05, 0.08, 3.0
 # Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
@@ -150,7 +148,7 @@ def trace_needle(
         end = TipFit(place, point, sd, unknown, float("nan"), 0.0, "hand")
     # in thick slices its points are the fit's
     alone = axis.slice_sds is None
-    notes = _list_warnings(volume, axis, end, recipe, (dark, wide)) if alone else ()
+    notes = _list_warnings(volume, axis, end, recipe, (dark, wide))
     # the spline is extended through the tip, so that the end is interpolated
     # near thick slices both share their error
     across = max(float(end.sd[1]), SYSTEMATIC_SD_MM) if alone else SYSTEMATIC_SD_MM
@@ -191,6 +189,13 @@ def _list_warnings(
 
     `beside`: as of `_measure_wide_end`.
     """
+    if end.blunt:
+        yield (
+            f"the end may be blunt: that explains the scan better than {recipe.needle.bevel_deg:g} degrees, "
+            f"and lies {end.blunt:+.2f} mm from there: state needle.bevel_deg (90: blunt)"
+        )
+    if axis.slice_sds is not None:  # what follows looks at single sections
+        return
     diameter = recipe.needle.diameter_mm
     if end.width is not None:
         misfit, sd = end.width[0] - MEAN_WIDTH_MISFIT, end.width[1]
@@ -289,14 +294,7 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
     if direction is not None:
         forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
     elif cut[0] != cut[1]:
-        if clear and cut[1 if forward else 0]:
-            raise refusal(f"""the end of the needle that leaves the volume lies in soft material over
-                    {max(soft):.0f} mm, the other end over {min(soft):.0f} mm
-                expected: the tip, in tissue, within the scan
-                fix: scan with the tip in view; or, if the end in view is the tip, set
-                    centerline.entry_direction (LPS, from base to tip) in the recipe
-                where: ends at L, P, S = {where} mm""")
-        forward = bool(cut[0])
+        forward = forward if clear else bool(cut[0])
     elif not clear and not all(cut):
         points = axis.spline(np.arange(0.0, axis.length, 1.0))
         held = [

@@ -96,17 +96,13 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
 
 
 def select_rod(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> Component:
-    """Return the voxels within a needle's diameter of an axis that are at least half as bright as it."""
+    """Return the voxels within a needle's diameter of an axis."""
     step, reach = float(volume.spacing.min()) / 2, recipe.needle.diameter_mm
     side = np.arange(-reach, reach + step, step)
     ball = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3)
     ball = ball[np.linalg.norm(ball, axis=1) <= reach]
     middle = axis.spline(np.arange(0.0, axis.length, reach / 2))
-    near = _voxels(volume, (middle[:, None] + ball).reshape(-1, 3))
-    i, j, k = _voxels(volume, middle).T
-    level = float(np.median(volume.values[k, j, i])) / 2
-    i, j, k = near.T
-    return measure_component(volume, near[volume.values[k, j, i] > level])
+    return measure_component(volume, _voxels(volume, (middle[:, None] + ball).reshape(-1, 3)))
 
 
 def _voxels(volume: Volume, points: Floats) -> Ints:

@@ -31,7 +31,7 @@ class Rod:
     stations: Floats  # (S,); where slices are sampled: along the needle
     side: Floats  # (S, U); and across it
     sway: Floats  # (C,); largest distance across that is projected, mm
-    _back_projections: dict[float, csr_array] = field(default_factory=dict, init=False, compare=False)
+    _back_projections: dict[float, csr_array] = field(default_factory=dict, compare=False)
 
     @cached_property
     def views(self) -> tuple[Floats, Floats]:

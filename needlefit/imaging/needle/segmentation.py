@@ -68,8 +68,6 @@ MIN_DISTINCT_CHECK = 100  # points of a component of which three must differ alo
 NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve which it goes on, mm
 # A needle is followed to levels that lie above the tissue by more than so many deviations of its noise.
 MIN_GROWTH_NOISE_SD = 4.0
-# Pieces are joined beyond a wider gap where metal, as a plate, fills it but for `join_gap_mm`, mm.
-MAX_HIDDEN_MM = 40.0
 MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
 # Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
 GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
@@ -308,7 +306,8 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     local = (points - center) @ axes.T
     piece = (to_patient(volume, part.voxels) - center) @ axes.T
     gap = max(local[:, 0].min() - piece[:, 0].max(), piece[:, 0].min() - local[:, 0].max())
-    if gap > MAX_HIDDEN_MM or np.ptp(piece[:, 0]) < 2 * part.width:
+    join_gap = recipe.segmentation.join_gap_mm
+    if gap > join_gap or np.ptp(piece[:, 0]) < 2 * part.width:
         return False
     curve = fit_parabola(local[:, 0], local[:, 1:])
     far = np.abs(piece[:, 0] - np.clip(piece[:, 0], local[:, 0].min(), local[:, 0].max()))
@@ -316,19 +315,9 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
     off = near[:, 1:] - np.stack([np.polyval(c, near[:, 0]) for c in curve.T], axis=1)
     # a needle that crosses slices stands one beside the other
     thick = recipe.needle.diameter_mm + float(volume.spacing.max()) / 2
-    join_gap = recipe.segmentation.join_gap_mm
-    allowed = thick * (1 + min(max(gap, 0.0), join_gap) / recipe.segmentation.min_length_mm)
+    allowed = thick * (1 + max(gap, 0.0) / recipe.segmentation.min_length_mm)
     if np.linalg.norm(off, axis=1).mean() > allowed:
         return False
-    if gap > join_gap:
-        own = local[local[:, 0] <= local[:, 0].min() + NEAR_END_MM]
-        if piece[:, 0].min() > local[:, 0].max():
-            own = local[local[:, 0] >= local[:, 0].max() - NEAR_END_MM]
-        line = np.linspace(own.mean(axis=0), near.mean(axis=0), 100) @ axes + center
-        level = min(_mean_hu(volume, needle), _mean_hu(volume, part)) / 2
-        i, j, k = np.rint(to_index(volume, line)).astype(np.int64).T
-        if gap * np.mean(volume.values[k, j, i] < level) > join_gap:
-            return False
     both = measure_component(volume, np.concatenate([needle.voxels, part.voxels]))
     return both.bend <= max(needle.bend, recipe.segmentation.max_widening * recipe.needle.diameter_mm / 2)
 

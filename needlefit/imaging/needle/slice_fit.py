@@ -2,10 +2,9 @@
 
 Rays that run along such a needle pass centimetres of metal in a part of a slice's thickness. The detector
 averages intensities, not attenuations, and sees scatter where no ray gets through: the slice is too dark
-there, along the whole needle and beyond its end, by as much as the needle is bright. What a slice shows
-depends on the whole needle, therefore. Its axis, what the beam loses in it, the slices' sensitivity profile
-and the kernel are fitted together, by projecting a rod and reconstructing the slices from its projections;
-what exceeds the scanner's numbers is cut in the model too.
+there, along the whole needle and beyond its end, by as much as the needle is bright. Its axis, what the beam
+loses in it, the slices' sensitivity profile and the kernel are fitted together, by projecting a rod, and the
+hub that holds it, and reconstructing the slices; what exceeds the scanner's numbers is cut in the model too.
 """
 
 from dataclasses import dataclass, replace
@@ -72,6 +71,7 @@ SLICE_ERROR, CROSSED_SLICES, BASE_ERROR, BASE_MM = 0.02, 4.0, 0.04, 8.0
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this, and by which part
 # of a slice the needle does not cross: its mirror image looks the same. At the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR, FLAT_FACTOR = 1.3, 0.4, 0.18
+MIN_BLUNT_GAIN = 15.0  # what is minimized is less by more where a blunt end is spoken of
 SHADOW_MM, HUB_WEIGHT = 10.0, 5.0  # length of the axis that a hub hides, mm; its own weight in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
@@ -135,17 +135,18 @@ def place_in_slices(
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
+    rolled = needle.bevel_deg < MAX_BEVEL_DEG
     sd = np.array(
         [
             np.linalg.norm([END_FACTOR * end_sd, END_ERROR_MM, 2 * missed]),
             np.linalg.norm([*sds[:, -1] / np.sqrt(2), TIP_ERROR_MM]),
         ]
     )
-    rolled = needle.bevel_deg < MAX_BEVEL_DEG
     probability = float(erf(np.pi / 2 / np.sqrt(2) / (ROLL_FACTOR * roll_sd))) if rolled else np.nan
     sided = probability >= MIN_BEVEL_PROBABILITY
     bevel = np.cos(roll) * frame[1] + np.sin(roll) * normal if sided else np.full(3, np.nan)
-    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model")
+    blunt = problem.end_bluntly(theta) if rolled else 0.0
+    return placed, TipFit(float(s[-1]), points[-1], sd, bevel, probability, 0.0, "model", blunt=blunt)
 
 
 def _find_end(volume: Volume, points: Floats) -> Floats:
@@ -489,6 +490,17 @@ class _SliceProblem:
         factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
         covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
         return theta, covariance, self.error(image)
+
+    def end_bluntly(self, theta: Floats) -> float:
+        """Return how far ahead a blunt end lies that explains the slices better, mm; 0 where none does."""
+        steep, at = 2 * self.rod.radius / COLUMN_MM, 2 * len(self.start)
+        other = replace(self, rod=replace(self.rod, steep=steep), blunter=self.rod.radius / steep)
+        image, start = self.image(self.project(theta), theta), theta.copy()
+        start[at] -= self.rod.radius / self.rod.steep - self.blunter
+        scale, robust = self.scale(image), ROBUST_SD[1]
+        blunt, shown, _ = other.descend(start, scale, robust)
+        gain = self.misfit(image, theta, scale, robust) - self.misfit(shown, blunt, scale, robust)
+        return float(blunt[at] - theta[at]) if gain > MIN_BLUNT_GAIN else 0.0
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""

@@ -4,9 +4,8 @@ A scanner shows the rod times its modulation transfer (`point_spread`). Coordina
 it from the tip, u and v across.
 
 Blur, overshoot, the slices' blur and the metal's height are fitted with the tip, held by what balls in the
-scan show of them and by what metal and scanners can have: of a needle that is cut low its image alone leaves
-them open. Where rays run along the shaft, the hardened beam sees it darker than its end, and a dark streak
-beyond: both are fitted.
+scan show of them and by what metal and scanners can have. Where rays run along the shaft, the hardened beam
+sees it darker than its end, and a dark streak beyond: both are fitted.
 """
 
 from collections.abc import Callable
@@ -151,8 +150,7 @@ BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
 DERIVATIVE_STEP = np.array(1e-3)  # relative step of the derivatives
 WIDTH_STEP = 0.04  # change of the radius' logarithm over which the image's derivative is taken
 MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
-# By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors. Set on
-# the part `tuning` of `benchmarks/real_scanners.py`: with it none of the sides stated there is wrong.
+# By which artefacts near the tip weaken what its image shows of the bevel, beyond the blocks' errors.
 ARTEFACT_FACTOR = 30.0
 ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
 # Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000.
@@ -162,8 +160,7 @@ SWING_SD_MM = 0.1
 # Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
 STREAK_SD_HU, DARK_SD_PER_MM, MIN_DARK_SD, MAX_DARK_SD = 2000.0, 0.02, 0.05, 0.5
 # From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm. Set,
-# as those of the darkening, on the part `tuning` of `benchmarks/real_scanners.py`, on further volumes of its
-# renderer with needles in the slices, and on clean scans of `benchmarks/reconstruction.py --seed 5001`.
+# as those of the darkening, on volumes of `benchmarks/real_scanners.py` and `benchmarks/reconstruction.py`.
 BEVEL_RAY_MM = 6.0
 END_LENGTH_MM = 15.0  # length of a needle's end, mm, along which rays hide its tip
 MAX_RAY_MM = 30.0  # rays pass more of a needle in the slices than counts: it is bent, mm
@@ -307,12 +304,7 @@ class TipProblem:
         )
 
     def covariance(self, best: OptimizeResult) -> Floats:
-        """Return the covariance (12, 12) of the parameters.
-
-        The residuals of a block of voxels may go together in any way, as they do along a ray; what a block
-        pulls at the parameters in all is one observation, blocks are independent. What was known before pulls
-        with the deviation that is stated there, however well it fits.
-        """
+        """Return the covariance (12, 12) of the parameters: each block of voxels is one observation."""
         return self._sum_blocks(np.asarray(best.jac, dtype=np.float64), best.fun)[0]
 
     def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
@@ -343,11 +335,7 @@ class TipProblem:
         return np.asarray(inverse @ (total.T @ total) @ inverse), np.asarray(-inverse @ total.sum(axis=0))
 
     def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
-        """Return the probability that the bevel's point lies on the fitted side, within 90 degrees.
-
-        The likelihood over all rolls, the other parameters following to first order, of residuals that go
-        together in blocks.
-        """
+        """Return the probability that the bevel's point lies on the fitted side, within 90 degrees."""
         jacobian = np.asarray(best.jac, dtype=np.float64)
         others = np.delete(jacobian, ROLL, axis=1)
         basis = np.linalg.qr(others)[0]
@@ -367,11 +355,19 @@ class TipProblem:
         near = np.cos(turns) > 1e-9
         return float(likelihood[near].sum() / likelihood.sum())
 
-    def threshold_disagreement(self, theta: Floats) -> float:
-        """Return by how much a threshold sees the needle end later than it sees the fitted model end, mm.
+    def end_bluntly(self, best: OptimizeResult) -> tuple[float, float]:
+        """Return where a blunt end would lie, mm, and by how much its cost is less than that of `best`."""
+        at, start = HELD.index(COT), best.x.copy()
+        self.means[at], self.sds[at] = 0.0, BLUNT_COTANGENT_SD
+        self.bounds[0][COT], self.bounds[1][COT] = 0.0, MAX_PRIOR_SD * BLUNT_COTANGENT_SD
+        start[TIP] -= self.radius * start[COT]
+        blunt = self._minimize(start * (np.arange(len(start)) != COT), STEPS)
+        return float(blunt.x[TIP]), float(best.cost - blunt.cost)
 
-        The threshold lies half way up to what is shown of the shaft; where a section exceeds it anywhere in
-        the needle's width, there is needle.
+    def threshold_disagreement(self, theta: Floats) -> float:
+        """Return by how much a threshold, half way up to the shaft, sees the needle end later than the model.
+
+        In mm; there is needle where a section exceeds it anywhere in the needle's width.
         """
         s = np.arange(-6.0, 4.0, END_STEP_MM) + theta[TIP]
         where = axis_frames(self.axis, np.clip(s, 0, None))
@@ -438,6 +434,7 @@ class TipFit:
     source: TipSource
     # By which factor's logarithm the needle looks wider than stated, and its deviation; None: not tested.
     width: tuple[float, float] | None = None
+    blunt: float = 0.0  # how far from there a blunt end lies that explains the scan better, mm; 0: none does
 
 
 def fit_tip(
@@ -491,8 +488,12 @@ def fit_tip(
     sided = probability >= MIN_BEVEL_PROBABILITY and source == "model"
     bevel = np.cos(roll) * u + np.sin(roll) * v if sided else np.full(3, np.nan)
     point = there.origins[0] + best.x[U] * u + best.x[V] * v
-    width = None if rough else problem.width_misfit(best)
-    return TipFit(at, point, np.array([along, across]), bevel, float(probability), away, source, width)
+    width, blunt = None if rough else problem.width_misfit(best), 0.0
+    if problem.rolled and not rough and source == "model":
+        other, gain = problem.end_bluntly(best)
+        blunt = (other - at) * (gain > MIN_BLUNT_GAIN)
+    sd = np.array([np.hypot(along, blunt), across])
+    return TipFit(at, point, sd, bevel, float(probability), away, source, width, blunt)
 
 
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
@@ -502,6 +503,7 @@ HIDDEN_END_SD_PER_MM = 0.02
 # counts, HU. And what no residual shows across: mm, and in parts of that length. Set as `BEVEL_RAY_MM`.
 MIN_HIDDEN_PART, HIDING_STREAK_HU = 0.25, 1000.0
 ACROSS_ERROR_MM, ACROSS_ERROR_PER_MM = 0.015, 0.001
+MIN_BLUNT_GAIN = 5.0  # what is minimized is less by more where a blunt end is spoken of
 RESAMPLED_SD = 0.25  # deviation of the place along, in voxels, in a scan resampled after its values were cut
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.

@@ -7,16 +7,12 @@ chi-squared however the sets are laid on each other, and pairs added to others n
 Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2); what the likeliest must share with
 pairings that contradict it is the probability that it is wrong.
 
-What the markers' noise does to a registration, and that to a target: first-order covariances.
+A small motion theta = (turn, shift) about a centre c moves a world point p by J theta, J = [-[p - c]x, I].
+Markers i of deviations sigma_i, weighted by their inverse variances, give to first order
 
-A small motion (omega, tau) about a centre c moves a world point p by J theta, J = [-[p - c]x, I],
-theta = (omega, tau). Markers i with deviations sigma_i in every direction, fitted by least squares with their
-inverse variances, give
+    cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T,
 
-    cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T.
-
-With equal deviations that is eq. 46 of J. M. Fitzpatrick, J. B. West, C. R. Maurer, Predicting error in
-rigid-body point-based registration, IEEE Trans. Med. Imaging 17 (1998) 694-702.
+with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imaging 17 (1998) 694-702.
 """
 
 from dataclasses import dataclass, replace

@@ -2,10 +2,7 @@
 
 All pairings are tried (`pairing`); the likeliest is kept if it fits the stated noise and no other is nearly
 as likely. The motion is a rotation and a translation. A reflection is looked for only to name it in an error.
-
-RAS and LPS differ by the signs of x and y. That is a turn by half a circle about z, not a reflection, so no
-layout of markers can tell it from a scan that lies the other way round: only another set of markers in the
-same frame can (`check_axis_signs`).
+RAS read as LPS is a turn, which only another set of markers in the same frame shows (`check_axis_signs`).
 """
 
 from collections.abc import Iterator
