@@ -94,8 +94,7 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
         raise refusal(f"""{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw
                 its axis
             expected: at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage
-            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle
-            where: entry pose""")
+            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle""")
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
     sides = np.column_stack([make_normal(chord), np.cross(chord, make_normal(chord))])  # (3, 2)
@@ -138,8 +137,7 @@ def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:
         raise refusal(f"""{sentence}
             expected: the axis on which the needle was pushed
             fix: check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS),
-                and the deviations stated; or leave the stage out, and the shaft is taken
-            where: entry pose""")
+                and the deviations stated; or leave the stage out, and the shaft is taken""")
     return worst, sentence
 
 
@@ -169,8 +167,7 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
                 mm from it along the entry direction
             expected: an entry between the needle's base and its tip, a direction into the tissue
             fix: check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of the
-                direction
-            where: entry pose""")
+                direction""")
     n = int(before[0])
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
@@ -178,8 +175,7 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     if away > MAX_ENTRY_DISTANCE_MM:
         raise refusal(f"""the needle crosses the plane of first contact {away:.1f} mm from the entry
             expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
-            fix: check the entry pose, the known places of the markers, and that both are in one frame
-            where: entry pose""")
+            fix: check the entry pose, the known places of the markers, and that both are in one frame""")
     return at
 
 

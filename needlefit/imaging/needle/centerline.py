@@ -185,10 +185,7 @@ def _measure_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: fl
 def _list_warnings(
     volume: Volume, axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord, beside: tuple[float, float]
 ) -> Iterator[str]:
-    """Yield what contradicts the stated diameter, that nothing moved, or that the end is free.
-
-    `beside`: as of `_measure_wide_end`.
-    """
+    """Yield what contradicts the stated needle, that nothing moved, or that the end is free, `beside` it."""
     if end.blunt:
         yield (
             f"the end may be blunt: that explains the scan better than {recipe.needle.bevel_deg:g} degrees, "

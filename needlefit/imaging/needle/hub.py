@@ -14,7 +14,7 @@ METAL_HU = 1500.0  # what is brighter belongs to the hub, HU
 REACH_MM, SIDE_MM, STEP_MM = 60.0, 7.0, 0.5
 # Distance from a hub to the place on the needle that shows the hub's direction, mm; rounds to find it.
 LEVER_MM, ROUNDS = 25.0, 3
-MIN_RADIUS, MAX_RADIUS_MM = 1.5, 5.0  # radius of a hub, at least over the needle's diameter, and at most
+MIN_RADIUS, MAX_RADIUS_MM = 1.8, 5.0  # radius of a hub, at least over the needle's diameter, and at most
 END_MM, MIN_LENGTH_MM = 3.0, 4.0  # length of a hub that shows its axis, and of one, at least, mm
 HIDDEN_MM = 20.0  # length of a hub that leaves the volume beyond its face, mm
 

@@ -92,8 +92,6 @@ def find_tubes(
 ) -> list[Component]:
     """Return the components that may be the needle, each with the pieces that lie on its curve.
 
-    `bright`: voxels above a level, where they were listed already.
-
     DataError if nothing is as bright as metal, or no component is a tube.
     """
     levels = list_thresholds(volume, recipe)
@@ -216,8 +214,6 @@ def find_components(
     volume: Volume, low: float, high: float, bright: BrightVoxels | None = None
 ) -> list[Component]:
     """Return the components above `low` that somewhere exceed `high` (HU), with their measures.
-
-    `bright`: voxels above a level, where they were listed already.
 
     DataError if no voxel exceeds `high`.
     """

@@ -98,8 +98,7 @@ def place_in_slices(
         raise refusal(f"""the needle grows faint {faint:.0f} mm before the end that a threshold sees: where it
                 ends does not show in such thick slices
             expected: a needle that slices show as far as its tip
-            fix: scan it across the slices, or with thinner ones; or place the tip in Slicer (--corrections)
-            where: tip of the needle""")
+            fix: scan it across the slices, or with thinner ones; or place the tip by --corrections""")
     way = points[-1] - points[0] - (points[-1] - points[0]) @ normal * normal
     way /= np.linalg.norm(way)
     frame = np.stack([way, np.cross(normal, way), normal])
@@ -271,8 +270,7 @@ def _extend(spline: BSpline, x: Floats) -> Floats:
 class _SliceProblem:
     """What slices (K,) show on lines (U,) across the needle at stations (S,), and what a rod would show.
 
-    Parameters are coefficients of the axis across and along the slices' normal, the end and the bevel's roll,
-    and the scan's.
+    Parameters: coefficients of the axis across and along the normal, end, the bevel's roll, and the scan's.
     """
 
     rod: Rod

@@ -478,8 +478,7 @@ def fit_tip(
             raise refusal("""the end of the needle does not show: no section near it is as bright as half the
                     shaft
                 expected: a needle that ends in the tissue, in the volume
-                fix: check that the scan holds the tip, away from other metal; or give a mask of the needle
-                where: tip of the needle""")
+                fix: check that the scan holds the tip, away from other metal; or give a needle's mask""")
         limits = [MAX_MODEL_SD_MM, DISAGREEMENT_SD * away, float(volume.spacing.max()) / 2]
         at, along, source = at + away, float(np.linalg.norm(limits)), "threshold"
     there = axis_frames(axis, np.array([at]))
