@@ -58,7 +58,7 @@ def test_a_needle_is_followed_along_three_points_and_a_tip_beside_it_is_refused(
     assert cases.off(line.points, truth).max() < 0.10
     assert np.linalg.norm(line.tip - truth[-1]) < 0.12 and line.points[0, 2] < 1.0  # it leaves the volume
     rod = follow.select_rod(volume, rough, cases.RECIPE)
-    assert_allclose([rod.length, rod.width], [40.5, 1.27], rtol=0.4)
+    assert abs(rod.length - 40.5) < 2.0
     refusal(DataError, "", follow.follow_points, volume, points + np.array([0, 6.0, 0]), cases.RECIPE)
     refusal(DataError, "", follow.follow_points, volume, points[:2], cases.RECIPE)
     line = centerline.trace_needle(volume, rod, cases.RECIPE, tip=truth[-1] + [0.2, 0.2, 0])
