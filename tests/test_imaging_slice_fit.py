@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.rod_projection import CELL_MM, COLUMN_MM, Rod
 from needlefit.imaging.needle.segmentation import find_tubes
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume import Volume, to_index, to_patient, turn_slices
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 COLUMNS = np.arange(30.0, -30.1, -COLUMN_MM)
@@ -53,3 +54,20 @@ def test_pieces_of_a_needle_in_successive_slices_are_one_tube():
     )
     (tube,) = find_tubes(Volume(values, np.zeros(3), spacing, np.eye(3)), recipe)
     assert (tube.voxels[:, 0].min(), tube.voxels[:, 0].max()) == (20, 156)
+
+
+def test_a_hub_before_a_needle_is_found_and_slices_along_another_axis_are_turned():
+    size, spacing = np.array([40, 40, 120]), np.array([0.5, 1.0, 0.5])
+    i, j, k = np.meshgrid(*(np.arange(n) for n in size), indexing="ij")
+    x, y, z = (one * step for one, step in zip((i, j, k), spacing, strict=True))
+    away = np.hypot(x - 10, y - 20)
+    metal = (away < 0.64) & (z < 50) | (away < 3) & (z < 15)
+    volume = Volume(np.where(metal, 3000, -1000).T.astype(np.float32), np.zeros(3), spacing, np.eye(3))
+    points = np.array([[10.0, 20, at] for at in np.arange(22.0, 50)])
+    hub = find_hub(volume, points, 1.27)
+    assert hub is not None and abs(hub.radius - 3) < 0.5 and find_hub(volume, points[::-1], 1.27) is None
+    assert_allclose(hub.ends[1], [10, 20, 15], atol=0.5)
+    turned = turn_slices(volume)
+    assert turned.spacing.tolist() == [0.5, 0.5, 1.0] and turn_slices(turned) is turned
+    n = np.rint(to_index(turned, to_patient(volume, [[20, 20, 100]]))[0]).astype(int)
+    assert turned.values[tuple(n[::-1])] == volume.values[100, 20, 20]
