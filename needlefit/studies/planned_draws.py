@@ -135,6 +135,7 @@ class PlannedInsertion:
         self._s, self._deep, self._wrong, self._jobs = s, deep, wrong, jobs
         self._table: _SurfaceTable | None = None
         self._draws: _InterpolatedDraws | None = None  # None where each draw is simulated by itself
+        self._kept: dict[int, tuple[Floats, bool]] = {}  # needles of sets that were simulated by themselves
         self._prepare()
 
     def _prepare(self) -> None:
@@ -191,38 +192,38 @@ class PlannedInsertion:
         found = PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts, deep), valid)
 
         def simulate(some: Ints) -> PlannedNeedles:
-            nodes = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in some]
-            return self._simulate_each([(self._sets[rows[n]], *nodes[k]) for k, n in enumerate(some)])
+            for n in some:
+                if rows[n] not in self._kept:
+                    moved = shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n])
+                    self._kept[rows[n]] = self._simulate_one(rows[n], *moved)
+            return self._join([self._kept[rows[n]] for n in some])
 
         return found.check(simulate, int(np.argmax(self._s)), sd)
 
     def simulate_each(self, rows: Ints) -> PlannedNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
-        nodes: list[tuple[Mapping[str, float], Insertion | None, Floats]] = []
+        found: list[tuple[Floats, bool]] = []
         for row in rows:
             values, entry = self._sets[row], float(self._deep[row])
             met = with_planned_layers(self._insertion, values, self._medium, self._needle)
             if met is None:
-                nodes.append((values, None, self._s))
+                found.append((np.full((len(self._s), 2), np.nan), False))
             else:
                 wrong = entry + self._wrong[row, : len(met.boundaries)]
-                nodes.append((values, *shift_depths(met, self._s, wrong, entry)))
-        return self._simulate_each(nodes)
+                found.append(self._simulate_one(row, *shift_depths(met, self._s, wrong, entry)))
+        return self._join(found)
 
-    def _simulate_each(
-        self, nodes: Sequence[tuple[Mapping[str, float], Insertion | None, Floats]]
-    ) -> PlannedNeedles:
-        """Return needles of values, insertion and beam coordinates (K,) each; NaN without an insertion."""
-        points, valid = np.full((len(nodes), len(self._s), 3), np.nan), np.zeros(len(nodes), dtype=np.bool_)
-        size = 2
-        for n, (values, insertion, at) in enumerate(nodes):
-            if insertion is None:
-                continue
-            shape = predict(values, self._medium, self._needle, insertion)
-            read, valid[n] = read_points(insertion, shape, at), shape.valid
-            size = max(size, read.shape[1])  # 3 in space
-            points[n, :, : read.shape[1]] = read
-        return PlannedNeedles(points[..., :size], valid)
+    def _simulate_one(self, row: int, insertion: Insertion, at: Floats) -> tuple[Floats, bool]:
+        """Return the points (K, 2 or 3) of the needle of a set at beam coordinates (K,), and its validity."""
+        shape = predict(self._sets[row], self._medium, self._needle, insertion)
+        return read_points(insertion, shape, at), shape.valid
+
+    def _join(self, needles: Sequence[tuple[Floats, bool]]) -> PlannedNeedles:
+        size = max(points.shape[1] for points, _ in needles)
+        every = np.full((len(needles), len(self._s), size), np.nan)
+        for row, (points, _) in zip(every, needles, strict=True):
+            row[:, : points.shape[1]] = points
+        return PlannedNeedles(every, np.array([valid for _, valid in needles]))
 
 
 def simulate_scene(
