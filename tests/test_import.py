@@ -623,9 +623,9 @@ CURVATURES = "Nadel;s (cm);Krümmung y [1/m];kappa_z [1/m];sd [1/m]\nq1;1;0,1;3,
 SHARP = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": "0.05", "pose_angle_sd": "0.05"}
 
 
-def import_turned(folder, **answers):
+def import_turned(folder, turns=TURNS, **answers):
     """Import the four needles with their turns; return the folder of the dataset."""
-    (folder / "turns.csv").write_text(TURNS)
+    (folder / "turns.csv").write_text(turns)
     paths = [CASES / "two_plane.csv", folder / "turns.csv"]
     settled = Answers({key.replace("_", " "): value for key, value in answers.items()})
     content, plan = plan_import(paths, settled)
@@ -697,6 +697,18 @@ def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_pa
     assert "bevel_plane" in {one.kind for one in inspect(tmp_path / "gel").warnings}
     # a turn that is stated later is fitted as one that was imported
     assert read_toml(tmp_path / "gel/tissue.toml")["advance"] == "path_angle"
+
+
+@pytest.mark.parametrize(("roll", "aside"), [(90, False), (45, False), (0, True), (180, True), (-90, True)])
+def test_needles_are_judged_beside_the_turns_that_are_stated(tmp_path, roll, aside):
+    """They were turned by 90 degrees: in a table of turns, as without one, another turn is wrong."""
+    dataset = read(import_turned(tmp_path, TURNS.replace(",90", f",{roll}"), pose="1,0,0", bevel="0,1,0"))
+    assert ("bevel_plane" in {one.kind for one in dataset.warnings}) == aside
+    away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
+    wanted = [1.5, 2.2, 2.7, 3.4] if aside else [0.0] * 4
+    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx(wanted, abs=0.15)
+    (fix,) = (one.fix for one in dataset.warnings if one.kind == "bevel_plane") if aside else ("",)
+    assert ("`bevel_roll_deg`" in fix) == (roll == -90)
 
 
 # ---- tip tracks and structure sets

@@ -276,6 +276,6 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         if holes:
             screen.print_text(f"Holes: {holes}.")
         if away := [f"{name} {mm:.2f} mm = {sds:.1f} SD" for name, mm, sds in planes]:
-            screen.print_text(f"Out of the plane at the tip: {join_names(away, 8)}.")
+            screen.print_text(f"Off the plane, or the turns, of the bevel: {join_names(away, 8)}.")
     if faults:
         raise typer.Exit(DataError.exit_code)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
@@ -88,61 +89,124 @@ def _project_turns(insertion: Insertion) -> Insertion:
 
 
 def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
-    """Return how far each tip is out of the plane of its bevel, mm, and in standard deviations; worst first.
+    """Return how far each needle is from where its bevel leads it: mm, standard deviations; worst first.
 
-    That of a free shape is the plane nearest to it. None of tip tracks and of needles that were turned.
+    See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks.
     """
-    known = [one for one in dataset.insertions if dataset.pose != "tracker" and not one.turns]
+    known = dataset.insertions if dataset.pose != "tracker" else ()
     sds = [compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
-    away = [abs(float(one.out_of_plane[-1])) for one in known]
+    away = [measure_aside(one) for one in known]
     found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
     return sorted(found, key=lambda one: -one[2])
 
 
-def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions whose tips leave the planes of their bevels.
+def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
+    """Return how far a needle is from the directions across it in which its bevel leads it, mm.
 
-    It proposes the direction of side 1 that fits their tips, and says whether one fits all. Without any it
-    names those whose tips are far out of the planes nearest to their own curves.
+    Without turns that is the tip's distance from the bevel's plane: sides are judged elsewhere. Else the
+    needle lies at each turn, and at its tip, between the directions that the bevel has faced up to there,
+    whatever layers it meets; the greatest distance counts. `handedness` -1: of turns of the opposite sign.
     """
-    tips: dict[str, Floats] = {}  # across the needle, turned to side 1, in the world
-    places, worst = [], 0.0
-    for insertion, where in ((one.insertion, one.where) for one in listed):
-        has_plane = insertion.pose_source != "none" and not turns_out_of_plane(insertion)
-        away = abs(float(insertion.out_of_plane[-1])) if has_plane else 0.0
-        # of a needle that was turned the roll was stated, with its error
-        compute_sd = compute_plane_sd if insertion.turns else compute_deflection_sd
-        errors = SIGNIFICANT_SD * compute_sd(insertion, noise)
-        if away > max(errors, MIN_BEND_SLOPE * insertion.depth):
-            across = np.array([0.0, insertion.planar[-1, 1], insertion.out_of_plane[-1]])
-            tips[insertion.id] = insertion.side * insertion.frame.rotation @ across
-            places.append(where)
-            worst = max(worst, away)
-    if tips:
-        shown = [
-            f"{', '.join(f'{x:z.2f}' for x in normalize(tip).round(2))} ({id_})" for id_, tip in tips.items()
-        ]
-        mean = np.mean([normalize(tip) for tip in tips.values()], axis=0)
-        if np.linalg.norm(mean) > MIN_SAME_DIRECTION:
-            shown = [", ".join(f"{x:z.2f}" for x in normalize(mean).round(2))]
-        out, fits = (join_names(one, MAX_NAMED_INSERTIONS) for one in ([*tips], shown))
+    if not insertion.turns:
+        return abs(float(insertion.out_of_plane[-1]))
+    depths, rolls = np.array([(0.0, 0.0), *insertion.turns]).T
+    angles = np.radians(handedness * rolls)
+    faced = insertion.side * np.array([np.cos(angles), np.sin(angles)])
+    places = enumerate(_find_across(insertion, [*depths[1:], insertion.depth]), start=1)
+    return max(float(scipy.optimize.nnls(faced[:, :count], place)[1]) for count, place in places)
+
+
+def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
+    """Return y and z (n, 2) of the needle at depths along it, mm."""
+    along, points = insertion.measure_arc(2), (insertion.planar[:, 1], insertion.out_of_plane)
+    return np.column_stack([np.interp(depths, along, one) for one in points])
+
+
+def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions that are not where their bevels lead them.
+
+    It proposes what leads them there. Without any it names those whose tips are far out of the planes nearest
+    to their own curves.
+    """
+    aside = _find_aside([one for one in listed if one.insertion.pose_source != "none"], noise)
+    if aside:
+        names = join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS)
         what = (
-            f"tips are out of the planes of their bevels, by up to {worst:.1f} mm, more than "
-            f"{SIGNIFICANT_SD:g} standard deviations of points and pose: {out}"
+            f"needles are up to {max(measure_aside(one.insertion) for one in aside):.1f} mm from where their "
+            f"bevels lead them, which errors of points, pose and turns do not explain: {names}"
         )
-        fix = f"check the bevel direction and the frame; the direction {fits} fits"
-        fix += "; state turns of the bevel by `insertions.turns`"
-        yield ResultWarning("bevel_plane", what, places[0], fix)
-        return
-    own = [(_measure_twist(one.insertion), one) for one in listed if not one.insertion.turns]
-    squares = [(away**2, one.insertion.deflection**2) for away, one in own]
-    away, bend = np.sqrt(np.mean(squares, axis=0)) if squares else (0.0, 0.0)
-    errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
-    if errors and away > max(errors, MIN_TWIST * bend):
-        names = [one.insertion.id for twist, one in own if twist > errors]
-        what = f"{join_names(names, MAX_NAMED_INSERTIONS)} bend in no plane, by {away:.2g} mm at tips (rms)"
+        fix = _propose_bevel([one.insertion for one in aside], noise)
+        fix += "; `planes = 2` in the study or fit compares them in space"
+        yield ResultWarning("bevel_plane", what, aside[0].where, fix)
+    elif twisted := _find_twisted([one.insertion for one in listed], noise):
+        what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
         fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, listed[0].where, fix)
+
+
+def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
+    """Return the insertions that errors do not bring to where their bevels lead them.
+
+    Those with turns, whose rolls have errors, are judged together too: they follow one convention.
+    """
+    ratios = []
+    for one in (each.insertion for each in known):
+        compute_sd = compute_plane_sd if one.turns else compute_deflection_sd
+        least = MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD
+        ratios.append(measure_aside(one) / max(compute_sd(one, noise), least))
+    turned = [ratio for ratio, one in zip(ratios, known, strict=True) if one.insertion.turns]
+    count, chance = max(1, len(turned)), scipy.special.chdtrc(1, SIGNIFICANT_SD**2)
+    limit = math.sqrt(scipy.special.chdtri(count, chance) / count)
+    limit = limit if np.sum(np.square(turned)) > count * limit**2 else SIGNIFICANT_SD
+    limits = [limit if one.insertion.turns else SIGNIFICANT_SD for one in known]
+    return [one for one, ratio, most in zip(known, ratios, limits, strict=True) if ratio > most]
+
+
+def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:
+    """Return what leads needles to where they are: turns, or a direction of side 1."""
+    if all(one.turns and measure_aside(one, -1.0) < measure_aside(one) / 2 for one in aside):
+        return "change the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
+    if any(one.turns for one in aside) or _find_twisted(aside, noise):
+        rolls = []
+        for one in aside:
+            first, middle, last = _find_across(one, [one.depth * part for part in (0.5, 0.75, 1.0)])
+            rolls.append(f"{_find_roll(one, first - 2 * middle + last):.0f}")
+        listed = _name_values(aside, rolls)
+        return f"check the turns, `insertions.turns`: the last halves bend toward rolls of {listed} degrees"
+    tips = [np.array([one.planar[-1, 1], one.out_of_plane[-1]]) for one in aside]
+    rolls = [f"{_find_roll(one, tip):.0f}" for one, tip in zip(aside, tips, strict=True)]
+    toward = [
+        normalize(one.side * one.frame.rotation[:, 1:] @ tip) for one, tip in zip(aside, tips, strict=True)
+    ]
+    mean = np.mean(toward, axis=0)
+    same = np.linalg.norm(mean) > MIN_SAME_DIRECTION
+    shown = [", ".join(f"{x:z.2f}" for x in one.round(2)) for one in ([normalize(mean)] if same else toward)]
+    return (
+        f"check the bevel direction and the frame; rolls of {_name_values(aside, rolls)} degrees fit, or the "
+        f"direction {shown[0] if same else _name_values(aside, shown)}"
+    )
+
+
+def _find_roll(insertion: Insertion, across: Floats) -> float:
+    """Return a direction (y, z) across the needle in degrees from that of the bevel at contact."""
+    y, z = insertion.side * across
+    return math.degrees(math.atan2(z, y))
+
+
+def _name_values(insertions: Sequence[Insertion], values: Sequence[str]) -> str:
+    listed = [f"{value} ({one.id})" for one, value in zip(insertions, values, strict=True)]
+    return join_names(listed, MAX_NAMED_INSERTIONS)
+
+
+def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:
+    """Return the needles without turns that bend in no plane; none unless they do so together (rms)."""
+    own = [one for one in insertions if not one.turns]
+    twists = {one.id: _measure_twist(one) for one in own}
+    errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
+    away, bend = math.hypot(*twists.values()), math.hypot(*(one.deflection for one in own))
+    if not errors or away <= max(errors * math.sqrt(len(own)), MIN_TWIST * bend):
+        return []
+    return [name for name, twist in twists.items() if twist > errors]
 
 
 def _measure_twist(insertion: Insertion) -> float:
