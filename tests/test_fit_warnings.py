@@ -24,7 +24,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import DEPTHS_KEY
@@ -239,14 +239,18 @@ def test_every_kind_of_warning_has_a_section_that_explains_it():
         )
 
 
-def test_the_error_in_space_stands_beside_that_of_needles_that_leave_their_plane():
+def test_the_error_in_space_stands_beside_that_in_the_plane_where_they_differ_by_more_than_noise():
     results = study(1)
     errors = results.frames["errors"]
-    results = results.with_frames(errors=errors.assign(te_3d_mm=errors["te_mm"] + 2.0))
-    left = replace(results, run=results.run | warnings_entry([ResultWarning("bevel_plane", "x")]))
-    (one,), (other,) = (run.answer.verdicts for run in (results, left))
-    assert "te_3d_mm" not in one.numbers
-    assert other.numbers["te_3d_mm"] == pytest.approx(one.numbers["te_mm"] + 2.0)
+    noise = errors["floor_te_3d_mm"].max()
+    near, far, unknown = (
+        results.with_frames(errors=errors.assign(te_3d_mm=errors["te_mm"] + away, floor_te_3d_mm=floor))
+        for away, floor in ((0.9 * noise, noise), (1.1 * noise, noise), (0.1 * noise, np.nan))
+    )
+    one, *others = (run.answer.verdicts[0].numbers for run in (near, far, unknown))
+    assert "te_3d_mm" not in one
+    expected = [one["te_mm"] + 1.1 * noise, one["te_mm"] + 0.1 * noise]
+    assert [other["te_3d_mm"] for other in others] == pytest.approx(expected)
 
 
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}

@@ -4,6 +4,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +14,6 @@ from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
-from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_bare_symbol, format_metric, format_quantity_range
@@ -89,11 +89,7 @@ def find_answer(results: Run) -> Answer:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     determined, intervals = _list_determined(results)
-    errors, space = results.frames["errors"], None
-    if not values["in_space"] and "bevel_plane" in {one.kind for one in read_warnings(results.run)}:
-        keys = {"role": role, "method": choose_method(results), "boundaries": "measured"}
-        scored = errors[(errors[[*keys]] == [*keys.values()]).all(axis=1)]
-        space = float(scored["te_3d_mm"].mean())
+    space = _find_error_in_space(results, role)
     words = {
         **values,
         "judged": judged,
@@ -130,6 +126,19 @@ def find_answer(results: Run) -> Answer:
         table = fit_tables.lay_out_summary(results)
     about, advice, known = (TEXT.sentence(block, words) for block in ("about", "advice", "determined"))
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
+
+
+def _find_error_in_space(results: Run, role: str) -> float | None:
+    """Return the tip error in space, mm; None unless it exceeds that in the plane by more than its noise."""
+    if scores.is_in_space(results):
+        return None
+    keys = {"role": role, "method": choose_method(results), "boundaries": "measured"}
+    errors = results.frames["errors"]
+    scored = errors[(errors[[*keys]] == [*keys.values()]).all(axis=1)]
+    flat, space, noise = (
+        float(scored[name].mean()) for name in (scores.TE, scores.TE_IN_SPACE, "floor_te_3d_mm")
+    )
+    return space if space - flat > (0.0 if math.isnan(noise) else noise) else None
 
 
 def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
