@@ -30,7 +30,9 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import read_warnings
+from needlefit.project.toml import load
 from needlefit.reporting.dataset_import import write_import
+from needlefit.schemas.scene import SceneRecord, resolve_steps
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(3)]
@@ -675,6 +677,10 @@ def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_les
     found = score_study(f"{folder}/gel_study.toml", jobs=1)
     errors = found[found["method"] == "fitted"].groupby("role")["te_3d_mm"].mean()
     assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
+    # the scene of the deepest needle, to be predicted, turns as that did
+    steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
+    assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.911], abs=1e-3)
+    assert [step.bevel.roll_deg or 0.0 for step in steps] == pytest.approx([0.0, 90.0])
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

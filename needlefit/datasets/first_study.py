@@ -6,7 +6,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
-from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.scene import SceneRecord, StepRecord
 from needlefit.schemas.study import StudyRecord
 
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
@@ -24,11 +24,14 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
     """Write an insertion of a dataset as a scene, to be simulated, planned, viewed and predicted."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
     _, advance, bevel = _choose_advance(dataset)
+    path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
+    if insertion.turns:
+        path = {"steps": [one.model_dump(exclude_defaults=True) for one in record_steps(insertion)]}
     scene: dict[str, object] = {
         "schema": 2,
         "title": f"A planned insertion as {insertion.id} of {dataset.name}",
         "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
-        "depth_mm": round(insertion.depth, 3),
+        **path,
         "needle": load(dataset.path, DatasetRecord).needle.model_dump(exclude_defaults=True),
         "bevel": {**bevel, "side": insertion.side},
         **({"rules": advance} if advance else {}),
@@ -38,7 +41,21 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
         ],
     }
     check(scene, SceneRecord, file.name)
-    _write_start(file, scene, "needle, depth, layers and bevel.")
+    _write_start(file, scene, "needle, depth, layers, bevel and its turns.")
+
+
+def record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
+    """Return the steps of an insertion with turns of its bevel, or a move of its base at the end."""
+    contact = 0.0 if insertion.side > 0 else 180.0
+    turned = [(None, 0.0), *insertion.turns]
+    ends = [*(depth for depth, _ in insertion.turns), insertion.depth]
+    steps = [
+        StepRecord(depth_mm=end, roll_deg=None if begin is None else contact + roll)
+        for end, (begin, roll) in zip(ends, turned, strict=True)
+    ]
+    if insertion.base_moved:
+        steps.append(StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved))
+    return tuple(steps)
 
 
 def _choose_advance(dataset: Dataset) -> tuple[str, dict[str, str], dict[str, float]]:

@@ -2,18 +2,12 @@
 
 from collections.abc import Mapping
 
+from needlefit.datasets.first_study import record_steps
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.inference.forward_model import make_rules
 from needlefit.mechanics.laws import LAWS
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.scene import (
-    BevelRecord,
-    ControlsRecord,
-    LayerRecord,
-    NeedleRecord,
-    SceneRecord,
-    StepRecord,
-)
+from needlefit.schemas.scene import BevelRecord, ControlsRecord, LayerRecord, NeedleRecord, SceneRecord
 
 
 def make_scene_record(
@@ -60,22 +54,8 @@ def make_scene_record(
         bevel=BevelRecord.model_validate(bevel),
         rules=make_rules(medium),
         controls=ControlsRecord(guide_distance_mm=guide),
-        steps=_record_steps(insertion) if moved or insertion.turns else (),
+        steps=record_steps(insertion) if moved or insertion.turns else (),
     )
-
-
-def _record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
-    """Return the steps of an insertion with turns of its bevel, or a move of its base at the end."""
-    contact = 0.0 if insertion.side > 0 else 180.0
-    turned = [(None, 0.0), *insertion.turns]
-    ends = [*(depth for depth, _ in insertion.turns), insertion.depth]
-    steps = [
-        StepRecord(depth_mm=end, roll_deg=None if begin is None else contact + roll)
-        for end, (begin, roll) in zip(ends, turned, strict=True)
-    ]
-    if insertion.base_moved:
-        steps.append(StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved))
-    return tuple(steps)
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
