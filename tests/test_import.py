@@ -694,6 +694,26 @@ def test_the_rule_of_advance_that_fits_better_is_named_with_its_tip_error(tmp_pa
     assert other["stated_te_3d_mm"] > 0.4 and "advance" in [one.kind for one in read_warnings(found.run)]
 
 
+@pytest.mark.parametrize(
+    ("signs", "named"), [((1, 1), []), ((-1, 1), ["y"]), ((1, -1), ["z"]), ((-1, -1), ["y", "z"])]
+)
+def test_curvatures_of_the_wrong_sign_are_named_with_their_column(tmp_path, signs, named):
+    """Two arcs of a radius of 300 mm: toward +y up to half the depth, then toward +z."""
+    folder, rows = import_turned(tmp_path, **SHARP), ["id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm"]
+    for one in read(folder).insertions:
+        for part, y, z in ((0.9, 1, 0), (0.6, 1, 0), (0.4, 0, 1), (0.1, 0, 1)):
+            rows.append(
+                f"{one.id},{part * one.depth:.2f},{signs[0] * y / 300:.6f},{signs[1] * z / 300:.6f},1e-4"
+            )
+    (folder / "curvature.csv").write_text("\n".join(rows))
+    stated = (
+        (folder / "dataset.toml").read_text().replace('turns = "', 'curvature = "curvature.csv"\nturns = "')
+    )
+    (folder / "dataset.toml").write_text(stated)
+    found = [one.what for one in inspect(folder).warnings if one.kind == "curvature"]
+    assert [next(axis for axis in "yz" if f"kappa_{axis}" in what) for what in found] == [*named]
+
+
 def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_path):
     settled = Answers({"pose": "1,0,0", "bevel": "0,1,0"})
     content, plan = plan_import([CASES / "two_plane.csv"], settled)

@@ -27,6 +27,7 @@ from needlefit.datasets.planes import (
     MIN_BEND_SLOPE,
     SIGNIFICANT_SD,
     compute_deflection_sd,
+    find_curvature_warnings,
     find_plane_warnings,
 )
 from needlefit.geometry.curves import arc_length
@@ -224,6 +225,7 @@ def find_insertion_warnings(
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
     yield from find_plane_warnings(listed, noise)
+    yield from find_curvature_warnings(listed, noise)
     gaps = [float(np.diff(arc_length(one.planar)).max()) for one in insertions]
     scatters = [
         min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0

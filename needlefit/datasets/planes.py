@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import CURVATURE_COLUMNS
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
@@ -22,6 +23,7 @@ MIN_BEND_SLOPE = 0.005
 MIN_TWIST = 0.05  # of tips out of the planes of their curves, as part of the deflection, rms
 MIN_SAME_DIRECTION = 0.95  # length of the mean of unit vectors from which they are one direction
 MAX_NAMED_INSERTIONS = 8  # number of insertions that a warning names
+BEND_PLACES = 200  # along a needle, at which its curvature is integrated
 PLANAR_TURN_SINE = 1e-6  # sine of a turn up to which it is one by 0 or 180 degrees
 
 
@@ -142,6 +144,28 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
         fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
         yield ResultWarning("bevel_plane", what, listed[0].where, fix)
+
+
+def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions whose stated curvatures bend them away from their tips."""
+    against: dict[str, set[str]] = {}
+    for one in (each.insertion for each in listed):
+        if one.curvature is None:
+            continue
+        (tip,) = _find_across(one, [one.depth])
+        s, *curvatures, _ = one.curvature[np.argsort(one.curvature[:, 0])].T
+        places = np.linspace(0.0, one.depth, BEND_PLACES)  # from the tip; the entry is straight along x
+        led = [np.trapezoid(places * np.interp(places, s, each), places) for each in curvatures]
+        least = max(SIGNIFICANT_SD * compute_deflection_sd(one, noise), MIN_BEND_SLOPE * one.depth)
+        for column, pair in zip(CURVATURE_COLUMNS[2:4], zip(led, tip, strict=True), strict=True):
+            if np.prod(np.sign(pair)) < 0 and min(np.abs(pair)) > least:
+                against.setdefault(column, set()).add(one.id)
+    for column, names in against.items():
+        what = (
+            f"`{column}` bends {join_names(sorted(names), MAX_NAMED_INSERTIONS)} away from the measured tips"
+        )
+        fix = "change its sign: curvatures are toward +y and +z of C, y where the bevel faces at contact"
+        yield ResultWarning("curvature", what, listed[0].where, fix)
 
 
 def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
