@@ -172,6 +172,10 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     noise = replace(data.noise, registration_mean=0.0, correlated_sd=0.0, point_sd=0.01)
     assert bent.out_of_plane[-1] > 0.005 * bent.depth
     assert not leaves_plane(bent, noise) and leaves_plane(replace(bent, roll_sd=math.radians(1.0)), noise)
+    # so do curvatures: 1e-4/mm toward z are explained by the roll, 1e-3/mm are not
+    for kappa_z, leaves in ((1e-4, False), (1e-3, True)):
+        sensors = np.array([[10.0, 2e-3, kappa_z, 2e-5], [30.0, 2e-3, kappa_z, 2e-5]])
+        assert leaves_plane(replace(flat, curvature=sensors), noise) == leaves
     with pytest.raises(ConfigError):
         set_planes(replace(data, pose="free"), [flat], 2)
     twisted = medium().model_copy(update={"torsional_friction_n": 0.1})
@@ -179,6 +183,9 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     tune = {"insertions": [flat.id, half.id]}
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
     assert prepare("x", record, settings).dataset.planes == 2
+    notes: list[str] = []  # what was decided, with the key that decides otherwise
+    planar = replace(settings, inputs=replace(settings.inputs, medium=medium()), note=notes.append)
+    assert prepare("x", record, planar).dataset.planes == 1 and "`planes = 2`" in notes[0]
     flattened = record.model_copy(update={"planes": 1})
     with pytest.raises(ConfigError, match="planes"):
         prepare("x", flattened, settings)

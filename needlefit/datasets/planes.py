@@ -48,13 +48,17 @@ def turns_out_of_plane(insertion: Insertion) -> bool:
 def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
     """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too.
 
-    A run of a tip track leaves it where its guide does.
+    So do stated curvatures along z. A run of a tip track leaves it where its guide does.
     """
     if isinstance(insertion, TipTrack):
         turned = insertion.guide_z is not None and turns_out_of_plane(insertion)
         return turned or insertion.guided_along_z
     if turns_out_of_plane(insertion):
         return True
+    if (read := insertion.curvature) is not None:
+        sds = np.hypot(read[:, 3], insertion.roll_sd * np.abs(read[:, 1]).max())
+        if np.mean((read[:, 2] / sds) ** 2) > SIGNIFICANT_SD**2:
+            return True
     away, sd = abs(float(insertion.out_of_plane[-1])), compute_plane_sd(insertion, noise)
     return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
 

@@ -315,14 +315,18 @@ def prepare(
         left = sorted({one.id for one in flattened if leaves_plane(one, dataset.noise)})
         dataset = set_planes(dataset, everything, planes)
     divided = make_folds(record, dataset)
-    if record.planes is None and dataset.planes == 2:
+    if record.planes is None and dataset.pose == "known":
         settings.note(
             "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
+            if dataset.planes == 2
+            else "needles are fitted in one plane: errors explain what is out of it (`planes = 2`: in space)"
         )
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file or record.medium)]
     if left:
         what = f"compared in the plane of their bevels, which they leave: {join_names(left, 8)}"
-        fix = "leave `planes` out: needles are then simulated and compared in space"
+        if any(one.curvature is not None for one in everything):
+            what += ", and by their curvatures along y alone"
+        fix = "leave `planes` out, or state 2: needles are then simulated and compared in space"
         warnings.append(ResultWarning("bevel_plane", what, settings.place("planes"), fix))
     if isinstance(record, StudyRecord) and not record.same_specimen:
         key = "validate" if record.leave_out is None else "leave_out"
