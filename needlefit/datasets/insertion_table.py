@@ -223,7 +223,8 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         yield Fault(where, "bevel_roll_deg is stated without its direction of 0", "a direction", fix)
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
-            expected, fix = "a standard deviation, 0 or more", "remove the sign, or leave the cell empty: 0"
+            expected = "a standard deviation, 0 or more"
+            fix = f"remove the sign, or leave the cell empty: {default:g}"
             yield Fault(where, f"{name} is negative", expected, fix)
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
         what = f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}"
