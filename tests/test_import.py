@@ -728,7 +728,8 @@ def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_pa
 @pytest.mark.parametrize(("roll", "aside"), [(90, False), (45, False), (0, True), (180, True), (-90, True)])
 def test_needles_are_judged_beside_the_turns_that_are_stated(tmp_path, roll, aside):
     """They were turned by 90 degrees: in a table of turns, as without one, another turn is wrong."""
-    dataset = read(import_turned(tmp_path, TURNS.replace(",90", f",{roll}"), pose="1,0,0", bevel="0,1,0"))
+    turns = TURNS.replace(",90", f",{roll}").replace("id,", "needle,")
+    dataset = read(import_turned(tmp_path, turns, pose="1,0,0", bevel="0,1,0"))
     assert ("bevel_plane" in {one.kind for one in dataset.warnings}) == aside
     away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
     wanted = [1.5, 2.2, 2.7, 3.4] if aside else [0.0] * 4

@@ -419,7 +419,7 @@ class _TableReader:
         units = self.find_units(n + 1)
         self.use(n, *range(len(row)))
         self.use(n + 1, *units)
-        depth = group.find("turn depth") or (group.find("depth") if {*TURN_COLUMNS} <= {*row} else [])
+        depth = group.find("turn depth") or (group.find("depth") if {*TURN_COLUMNS[1:]} <= {*row} else [])
         sensor = [m for one in SENSOR for m in group.find(one)[:1]] if group.find(*SENSOR[1:3]) else []
         if 0 < len(sensor) < len(SENSOR):
             what, expected = "a table of curvatures lacks a column", ", ".join(SENSOR)
