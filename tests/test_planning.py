@@ -221,12 +221,21 @@ def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys
     assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
 
 
-@pytest.mark.parametrize(("fitted", "kinds"), [((70.0, 80.0), []), ((100.0, 110.0), ["extrapolation"])])
-def test_a_plan_to_a_depth_that_was_not_fitted_says_so(fitted, kinds, monkeypatch, capsys) -> None:
-    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted)
+@pytest.mark.parametrize(
+    ("fitted", "planes", "target", "count"),
+    [
+        *[((70.0, 80.0), 1, "45,2", 0), ((100.0, 110.0), 1, "45,2", 1)],
+        *[((70.0, 80.0), 1, "45,2,1", 1), ((70.0, 80.0), 2, "45,2,1", 0)],
+    ],
+)
+def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
+    fitted, planes, target, count, monkeypatch, capsys
+) -> None:
+    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_planes=planes)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
-    assert run("plan", "phantom2", "--target", "45,2", "--turns", "0", "--json") == 0
-    assert [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]] == kinds
+    assert run("plan", "phantom2", "--target", target, "--turns", "0", "--json") == 0
+    kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
+    assert kinds == ["extrapolation"] * count
 
 
 @pytest.mark.sweep

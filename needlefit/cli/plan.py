@@ -91,7 +91,9 @@ def plan(
         rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
         found = rolled if rolled.hits else found
     plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
-    beyond = tuple(extrapolation_warnings(found.steps[-1].depth, shown.fitted_depths))
+    unfitted = found.goal.spatial and shown.fitted_planes == 1
+    depth = found.steps[-1].depth
+    beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
     shown = replace(shown, warnings=(*shown.warnings, *beyond))
     summary = _summarize(shown, plane, found, len(insertion.samples[0]))
     if invocation.json:

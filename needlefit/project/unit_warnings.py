@@ -98,8 +98,16 @@ def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Resul
         yield from warn([(key, what, fix)], format_place(file), "coarse")
 
 
-def extrapolation_warnings(depth: float, fitted: Sequence[float]) -> Iterator[ResultWarning]:
-    """Yield a warning if a predicted depth is far from those that were fitted, all in mm."""
+def extrapolation_warnings(
+    depth: float, fitted: Sequence[float], *, z_unfitted: bool = False
+) -> Iterator[ResultWarning]:
+    """Yield a warning if a predicted depth is far from those that were fitted, all in mm.
+
+    `z_unfitted`: another one, as a needle is predicted in space by a fit in one plane.
+    """
+    if z_unfitted:
+        what = "z is predicted, but the needles were fitted in one plane: no error along z was compared"
+        yield ResultWarning("extrapolation", what, fix="fit them in space: `planes = 2` in the study or fit")
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
         what = f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm"
         fix = "check its unit, mm; that the model may not hold there is not included"

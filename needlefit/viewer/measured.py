@@ -198,7 +198,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     warnings += viewed_scene.warnings
     viewed_scene = replace(
         viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings),
-        fitted_depths=tuple(one.depth for one in fitted),
+        fitted_depths=tuple(one.depth for one in fitted), fitted_planes=results.run.get("planes", 1),
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():
         return viewed_scene

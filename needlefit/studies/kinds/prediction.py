@@ -334,7 +334,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    warned += extrapolation_warnings(scene.depth, [one.depth for one in job.folds[0].tune])
+    depths, in_space = [one.depth for one in job.folds[0].tune], found.across.shape[2] == 2
+    warned += extrapolation_warnings(scene.depth, depths, z_unfitted=in_space and job.dataset.planes == 1)
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     judged = settings.inputs.judged or sampled
