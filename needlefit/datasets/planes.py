@@ -124,7 +124,9 @@ def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
 
 def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     """Return y and z (n, 2) of the needle at depths along it, mm."""
-    along, points = insertion.measure_arc(2), (insertion.planar[:, 1], insertion.out_of_plane)
+    along = insertion.measure_arc(2)
+    along *= insertion.depth / along[-1]
+    points = insertion.planar[:, 1], insertion.out_of_plane
     return np.column_stack([np.interp(depths, along, one) for one in points])
 
 
@@ -152,23 +154,21 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
 
 def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions whose stated curvatures bend them away from their tips."""
-    against: dict[str, set[str]] = {}
+    against: dict[str, list[str]] = {}
     for one in (each.insertion for each in listed):
         if one.curvature is None:
             continue
-        (tip,) = _find_across(one, [one.depth])
         s, *curvatures, _ = one.curvature[np.argsort(one.curvature[:, 0])].T
         places = np.linspace(0.0, one.depth, BEND_PLACES)  # from the tip; the entry is straight along x
-        led = [np.trapezoid(places * np.interp(places, s, each), places) for each in curvatures]
         least = max(SIGNIFICANT_SD * compute_deflection_sd(one, noise), MIN_BEND_SLOPE * one.depth)
-        for column, pair in zip(CURVATURE_COLUMNS[2:4], zip(led, tip, strict=True), strict=True):
-            if np.prod(np.sign(pair)) < 0 and min(np.abs(pair)) > least:
-                against.setdefault(column, set()).add(one.id)
+        (tip,) = _find_across(one, [one.depth])
+        for column, curvature, away in zip(CURVATURE_COLUMNS[2:4], curvatures, tip, strict=True):
+            led = np.trapezoid(places * np.interp(places, s, curvature), places)
+            if led * away < 0 and min(abs(led), abs(away)) > least:
+                against.setdefault(column, []).append(one.id)
     for column, names in against.items():
-        what = (
-            f"`{column}` bends {join_names(sorted(names), MAX_NAMED_INSERTIONS)} away from the measured tips"
-        )
-        fix = "change its sign: curvatures are toward +y and +z of C, y where the bevel faces at contact"
+        what = f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips"
+        fix = "change its sign: curvatures are toward +y and +z of a bevel with a roll of 0"
         yield ResultWarning("curvature", what, listed[0].where, fix)
 
 
@@ -179,51 +179,34 @@ def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedIn
     """
     ratios = []
     for one in (each.insertion for each in known):
-        compute_sd = compute_plane_sd if one.turns else compute_deflection_sd
-        least = MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD
-        ratios.append(measure_aside(one) / max(compute_sd(one, noise), least))
+        sd = (compute_plane_sd if one.turns else compute_deflection_sd)(one, noise)
+        ratios.append(measure_aside(one) / max(sd, MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD))
     turned = [ratio for ratio, one in zip(ratios, known, strict=True) if one.insertion.turns]
-    count, chance = max(1, len(turned)), scipy.special.chdtrc(1, SIGNIFICANT_SD**2)
-    limit = math.sqrt(scipy.special.chdtri(count, chance) / count)
-    limit = limit if np.sum(np.square(turned)) > count * limit**2 else SIGNIFICANT_SD
-    limits = [limit if one.insertion.turns else SIGNIFICANT_SD for one in known]
-    return [one for one, ratio, most in zip(known, ratios, limits, strict=True) if ratio > most]
+    count, total = max(1, len(turned)), float(np.sum(np.square(turned)))
+    most = float(scipy.special.chdtri(count, scipy.special.chdtrc(1, SIGNIFICANT_SD**2)))  # of chi-squared
+    limit = math.sqrt(most / count) if total > most else SIGNIFICANT_SD
+    pairs = zip(known, ratios, strict=True)
+    return [one for one, ratio in pairs if ratio > (limit if one.insertion.turns else SIGNIFICANT_SD)]
 
 
 def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:
-    """Return what leads needles to where they are: turns, or a direction of side 1."""
+    """Return what leads needles to where they are: turns, or rolls and the direction of side 1."""
     if all(one.turns and measure_aside(one, -1.0) < measure_aside(one) / 2 for one in aside):
         return "change the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
-    if any(one.turns for one in aside) or _find_twisted(aside, noise):
-        rolls = []
-        for one in aside:
-            first, middle, last = _find_across(one, [one.depth * part for part in (0.5, 0.75, 1.0)])
-            rolls.append(f"{_find_roll(one, first - 2 * middle + last):.0f}")
-        listed = _name_values(aside, rolls)
+    turned = any(one.turns for one in aside) or _find_twisted(aside, noise)
+    rolls, directions = [], []
+    for one in aside:
+        first, middle, last = one.side * _find_across(one, [one.depth * part for part in (0.5, 0.75, 1.0)])
+        toward = first - 2 * middle + last if turned else last
+        rolls.append(f"{math.degrees(math.atan2(toward[1], toward[0])):.0f} ({one.id})")
+        directions.append(normalize(one.frame.rotation[:, 1:] @ toward))
+    listed, mean = join_names(rolls, MAX_NAMED_INSERTIONS), np.mean(directions, axis=0)
+    if turned:
         return f"check the turns, `insertions.turns`: the last halves bend toward rolls of {listed} degrees"
-    tips = [np.array([one.planar[-1, 1], one.out_of_plane[-1]]) for one in aside]
-    rolls = [f"{_find_roll(one, tip):.0f}" for one, tip in zip(aside, tips, strict=True)]
-    toward = [
-        normalize(one.side * one.frame.rotation[:, 1:] @ tip) for one, tip in zip(aside, tips, strict=True)
-    ]
-    mean = np.mean(toward, axis=0)
-    same = np.linalg.norm(mean) > MIN_SAME_DIRECTION
-    shown = [", ".join(f"{x:z.2f}" for x in one.round(2)) for one in ([normalize(mean)] if same else toward)]
-    return (
-        f"check the bevel direction and the frame; rolls of {_name_values(aside, rolls)} degrees fit, or the "
-        f"direction {shown[0] if same else _name_values(aside, shown)}"
-    )
-
-
-def _find_roll(insertion: Insertion, across: Floats) -> float:
-    """Return a direction (y, z) across the needle in degrees from that of the bevel at contact."""
-    y, z = insertion.side * across
-    return math.degrees(math.atan2(z, y))
-
-
-def _name_values(insertions: Sequence[Insertion], values: Sequence[str]) -> str:
-    listed = [f"{value} ({one.id})" for one, value in zip(insertions, values, strict=True)]
-    return join_names(listed, MAX_NAMED_INSERTIONS)
+    fix = f"check the bevel direction and the frame; rolls of {listed} degrees fit"
+    if np.linalg.norm(mean) < MIN_SAME_DIRECTION:
+        return fix
+    return f"{fix}, or the direction {', '.join(f'{x:z.2f}' for x in normalize(mean).round(2))}"
 
 
 def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:

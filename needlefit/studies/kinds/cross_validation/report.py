@@ -4,7 +4,6 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -89,7 +88,10 @@ def find_answer(results: Run) -> Answer:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     determined, intervals = _list_determined(results)
-    space = _find_error_in_space(results, role)
+    flat, space = (group.get(one, method=choose_method(results)) for one in (scores.TE, scores.TE_IN_SPACE))
+    noise = group.get(scores.TE_IN_SPACE, "floor") or 0.0
+    if values["in_space"] or flat is None or space is None or space - flat <= noise:
+        space = None  # beside the error in the plane it states nothing more
     words = {
         **values,
         "judged": judged,
@@ -126,19 +128,6 @@ def find_answer(results: Run) -> Answer:
         table = fit_tables.lay_out_summary(results)
     about, advice, known = (TEXT.sentence(block, words) for block in ("about", "advice", "determined"))
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
-
-
-def _find_error_in_space(results: Run, role: str) -> float | None:
-    """Return the tip error in space, mm; None unless it exceeds that in the plane by more than its noise."""
-    if scores.is_in_space(results):
-        return None
-    keys = {"role": role, "method": choose_method(results), "boundaries": "measured"}
-    errors = results.frames["errors"]
-    scored = errors[(errors[[*keys]] == [*keys.values()]).all(axis=1)]
-    flat, space, noise = (
-        float(scored[name].mean()) for name in (scores.TE, scores.TE_IN_SPACE, "floor_te_3d_mm")
-    )
-    return space if space - flat > (0.0 if math.isnan(noise) else noise) else None
 
 
 def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
