@@ -177,6 +177,13 @@ def test_a_stated_error_that_cannot_be_right_is_named_with_its_place(tmp_path, k
         assert all(key in one.what for one in warnings)
 
 
+@pytest.mark.parametrize(("degrees", "count"), [(5.0, 0), (500.0, 1)])
+def test_a_roll_of_which_nothing_is_known_is_named(tmp_path, degrees, count):
+    path = write_rows(tmp_path, into_gel(roll=0.0, roll_sd=np.radians(degrees)))
+    found = [one for one in find_warnings(path) if "bevel_roll_sd_deg" in one.what]
+    assert [one.kind for one in found] == ["units"] * count
+
+
 @pytest.mark.parametrize(
     ("old", "new", "count"),
     [

@@ -645,6 +645,7 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned
     assert made["bevel"][1] == "guess" and toward == pytest.approx([0, 1, 0], abs=0.03)
     assert made["turns"][1] == made["curvatures"][1] == "file"
+    assert made["bevel roll sd"] == ("5", "assumption")
     assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == pytest.approx([90.0] * 4)
     assert plan.rows[2].turns[0][0] == 40.0 and plan.rows[1].curvature is None
     wanted = [[10, 1e-4, 3.3e-3, 1e-4], [40, 3.3e-3, -2e-4, 1e-4]]

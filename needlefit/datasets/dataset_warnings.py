@@ -53,6 +53,7 @@ MIN_POINT_SD_MM = 5e-4
 # Least and greatest plausible standard deviation of registration and entry pose: a smaller one was written in
 # another unit, with a greater one curves cannot be compared.
 MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
+MAX_ROLL_SD_DEG = 45.0  # standard deviation of a roll beyond which nothing is known of it
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
 
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
@@ -329,6 +330,7 @@ def _find_number_warnings(
     for name, (least, most) in {
         "pose_shift_sd_mm": (MIN_POSE_SD_MM, MAX_POSE_SD_MM),
         "pose_angle_sd_deg": ANGLE_SD_DEG,
+        ROLL_COLUMNS[1]: (0.0, MAX_ROLL_SD_DEG),
         "boundary_sd_mm": (0.0, depth),
         "depth_sd_mm": (0.0, depth),
     }.items():

@@ -262,6 +262,9 @@ class Planner:
         for what, ones in (("turns", "turns"), ("curvatures", "sensors")):
             if counts := [f"{len(own)} of {one.name}" for one in self.curves if (own := getattr(one, ones))]:
                 self.keep(what, join_names(counts, 8), "a table of them")
+        if any(one.turns or one.sensors for one in self.curves):
+            roll_sd = np.radians(self.settle("bevel roll sd").to_number("bevel roll sd", "deg"))
+            rows = [replace(row, roll_sd=float(roll_sd)) for row in rows]
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
             crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()
