@@ -661,7 +661,7 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
     [
         ("id,depth_mm,bevel_roll_deg\nq1,30,\n", 2, "bevel side"),
         ("id,turn depth,roll\nq1,30,sideways\n", 0, "sideways"),
-        ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 1, "lacks"),
+        ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 1, "curvature z"),
         ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", 2, "much"),
         ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", 1, "ft"),
     ],

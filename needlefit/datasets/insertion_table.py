@@ -110,7 +110,7 @@ def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fau
             found.append(Fault(table.where(n), f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
             what, expected = f"has a curvature of {max(abs(y), abs(z)):g} 1/mm", f"at most {MAX_CURVATURE:g}"
-            found.append(Fault(table.where(n), what, expected, "state it in 1/mm: 1/m are 1000 times more"))
+            found.append(Fault(table.where(n), what, expected, "state it in 1/mm: divide 1/m by 1000"))
         elif again:
             what = f"states the curvature of {name!r:.60} at {s:g} mm again"
             found.append(Fault(table.where(n), what, "one line for each sensor", "remove the line"))

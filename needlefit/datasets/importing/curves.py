@@ -422,7 +422,8 @@ class _TableReader:
         depth = group.find("turn depth") or (group.find("depth") if {*TURN_COLUMNS[1:]} <= {*row} else [])
         sensor = [m for one in SENSOR for m in group.find(one)[:1]] if group.find(*SENSOR[1:3]) else []
         if 0 < len(sensor) < len(SENSOR):
-            what, expected = "a table of curvatures lacks a column", ", ".join(SENSOR)
+            lacking = ", ".join(one for one in SENSOR if not group.find(one))
+            what, expected = f"a table of curvatures lacks a column: {lacking}", ", ".join(SENSOR)
             raise DataError(what, where=self.cells.where(n), expected=expected, fix=COLUMNS_FIX)
         for m in range(n + 1 + bool(units), len(self.cells.rows)):
             if name := self.cells.cell(m, keys[0]):
