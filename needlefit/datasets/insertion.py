@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, field, replace
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
 
@@ -241,11 +240,6 @@ class Dataset:
             for one in self.insertions
         ]
         return pd.DataFrame(rows)
-
-    def _repr_html_(self) -> str:
-        head = f"<h3>{escape(self.title or self.name)}</h3>\n<p>{self.name}: {self.origin.upper()} data</p>\n"
-        notes = "".join(f"<p>{escape(note)}</p>\n" for note in self.notes)
-        return head + notes + str(self.to_frame().round(2).to_html(index=False, max_rows=20))
 
     centerline_format: str = ""
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT

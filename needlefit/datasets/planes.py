@@ -100,10 +100,10 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks.
     """
     known = dataset.insertions if dataset.pose != "tracker" else ()
-    sds = [compute_deflection_sd(one, dataset.noise) or math.nan for one in known]
-    away = [measure_aside(one) for one in known]
-    found = [(one.id, gap, gap / sd) for one, gap, sd in zip(known, away, sds, strict=True)]
-    return sorted(found, key=lambda one: -one[2])
+    away = {one.id: (measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known}
+    return sorted(
+        ((name, gap, gap / (sd or math.nan)) for name, (gap, sd) in away.items()), key=lambda one: -one[2]
+    )
 
 
 def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
@@ -211,16 +211,12 @@ def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:
 
 def _find_twisted(insertions: Sequence[Insertion], noise: Noise) -> list[str]:
     """Return the needles without turns that bend in no plane; none unless they do so together (rms)."""
-    own = [one for one in insertions if not one.turns]
-    twists = {one.id: _measure_twist(one) for one in own}
+    own, twists = [one for one in insertions if not one.turns], dict[str, float]()
+    for one in own:  # how far the tip is out of the plane nearest to the whole curve, mm
+        points = one.centerline - one.centerline.mean(axis=0)
+        twists[one.id] = abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))
     errors = SIGNIFICANT_SD * math.hypot(noise.point_sd, noise.correlated_sd)
     away, bend = math.hypot(*twists.values()), math.hypot(*(one.deflection for one in own))
     if not errors or away <= max(errors * math.sqrt(len(own)), MIN_TWIST * bend):
         return []
     return [name for name, twist in twists.items() if twist > errors]
-
-
-def _measure_twist(insertion: Insertion) -> float:
-    """Return how far the tip is out of the plane nearest to the whole curve, mm."""
-    points = insertion.centerline - insertion.centerline.mean(axis=0)
-    return abs(float(points[-1] @ np.linalg.svd(points, full_matrices=False)[2][2]))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
@@ -263,8 +263,8 @@ class Planner:
             if counts := [f"{len(own)} of {one.name}" for one in self.curves if (own := getattr(one, ones))]:
                 self.keep(what, join_names(counts, 8), "a table of them")
         if any(one.turns or one.sensors for one in self.curves):
-            roll_sd = np.radians(self.settle("bevel roll sd").to_number("bevel roll sd", "deg"))
-            rows = [replace(row, roll_sd=float(roll_sd)) for row in rows]
+            reason = "degrees, set by hand; `bevel_roll_sd_deg` of insertions.csv"
+            self.keep("bevel roll sd", f"{DEFAULT_ROLL_SD_DEG:g}", reason, "assumption")
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
             crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()

@@ -3,8 +3,6 @@
 from types import MappingProxyType
 from typing import NamedTuple
 
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
-
 
 class Question(NamedTuple):
     """What is asked, the unit of the answer, what is assumed where nobody answers, and why."""
@@ -45,12 +43,6 @@ QUESTIONS = MappingProxyType(
         ),
         "pose angle sd": Question(
             "Standard deviation of the entry direction, degrees", "deg", "0.5", "set by hand"
-        ),
-        "bevel roll sd": Question(
-            "Standard deviation of the bevel's roll, degrees",
-            "deg",
-            f"{DEFAULT_ROLL_SD_DEG:g}",
-            "set by hand",
         ),
         "medium": Question("Name of what was punctured", "", "medium1", "a name of your choice"),
         "specimen": Question(
