@@ -28,6 +28,7 @@ from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.torsion import compute_roll_lag
 from needlefit.planning.insertion_scene import make_scene_record
 from needlefit.project.locate import find_file
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
@@ -184,7 +185,8 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
     assert prepare("x", record, settings).dataset.planes == 2
     notes: list[str] = []  # what was decided, with the key that decides otherwise
-    planar = replace(settings, inputs=replace(settings.inputs, medium=medium()), note=notes.append)
+    doubted = replace(dataset([flat, half]), warnings=(ResultWarning("bevel_plane", "x"),))
+    planar = Settings(inputs=Inputs(dataset=doubted, medium=medium()), note=notes.append)
     assert prepare("x", record, planar).dataset.planes == 1 and "`planes = 2`" in notes[0]
     flattened = record.model_copy(update={"planes": 1})
     with pytest.raises(ConfigError, match="planes"):

@@ -315,7 +315,8 @@ def prepare(
         left = sorted({one.id for one in flattened if leaves_plane(one, dataset.noise)})
         dataset = set_planes(dataset, everything, planes)
     divided = make_folds(record, dataset)
-    if record.planes is None and dataset.pose == "known":
+    doubtful = dataset.pose == "known" and "bevel_plane" in {one.kind for one in dataset.warnings}
+    if record.planes is None and (doubtful or dataset.planes == 2):
         settings.note(
             "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
             if dataset.planes == 2
