@@ -113,7 +113,7 @@ def profile(*edges, width=0.5, noise=3.0, seed=1):
     for at, before, behind in edges:
         around = around + (behind - before) * ndtr((S - at) / width)
     around += noise * np.random.default_rng(seed).normal(size=len(S))
-    return IntensityProfile(S, np.where(S <= TIP, 3000.0, 35.0), around)
+    return IntensityProfile(S, np.where(S <= TIP, 3000.0, 35.0), around, np.empty((len(S), 0)))
 
 
 def choose(shown, thickness=None, distance=None):

@@ -26,7 +26,7 @@ def edge(at, width=0.6, tissue=40.0, noise=5.0, seed=1):
 
 
 def found(around):
-    rises = find_rises(IntensityProfile(S, np.full(len(S), 3000.0), around))
+    rises = find_rises(IntensityProfile(S, np.full(len(S), 3000.0), around, np.empty((len(S), 0))))
     return rises[-1][1:] if rises else None
 
 

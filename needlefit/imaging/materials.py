@@ -20,6 +20,8 @@ from needlefit.imaging.volume import AIR_HU, Volume
 
 # Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule.
 RING_RADII_MM = (3.5, 6.0)
+RING = disc_points(RING_RADII_MM[1])  # (N, 2); its points, mm
+RING = RING[np.hypot(*RING.T) >= RING_RADII_MM[0]]
 # Brighter points of a ring are a marker's, HU; where most of a ring is as bright, a hub's or a holder's.
 MIN_METAL_HU = 1000.0
 CORE_RADIUS_MM = 0.45  # radius within which the needle itself is read, mm
@@ -30,9 +32,8 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     """Return the brightness of the needle and of its surroundings at each station.
 
     The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
-    volume and on markers are left out, with those opposite; so a slanting face, which some points meet early
-    and others late, turns the median where the needle itself passes through. Where most of the ring is metal,
-    it is a hub or a holder, and its brightness is returned.
+    volume and on markers are left out, with those opposite. Where most of the ring is metal, it is a hub or a
+    holder, and its brightness is returned.
 
     `points`: (N, 3); along the needle, LPS, mm; what lies beyond its tip is welcome.
     `s`: (N,); where along the needle they are, mm.
@@ -43,15 +44,13 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     u = np.cross(tangents, make_normal(tangents[len(axis) // 2]))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     where = AxisFrames(axis, tangents, u, np.cross(tangents, u))
-    plane = disc_points(RING_RADII_MM[1])
-    radius = np.hypot(*plane.T)
-    ring = sample_planes(volume, where, plane[radius >= RING_RADII_MM[0]])
+    ring = sample_planes(volume, where, RING)
     metal = _row_medians(ring, MIN_RING_FRACTION)
     ring = np.where(ring < MIN_METAL_HU, ring, np.nan)
     ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
-    core = sample_planes(volume, where, plane[radius <= CORE_RADIUS_MM])
+    core = sample_planes(volume, where, disc_points(CORE_RADIUS_MM))
     around = np.where(metal > MIN_METAL_HU, metal, _row_medians(ring, MIN_RING_FRACTION))
-    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around)
+    return IntensityProfile(np.asarray(s, dtype=np.float64), _row_medians(core, 1.0), around, ring)
 
 
 def _row_medians(values: Floats, least: float) -> Floats:
@@ -74,13 +73,12 @@ AIR_SD_HU = 30.0  # deviation of the level of air in a narrow gap, HU
 EDGE_REACH_MM = 8.0  # distance to either side of the edge over which the model is fitted, mm
 EDGE_MARGIN_MM = 3.0  # distance within which the blur of an edge shows, mm
 MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, HU
-# Deviation of an edge in parts of its blur: kernels and slices blur both sides of an edge differently.
-SYSTEMATIC_WIDTH_RATIO = 0.03
 # A weak prior of the width of an edge, within a factor of e: between two stations nothing else fixes it.
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
-SYSTEMATIC_SD_MM = 0.025  # deviation of an edge that no scatter along the needle shows, mm
-
+FLANK_MM = 4.0  # stations farther than this from an edge show which points rays change, mm
+MIN_POINTS, PARTS = 32, 4  # least points of a ring that are told apart, and parts whose edges are compared
+MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
 Kind = Literal["air", "soft", "metal"]
 
@@ -106,7 +104,7 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
 
     What is shorter than blur makes it belongs to its neighbours.
     """
-    s, values = _known_stations(profile)
+    s, values, _ = _known_stations(profile)
     if len(s) < 8:
         return ()
     step = float(np.median(np.diff(s)))
@@ -123,15 +121,13 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
     return tuple(map(MaterialRun, parts, bounds[:-1], bounds[1:], levels))
 
 
-def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats]:
-    """Return the stations (n,) before the tip whose surroundings are known, and these (n,), HU."""
+def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats, Floats]:
+    """Return stations (n,) before the tip with known surroundings, these (n,), and the ring (n, N)."""
     known, shown = np.isfinite(profile.around), np.isfinite(profile.core)
     if shown.any():  # beyond the needle's end nothing is entered by it
-        bright = shown & (profile.core > np.nanmedian(profile.core) / 2)
-        known &= (
-            profile.s <= np.max(profile.s[bright], initial=np.inf if not bright.any() else -np.inf) + 1e-6
-        )
-    return profile.s[known], profile.around[known]
+        bright = profile.s[shown & (profile.core > np.nanmedian(profile.core) / 2)]
+        known &= profile.s <= max(bright, default=np.inf) + 1e-6
+    return profile.s[known], profile.around[known], profile.ring[known]
 
 
 def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]:
@@ -157,13 +153,8 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]
 def find_rises(profile: IntensityProfile) -> tuple[tuple[int, float, float], ...]:
     """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
     runs = find_runs(profile)
-    found = []
-    for n in range(1, len(runs)):
-        if runs[n - 1].kind == "air" and runs[n].kind == "soft":
-            edge = _fit_edge(profile, runs, n)
-            if edge is not None:
-                found.append((n, *edge))
-    return tuple(found)
+    rising = [n for n in range(1, len(runs)) if (runs[n - 1].kind, runs[n].kind) == ("air", "soft")]
+    return tuple((n, *edge) for n in rising if (edge := _fit_edge(profile, runs, n)) is not None)
 
 
 def _fit_edge(
@@ -184,20 +175,36 @@ def _fit_edge(
     high = min([stop, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= stop)])
     low = max(start, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
     high = min(stop, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
-    s, values = _known_stations(profile)
+    s, median, ring = _known_stations(profile)
     inside = (s >= low) & (s <= high)
-    s, values = s[inside], values[inside]
+    s, median, ring = s[inside], median[inside], ring[inside]
+    values, hidden = median, [MEDIAN_SD_MM]
     at = np.array([runs[n].begin for n in near])
+    shown = np.isfinite(ring).all(axis=0)
+    before, after = s < at[0] - FLANK_MM, s > at[0] + FLANK_MM
+    chosen = len(at) == 1 and shown.sum() >= MIN_POINTS and before.any() and after.any()
+    if chosen:
+        # under rays the median is at each station another point's, which moves the edge: the half of the
+        # points that differs least from it counts, at all stations
+        stray = np.abs(ring - median[:, None])[before | after].mean(axis=0)
+        least = shown & (stray + stray[::-1] <= np.median((stray + stray[::-1])[shown]))
+        ring, places = ring[:, least], RING[least]
+        # a slanting face meets opposite points early and late, as the areas under their edges say; rays seem
+        # to slant, too, but only a slanting face gets sharper if it is set upright
+        air, soft = ring[before].mean(axis=0), ring[after].mean(axis=0)
+        area = (ring[~before & ~after] - air) / np.maximum(soft - air, MIN_EDGE_STEP_HU)
+        area = area.sum(axis=0) * np.median(np.diff(s))
+        late = places @ np.linalg.lstsq(places, (area[::-1] - area) / 2, rcond=None)[0]
+        upright = np.stack([np.interp(s + way, s, one) for way, one in zip(late, ring.T, strict=True)], 1)
+        ring = max(ring, upright, key=lambda one: np.sum(np.diff(one.mean(axis=1)) ** 2))
+        values = ring.mean(axis=1)
     parts = [values[np.searchsorted(at, s) == n] for n in range(len(at) + 1)]
     levels = np.array([np.median(part) if len(part) else AIR_HU for part in parts])
     this = near.index(target)
     if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
         return None
-    gaps = [
-        n
-        for n, run in enumerate(runs[near[0] - 1 : near[-1] + 1])
-        if run.kind == "air" and run.length < NARROW_GAP_MM
-    ]
+    beside = runs[near[0] - 1 : near[-1] + 1]
+    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
     # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
     # error functions of one width, with a slope behind the last edge for a hardened beam and further layers
@@ -205,15 +212,14 @@ def _fit_edge(
 
     def residuals(theta: Floats) -> Floats:
         edges, width, level, slope = theta[:count], np.exp(theta[count]), theta[count + 1 : -1], theta[-1]
-        last = slope * np.clip(s - edges[-1], 0, None)
         steps = np.repeat(np.diff(level)[:, None], len(s), axis=1)
-        steps[-1] += last
+        steps[-1] += slope * np.clip(s - edges[-1], 0, None)
         shown = level[0] + np.sum(steps * ndtr((s - edges[:, None]) / width), axis=0)
         known = (level[gaps] - AIR_HU) / AIR_SD_HU
         return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
 
     first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
-    first[count + 1 + np.array(gaps, dtype=int)] = AIR_HU
+    first[count + 1 + gaps] = AIR_HU
     scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
     best = least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
     # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
@@ -221,9 +227,12 @@ def _fit_edge(
     spread = max(1.0, 2 * best.cost / max(1, len(s) - free)) * correlation_factor(left[:, None], free)
     jacobian = np.asarray(best.jac, dtype=np.float64)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
-    width = float(np.exp(best.x[count]))
     # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
-    between = max(float(np.median(np.diff(s))), 2 * width) / np.sqrt(12)
+    between = max(np.median(np.diff(s)), 2 * np.exp(best.x[count])) / np.sqrt(12)
     scatter = min(np.sqrt(variance), between)
-    deviation = np.linalg.norm([scatter, SYSTEMATIC_SD_MM, SYSTEMATIC_WIDTH_RATIO * width])
-    return float(best.x[this]), float(deviation)
+    if chosen:  # what moves the edge in a part of the points, or that of the median, may move all
+        move = np.linalg.pinv(jacobian)[this, : len(s)] / noise
+        moved = np.split(move @ (ring + ring[:, ::-1] - 2 * values[:, None]) / 2, 2)[0]
+        of_parts = np.std([part.mean() for part in np.array_split(moved, PARTS)])
+        hidden = [float(of_parts), float(move @ (median - values)) / 2]
+    return float(best.x[this]), float(np.linalg.norm([scatter, *hidden]))

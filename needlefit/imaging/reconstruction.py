@@ -52,6 +52,7 @@ class IntensityProfile:
     # (P,); of the needle itself and of what surrounds it, HU; nan outside the volume.
     core: Floats
     around: Floats
+    ring: Floats  # (P, N); of every point around, opposite the N-th last the N-th, HU; nan also on metal
 
 
 @dataclass(frozen=True)
