@@ -77,7 +77,7 @@ MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, 
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
 FLANK_MM = 4.0  # stations farther than this from an edge show which points rays change, mm
-MIN_POINTS, PARTS = 32, 4  # least points of a ring that are told apart, and parts whose edges are compared
+MIN_POINTS, PARTS = 32, 4  # least points of a ring that a choice needs, and parts whose edges are compared
 MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
 Kind = Literal["air", "soft", "metal"]
