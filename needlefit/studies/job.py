@@ -13,8 +13,9 @@ from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.planes import leaves_plane, set_planes
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
-from needlefit.errors import ConfigError, DataError, ModelError
+from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.likelihood.observation import require_curvature
 from needlefit.inference.parameter_changes import change_parameters
 from needlefit.inference.parameters import (
     Parameters,
@@ -334,7 +335,9 @@ def prepare(
         warnings += warn_shared_specimens(name, divided, settings.place(key))
     job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings), medium_file)
     _check_layers(job)
-    _check_sensors(job)
+    if job.recipe.likelihood.measurement == "curvature":
+        for insertion in (each for fold in job.folds for each in fold.tune):
+            require_curvature(insertion)
     check_reach(job)
     _check_size(job)
     for one in dict.fromkeys(job.warnings):
@@ -429,17 +432,6 @@ def _check_layers(job: Job) -> None:
                 fix="name the medium that the needle went into, or select other insertions",
                 key="medium",
             )
-
-
-def _check_sensors(job: Job) -> None:
-    """Refuse a fit by curvatures alone to an insertion without any."""
-    wanted = [one for fold in job.folds for one in fold.tune if one.curvature is None]
-    if wanted and job.recipe.likelihood.measurement == "curvature":
-        raise DataError(
-            f"insertion `{wanted[0].id}` has no curvature",
-            expected='those of every insertion fitted to (`measurement = "curvature"`)',
-            fix="name their table under insertions.curvature",
-        )
 
 
 def check_reach(job: Job) -> None:

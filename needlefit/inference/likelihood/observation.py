@@ -468,6 +468,16 @@ def append_sensors(insertion: Insertion, s: Floats) -> Floats:
     return np.concatenate([s, (at[:, None] + SENSOR_STEP_MM * np.array([-1.0, 0.0, 1.0])).ravel()])
 
 
+def require_curvature(insertion: Insertion) -> None:
+    """Raise DataError where an insertion that is fitted to by curvatures alone has none."""
+    if insertion.curvature is None:
+        raise DataError(
+            f"insertion `{insertion.id}` has no curvature",
+            expected='those of every insertion fitted to (`measurement = "curvature"`)',
+            fix="name their table under insertions.curvature",
+        )
+
+
 def add_curvature(one: Observation, only: bool) -> Observation:
     """Return an observation with the curvatures of its insertion, or of them `only`.
 
@@ -480,7 +490,7 @@ def add_curvature(one: Observation, only: bool) -> Observation:
     known = one.insertion.curvature
     if known is None:
         if only:
-            raise DataError(f"insertion `{one.insertion.id}` has no curvature", expected="that of a sensor")
+            require_curvature(one.insertion)
         return one
     (_, *kappa, sd), planes, step = known.T, one.planes, SENSOR_STEP_MM
     sensors, points = len(sd), len(one.measured)
