@@ -185,21 +185,6 @@ def test_a_roll_of_which_nothing_is_known_is_named(tmp_path, degrees, count):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "count"),
-    [
-        *[("bevel_side", "bevel_sid", 1), ("bevel_side", "BevelSide", 1), ("depth_sd_mm", "dept_sd_mm", 1)],
-        *[("bevel_side", "Bevel side", 1), ("specimen", "speciment", 1), ("bevel_side", "weather", 0)],
-    ],
-)
-def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path, old, new, count):
-    table = gel(tmp_path).parent / "insertions.csv"
-    table.write_text(table.read_text().replace(old, new, 1))
-    found = [one for one in find_warnings(tmp_path) if one.kind == "column"]
-    assert [one.where for one in found] == [f"{table}:1"] * count
-    assert all(f"`{new}`" in one.what and f"`{old}`" in one.what for one in found)
-
-
-@pytest.mark.parametrize(
     ("boundaries", "count"),
     [
         *[([0.025], 1), ([2.5e4], 1), ([0.5], 0), ([25.0], 0)],  # metres, micrometres

@@ -1,25 +1,13 @@
-"""Warn about a dataset that can be fitted all the same: placeholders, units, copies, columns, bevel sides."""
+"""Warn about a dataset that can be fitted all the same: placeholders, units, copies, bevel sides."""
 
 import math
-import re
-from collections.abc import Iterable, Iterator, Sequence
-from difflib import get_close_matches
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from needlefit.datasets.columns import (
-    BASE_SHIFT_COLUMN,
-    HOLE_COLUMN,
-    INSERTION_COLUMNS,
-    NUMBER_COLUMNS,
-    POINT_COLUMNS,
-    ROLL_COLUMNS,
-    SCAN_COLUMNS,
-    SD_COLUMN,
-    SHARED_COLUMN,
-)
+from needlefit.datasets.columns import NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.insertion import Insertion, Noise, TipTrack
 from needlefit.datasets.layers import ListedInsertion, name_small_unit
 from needlefit.datasets.planes import (
@@ -67,7 +55,6 @@ MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a ne
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
-MIN_SIMILARITY = 0.9  # ratio of `difflib` above which a name counts as a mistyped version of another
 
 # ---- the record
 
@@ -343,27 +330,3 @@ def _find_number_warnings(
             what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not {least:g} to {most:g}"
             fix = "check its unit"
             yield ResultWarning("units", f"{what} ({len(bad)} of {len(listed)} rows)", place, fix)
-
-
-# ---- columns
-
-
-def find_column_warnings(
-    record: DatasetRecord, names: Iterable[str], path: Path, of_points: bool = False
-) -> Iterator[ResultWarning]:
-    """Yield a warning for each of these columns of the table of insertions that looks mistyped.
-
-    `of_points`: they are those of a centreline.
-    """
-    rows, points = record.insertions, record.centerlines
-    of_row = {*INSERTION_COLUMNS, SHARED_COLUMN, HOLE_COLUMN, BASE_SHIFT_COLUMN, *ROLL_COLUMNS, *SCAN_COLUMNS}
-    known = {*POINT_COLUMNS, SD_COLUMN} if of_points else of_row
-    mapped = {*rows.columns.values(), *points.columns.values(), *points.group_by}
-    there = {*names}
-    absent = known - there - {*rows.columns, *points.columns, *rows.constants}
-    plain = {re.sub(r"[\W_]", "", name.lower()): name for name in absent}
-    for name in sorted(there - of_row - {*POINT_COLUMNS, SD_COLUMN} - mapped):
-        if closest := get_close_matches(re.sub(r"[\W_]", "", name.lower()), plain, 1, MIN_SIMILARITY):
-            what = f"column `{name[:60]}` is not used; did you mean `{plain[closest[0]]}`?"
-            fix = "rename it, or map it under `columns` in dataset.toml"
-            yield ResultWarning("column", what, f"{path}:1", fix)

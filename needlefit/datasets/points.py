@@ -24,7 +24,6 @@ class Points:
     lines: NDArray[np.int64] | None = None  # (N,); line of each point; None where the format has no lines
     # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
-    columns: tuple[str, ...] = ()  # the header of the table that it was read from, if it was one
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
 
     def part(self, rows: NDArray[np.int64]) -> "Points":

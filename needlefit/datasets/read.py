@@ -14,7 +14,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
 from needlefit.datasets.dataset_warnings import (
     find_boundary_warnings,
-    find_column_warnings,
     find_insertion_warnings,
     find_record_warnings,
     find_scatter_warnings,
@@ -219,8 +218,6 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
-    reading.warnings += find_column_warnings(record, map(str, table.cells.columns), table.path)
-    headers: set[tuple[str, ...]] = set()
     rows = parse_rows(table, record, found)
     for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_curvature)):
         if name is not None and not found:  # of rows with faults ids are missing
@@ -231,9 +228,6 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         faults: list[Fault] = []
         points = curves.find(row, patient, faults)
         if points is not None:
-            if points.columns not in headers:  # of files with the same header the first is named
-                reading.warnings += find_column_warnings(record, points.columns, points.path, True)
-            headers.add(points.columns)
             faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
         sections = None
         if points is not None and not faults:

@@ -113,7 +113,7 @@ def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) ->
     sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
     if len(found) > before:
         return None
-    return Points(table.path, np.column_stack(values), table.lines, sd, tuple(map(str, table.cells.columns)))
+    return Points(table.path, np.column_stack(values), table.lines, sd)
 
 
 def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Floats | None:
