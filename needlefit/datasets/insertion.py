@@ -36,10 +36,6 @@ class Noise:
     # correlated part
     correlated_sd: float = 0.0
     correlation_length: float = 5.0
-    # How it falls with the distance: exp(-d / length), errors that are rough; or Matérn's function of order
-    # 3/2, (1 + z) exp(-z) with z = sqrt(3) d / length, errors that are smooth (Rasmussen & Williams, Gaussian
-    # Processes for Machine Learning, 2006, eq. 4.17).
-    correlation: Literal["exponential", "matern32"] = "exponential"
     # `heading_sd`, `slope_sd`: of tip tracks, rad: standard deviation of a heading, 0 where headings are not
     # used; and of a run's slope in the tracker's frame about that of its session, 0 where every run has its
     # own
@@ -48,11 +44,7 @@ class Noise:
 
     def correlate(self, s: Floats) -> Floats:
         """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""
-        apart = np.abs(s[:, None] - s) / self.correlation_length
-        if self.correlation == "matern32":
-            scaled = math.sqrt(3) * apart
-            return (1 + scaled) * np.exp(-scaled)
-        return cast(Floats, np.exp(-apart))
+        return cast(Floats, np.exp(-np.abs(s[:, None] - s) / self.correlation_length))
 
     @property
     def stated(self) -> bool:

@@ -147,7 +147,6 @@ def make_noise(record: NoiseRecord) -> Noise:
         record.point_sd_mm,
         record.correlated_sd_mm,
         record.correlation_length_mm,
-        record.correlation,
         math.radians(record.heading_sd_deg),
         math.radians(record.slope_sd_deg),
     )

@@ -40,9 +40,7 @@ class NoiseRecord(Record):
     correlated_sd_mm: float = Field(default=0.0, ge=0, le=1e3)
     """Standard deviation of the error that neighbouring points share; 0: not known."""
     correlation_length_mm: float = Field(default=5.0, gt=0, le=1e6)
-    """Length along the needle over which that error decays."""
-    correlation: Literal["exponential", "matern32"] = "exponential"
-    """How it decays."""
+    """Length along the needle over which that error falls to 1/e."""
     heading_sd_deg: float = Field(default=0.0, ge=0, le=45)
     """Tip tracks: standard deviation of a heading; 0: headings are not used."""
     slope_sd_deg: float = Field(default=0.0, ge=0, le=45)
