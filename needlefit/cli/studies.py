@@ -198,7 +198,6 @@ def predict(
         str,
         option("The planned insertion: a name or a path.", "SCENE"),
     ],
-    run: Annotated[Path | None, option("Result of `tune TARGET` (default: OUT/TARGET-tune).", "DIR")] = None,
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
@@ -222,7 +221,6 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
-        from needlefit.project.locate import find_run
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import Inputs, load_medium
@@ -242,17 +240,13 @@ def predict(
         tuned = stored or execution.folder(target_name)
         judged = stored or execution.folder(target_name.removesuffix("-tune"))
         inputs = Inputs(judged=restore_run(judged) if is_file(judged / RESULTS_FILE) else None)
-        if run is not None:
-            run = find_run(str(run))
-        elif is_file(tuned / POSTERIOR_FILE):
-            run = tuned
         found = replace(execution, inputs=inputs).run_kind(
             "prediction",
             name,
             target=target,
             scene=planned,
             scene_name=scene_name,
-            posterior=None if run is None else str(run),
+            posterior=str(tuned) if is_file(tuned / POSTERIOR_FILE) else None,
             specimen=specimen,
         )
     show_runs(execution, [found], {"scene": scene, "written": str(execution.folder(name))})

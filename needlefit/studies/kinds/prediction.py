@@ -276,7 +276,7 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
             f"holds no {POSTERIOR_FILE}",
             where=where,
             expected="the folder of a run of one fold that was sampled",
-            fix="name a result of `needlefit tune` without --no-sample, or leave --run out",
+            fix="name a result of `needlefit tune` without --no-sample",
         )
     require_same_configuration(job, run.run, where)
     return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
@@ -295,7 +295,7 @@ def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str
                 f"its posterior is of another {key}",
                 where=where,
                 expected=f"the {key} that {job.name} names now",
-                fix="tune again (`needlefit tune TARGET`), or name the right one with --run",
+                fix="tune again: `needlefit tune TARGET`",
             )
 
 
