@@ -12,7 +12,7 @@ from test_viewer_recording import WANDERING, recorded
 
 from needlefit.project.locate import find_file, list_names
 from needlefit.project.toml import load
-from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+from needlefit.project.unit_warnings import scene_warnings
 from needlefit.schemas.scene import SceneRecord
 
 
@@ -168,10 +168,9 @@ def test_implausible_values_give_a_warning_that_names_the_unit(setting, key, fix
 
 def test_what_gives_no_warning(capsys):
     assert warned(answer(capsys, "phantom2", *settings("layers.1.alpha=0", "law=linear")), "units") == []
-    assert warned(answer(capsys, "figure1", *settings("steps.1.depth_mm=2")), "coarse") == []
     for name in list_names("scene"):
         record = load(find_file("scene", name), SceneRecord)
-        assert [*scene_warnings(record), *coarse_warnings(record)] == []
+        assert [*scene_warnings(record)] == []
 
 
 def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
@@ -194,17 +193,6 @@ def test_a_needle_outside_the_model_is_named(capsys):
     found = answer(capsys, "figure1", *settings("steps.1.offset_mm=3"))
     assert not found["valid"] and not found["steps"][0]["valid"]
     assert found["max_slope"] == found["validity"]["max_slope"] > 0.3
-
-
-@pytest.mark.parametrize(
-    ("depth", "spacing", "count"),
-    [(12, 10, 1), (39, 8, 0), (31, 8, 1), (149, 10, 0), (2.5, 0.5, 0), (3, 1, 1)],
-)
-def test_an_insertion_of_few_constraint_cells_is_named_as_coarse(depth, spacing, count, capsys):
-    sizes = (f"depth_mm={depth}", f"rules.constraint_spacing_mm={spacing}", "bevel.offset_mm=0.01")
-    found = warned(answer(capsys, "phantom1", *settings(*sizes)), "coarse")
-    assert len(found) == count
-    assert all("`rules.constraint_spacing_mm`" in one["what"] for one in found)
 
 
 def test_a_failure_names_its_step(capsys):

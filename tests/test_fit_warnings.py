@@ -25,7 +25,6 @@ from needlefit.errors import ConfigError
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import WARNING_KIND
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import DEPTHS_KEY
 from needlefit.studies.fit_warnings import list_warnings
@@ -221,7 +220,7 @@ def _kinds_in_sources() -> set[str]:
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning" and call.args
     ]
-    named = {WARNING_KIND if isinstance(call.args[0], ast.Name) else call.args[0].value for call in calls}
+    named = {call.args[0].value for call in calls if isinstance(call.args[0], ast.Constant)}
     assert len(calls) > len(named) > 8
     return named
 

@@ -130,7 +130,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
     from needlefit.mechanics.session import NeedleState
-    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+    from needlefit.project.unit_warnings import scene_warnings
 
     title, scene = record.title or name, Scene.from_record(record, where, in_space=True)
     shapes = simulate_scene(scene)
@@ -160,7 +160,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
         animate(title, scene, states, states[-1][0], path)
 
     files = {"plot": draw, "csv": write_table, "slicer": write_curves, "animation": draw_animation}
-    warnings = (*scene_warnings(record, where), *coarse_warnings(record, where))
+    warnings = tuple(scene_warnings(record, where))
     return SimulationOutcome(title, scene, shapes, files, {}, warnings)
 
 
@@ -169,7 +169,7 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutc
 
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
-    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+    from needlefit.project.unit_warnings import scene_warnings
     from needlefit.viewer.export import WRITERS, replay_to_end
     from needlefit.viewer.recording import read_recording
 
@@ -182,8 +182,7 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutc
     done = replay_to_end(recording)
     files = {option: partial(write, done) for option, write in WRITERS.items()}
     more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
-    planned = recording.head.scene
-    warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
+    warnings = tuple(scene_warnings(recording.head.scene, str(path)))
     shapes = (done.state.shape,)
     return SimulationOutcome(done.title, done.scene, shapes, files, more, warnings, done.placement)
 

@@ -1,6 +1,6 @@
 """Values that can be computed with and that are doubtful: most likely another unit was meant.
 
-No needle or tissue has them, or they make an insertion coarse. Each is judged beside another length of the
+No needle or tissue has them. Each is judged beside another length of the
 same file, so that a small needle is no suspicious one.
 """
 
@@ -55,8 +55,6 @@ GAUGES_MM = {
 """Outer diameters of needles by their gauge."""
 
 FITTED_RANGE = (0.5, 1.2)  # times the least and the greatest fitted depth, within which predictions lie
-MIN_CELLS = 5  # constraint cells of an insertion: its tip's way is made of as many straight cuts
-WARNING_KIND = "units"
 
 FormatPlace = Callable[[str], str]  # the key of a value -> file and key
 Doubt = tuple[str, str, str]  # a key, what is hard to believe about it, and what to do
@@ -68,9 +66,9 @@ def format_place(file: Path | str) -> FormatPlace:
     return lambda key: locate_key(path, key) if path.is_file() else str(file)
 
 
-def warn(doubts: Iterable[Doubt], where: FormatPlace, kind: str = WARNING_KIND) -> Iterator[ResultWarning]:
+def warn(doubts: Iterable[Doubt], where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield doubts as warnings that name the places of their keys."""
-    return starmap(lambda key, what, fix: ResultWarning(kind, what, where(key), fix), doubts)
+    return starmap(lambda key, what, fix: ResultWarning("units", what, where(key), fix), doubts)
 
 
 def needle_warnings(needle: NeedleRecord, where: FormatPlace) -> Iterator[ResultWarning]:
@@ -82,20 +80,6 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     """Yield a warning for each value of a scene that is hard to believe; `file` is named as its place."""
     where = format_place(file)
     return chain(needle_warnings(scene.needle, where), warn(_doubt_scene(scene), where))
-
-
-def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
-    """Yield a warning if the deepest insertion of a scene has few constraint cells; kind `coarse`.
-
-    Of a scene that is simulated; one that is predicted has the constraint spacing of its medium.
-    """
-    spacing, deepest = scene.rules.constraint_spacing_mm, _deepest(scene)
-    cells = math.ceil(deepest / spacing - 1e-9)
-    if 0 < cells < MIN_CELLS:
-        key = "rules.constraint_spacing_mm"
-        what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
-        fix = f"take {MIN_CELLS} or more, and the bevel offset for that spacing"
-        yield from warn([(key, what, fix)], format_place(file), "coarse")
 
 
 def extrapolation_warnings(
@@ -146,10 +130,6 @@ def _is_within(value: float, plausible: tuple[float, float]) -> bool:
 # ---- scenes, media, layers
 
 
-def _deepest(scene: SceneRecord) -> float:
-    return max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
-
-
 def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
     for n, layer in enumerate(scene.layers, start=1):
         yield from doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
@@ -157,7 +137,8 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
             yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
-        shallow = (BOUNDARY_TO_DEPTH * _deepest(scene), math.inf)
+        deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
+        shallow = (BOUNDARY_TO_DEPTH * deepest, math.inf)
         yield from doubt_range(tops[0], shallow, {"metres": 1e3}, "layers.2.top_mm", "mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
