@@ -75,7 +75,7 @@ def test_a_command_imports_what_it_uses(words, libraries):
         (("report", "--o\u202eut"), 2, r"\\u202e"),
         (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
         (("simulate", "phantm1"), 3, r"phantm1[\s\S]*expected: .*\bphantom1\b"),  # the nearest name
-        (("predict", "./nix", "--scene", "study2"), 3, "nix"),
+        (("predict", "./nix", "--scene", "study2"), 3, "no study or fit .*nix"),
         (("simulate", "phantom9"), 3, "^(?![\\s\\S]*Traceback)"),
         (("-v", "simulate", "phantom9"), 3, "Traceback"),
     ],

@@ -220,7 +220,7 @@ def _kinds_in_sources() -> set[str]:
         for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "ResultWarning" and call.args
     ]
-    named = {call.args[0].value for call in calls if isinstance(call.args[0], ast.Constant)}
+    named = {call.args[0].value for call in calls if not isinstance(call.args[0], ast.Name)}
     assert len(calls) > len(named) > 8
     return named
 

@@ -1,7 +1,7 @@
 """Values that can be computed with and that are doubtful: most likely another unit was meant.
 
-No needle or tissue has them. Each is judged beside another length of the
-same file, so that a small needle is no suspicious one.
+No needle or tissue has them. Each is judged beside another length of the same file, so that a small needle is
+no suspicious one.
 """
 
 import math

@@ -488,9 +488,9 @@ def add_curvature(one: Observation, only: bool) -> Observation:
     Raises DataError if nothing else counts, and no curvature was measured.
     """
     known = one.insertion.curvature
+    if only:
+        require_curvature(one.insertion)
     if known is None:
-        if only:
-            require_curvature(one.insertion)
         return one
     (_, *kappa, sd), planes, step = known.T, one.planes, SENSOR_STEP_MM
     sensors, points = len(sd), len(one.measured)
