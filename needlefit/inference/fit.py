@@ -15,6 +15,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError, ModelError
+from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import ObjectiveName
@@ -153,6 +154,8 @@ class ObjectiveFunction:
     #: theta -> residuals (R,), half whose sum of squares is the value but for a constant, and their exact
     #: Jacobian (R, P)
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
+    #: theta -> the weighted distances whose sum is the value, with their exact derivatives
+    distances: Callable[[Floats], WeightedDistances] | None = None
     #: theta -> those residuals that are of data alone, each of size 1 where the model is right
     misfits: Callable[[Floats], Floats] | None = None
     #: absolute change of the value under which a search may end; 0 leaves it to relative changes
@@ -231,6 +234,15 @@ class EvaluationRecorder:
             self._record(point, None)
             return None
         value = self._record(point, self.constant + half_square(found[0]), found)
+        return found if math.isfinite(value) else None
+
+    def distances(self, theta: Floats) -> WeightedDistances | None:
+        """Return the weighted distances whose sum is the value; None where they failed."""
+        assert self.objective_function.distances is not None
+        point = self._begin_evaluation(theta)
+        self.gradients += 1
+        found = self._evaluate(self.objective_function.distances, point)
+        value = self._record(point, None if found is None else found.sum())
         return found if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:

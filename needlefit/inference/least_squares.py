@@ -85,7 +85,7 @@ def _run_newton(
     while failed < MAX_FAILED_STEPS:
         residuals, jacobian = found
         value, slope = half_square(residuals), residuals @ jacobian
-        step = _find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
+        step = find_step(slope, jacobian.T @ jacobian + curvature, lower - theta, upper - theta)
         if step is None:
             return False
         gain = -0.5 * float(slope @ step)
@@ -104,7 +104,7 @@ def _run_newton(
     return False
 
 
-def _find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
+def find_step(slope: Floats, curvature: Floats, low: Floats, high: Floats) -> Floats | None:
     """Return the step (P,) to the minimum of a quadratic function between two bounds; None if it has none."""
     try:
         factor = cholesky(curvature, lower=True)

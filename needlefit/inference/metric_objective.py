@@ -7,7 +7,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 `SMOOTHING_MM`, which is smooth and at most e shorter.
 """
 
-import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,26 @@ def metric_misfits(off: Floats, weights: Floats) -> Floats:
     return np.asarray((distances[:, None] @ weights[:, None])[:, 0, 0])
 
 
-def metric_misfit_gradients(off: Floats, weights: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (B, P) of `metric_misfits`, given those of the simulated points (B, K, D, P)."""
-    along = off * (weights / np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2))[..., None]
-    flat = along.reshape(len(off), 1, math.prod(off.shape[1:]))
-    return (flat @ slopes.reshape(len(off), flat.shape[2], slopes.shape[-1]))[:, 0]
+@dataclass(frozen=True)
+class WeightedDistances:
+    """The distances whose weighted sum is the objective of some insertions, at one theta."""
+
+    weights: Floats  #: (R,) of each compared point
+    off: Floats  #: (R, 2 or 3) simulated minus measured, mm
+    slopes: Floats  #: (R, 2 or 3, P) its derivatives by theta
+
+    def sum(self) -> float:
+        """Return the objective, mm."""
+        return float(metric_misfits(self.off[None], self.weights)[0])
+
+    def move(self, step: Floats) -> "WeightedDistances":
+        """Return the distances after a step of theta (P,), to first order."""
+        return replace(self, off=self.off + self.slopes @ step)
+
+    def differentiate_sum(self) -> Floats:
+        """Return the derivatives of the objective, (P,)."""
+        along = self.off * (self.weights / np.sqrt(np.sum(self.off**2, axis=-1) + SMOOTHING_MM**2))[:, None]
+        return np.asarray(along.ravel() @ self.slopes.reshape(self.off.size, -1))
 
 
 def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:

@@ -16,6 +16,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.errors import FitError
+from needlefit.inference.distance_search import run_gauss_newton
 from needlefit.inference.fit import (
     BEHIND,
     EVALUATION_ERRORS,
@@ -50,10 +51,12 @@ def search(
     """
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
     start = np.array(start_point.theta, dtype=np.float64)
-    if objective_function.jacobian is None:
-        reason = run_slsqp(recorder, start, recipe.tolerance)
-    else:
+    if objective_function.jacobian is not None:
         reason = run_least_squares(recorder, start)
+    elif objective_function.distances is not None:
+        reason = run_gauss_newton(recorder, start)
+    else:
+        reason = run_slsqp(recorder, start, recipe.tolerance)
     if reason != INTERRUPTED:
         reason = certify_minimum(recorder, reason)
     if recorder.theta is None and reason != INTERRUPTED:

@@ -24,7 +24,7 @@ from needlefit.inference.compared_points import (
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy, make_observation
-from needlefit.inference.metric_objective import metric_misfit_gradients, metric_misfits, station_weights
+from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
 from needlefit.inference.posterior_density import PosteriorDensity
@@ -33,9 +33,6 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
 GUIDE_DISTANCE = "guide_distance_mm"
-
-#: noise with the same deviation at all points, mm; its size hardly matters
-UNIFORM_NOISE = Noise(point_sd=0.1)
 
 
 @dataclass(frozen=True)
@@ -119,16 +116,24 @@ class Problem:
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
-        goals, sets, planes = self.compared_points, self._list_values(thetas), self.dataset.planes
-        total, slope = np.zeros(len(sets)), np.zeros((len(sets), len(self.names)))
-        found = self._model.differentiate(sets, self.parameters, [goal.s for goal in goals], jobs)
-        for goal, (simulated, by), weights in zip(goals, found, self._station_weights, strict=True):
+        return [(one.sum(), one.differentiate_sum()) for one in self._distances(thetas, jobs)]
+
+    def distances(self, theta: Theta) -> WeightedDistances:
+        """Return the distances whose weighted sum is `objective`, with exact derivatives."""
+        return evaluate(self._distances, np.asarray(theta))
+
+    def _distances(self, thetas: Floats, jobs: int) -> list[WeightedDistances]:
+        goals, planes, every = self.compared_points, self.dataset.planes, []
+        found = self._model.differentiate(
+            self._list_values(thetas), self.parameters, [goal.s for goal in goals], jobs
+        )
+        for goal, (simulated, by) in zip(goals, found, strict=True):
             measured, simulated = goal.measured_in(planes), pad_planes(simulated, planes)
             slopes = differentiate_align(goal.pose, simulated, measured, pad_planes(by, planes, axis=-2))
-            off = align(goal.pose, simulated, measured) - measured
-            total += metric_misfits(off, weights)
-            slope += metric_misfit_gradients(off, weights, slopes)
-        return list(zip((total / len(goals)).tolist(), slope / len(goals), strict=True))
+            every.append((align(goal.pose, simulated, measured) - measured, slopes))
+        off, slopes = (np.concatenate(part, axis=1) for part in zip(*every, strict=True))
+        weights = np.concatenate(self._station_weights) / len(goals)
+        return [WeightedDistances(weights, *one) for one in zip(off, slopes, strict=True)]
 
     @cached_property
     def _station_weights(self) -> list[Floats]:
@@ -187,23 +192,12 @@ class Problem:
         other.__dict__["density"] = self.density.near(self.values(theta))
         return other
 
-    def approach(self, minimized: ObjectiveName) -> "Problem | None":
-        """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
-        none.
+    @cached_property
+    def plain(self) -> "Problem | None":
+        """The posterior with depths and bevel as stated: one needle instead of 2 d + 1 or more.
 
-        Each is made once, so that searches that use it evaluate it together.
+        None where nothing else is known of them. It is made once: searches that use it evaluate it together.
         """
-        return self._squares if minimized == "metric" else self._plain
-
-    @cached_property
-    def _squares(self) -> "Problem":
-        """The plain squares of the deflections' errors."""
-        squares = LikelihoodRecord(noise="independent", depths="fixed", bevel_spread=0.0)
-        return replace(self, likelihood=squares, noise=UNIFORM_NOISE)
-
-    @cached_property
-    def _plain(self) -> "Problem | None":
-        """The posterior with depths and bevel as stated: one needle instead of 2 d + 1 or more."""
         if all(len(known.nodes.insertions) == 1 for known in self.density.observations):
             return None
         tracks = self.likelihood.tip_tracks.model_copy(update={"gain_sd": 0.0, "roll_sd_deg": 0.0})
@@ -283,10 +277,8 @@ def make_problem(
 
 
 POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends
-#: the same on the way to where a search begins, by what it minimises. For a posterior it is small enough to
-#: see which starts met. The minima of a metric objective lie elsewhere, so that a closer approach is lost
-#: work.
-APPROACH_TOLERANCES: dict[ObjectiveName, float] = {"posterior": 1e-6, "metric": 1e-3}
+#: the same on the way to where a search begins: small enough to see which starts met
+APPROACH_TOLERANCE = 1e-6
 
 
 def make_objective(problem: Problem, minimized: ObjectiveName) -> ObjectiveFunction:
@@ -294,11 +286,13 @@ def make_objective(problem: Problem, minimized: ObjectiveName) -> ObjectiveFunct
     if minimized == "posterior":
         found = make_posterior_objective(problem)
     else:
-        found = ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)
-    easier = problem.approach(minimized)
+        box = (problem.lower, problem.upper, problem.objective)
+        by_distances = ObjectiveFunction(*box, distances=problem.distances)
+        return ObjectiveFunction(*box, problem.objective_gradient, approach=by_distances)
+    easier = problem.plain
     if easier is None:
         return found
-    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCES[minimized]))
+    return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCE))
 
 
 def make_posterior_objective(

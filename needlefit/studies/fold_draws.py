@@ -239,7 +239,7 @@ class Specimens:
         """Return draws of the posterior of one specimen by itself: about one mode, else about all."""
         job, key = self.job, ("specimen", specimen)
         problem = replace(job.problem(self.fold), insertions=self.tuned[specimen])
-        begin, easier = job.parameters.expected, problem.approach("posterior")
+        begin, easier = job.parameters.expected, problem.plain
         near = begin if easier is None else minimize_squares(easier, begin).theta
         minimum = minimize_squares(problem, near)
         rng = random_stream(job.recipe.seed, *key)

@@ -121,7 +121,7 @@ class ProfileSteps:
 
 #: for a 95 % interval: far enough above its threshold to see where it is passed
 INTERVAL_STEPS = ProfileSteps(
-    stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.6, min_gain=0.01
+    stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.8, min_gain=0.01
 )
 #: a step is at most this times the one before, and this part of the parameter's range
 MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34

@@ -471,7 +471,7 @@ def sample_about_modes(
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
     approximations = [approximate_by_information(one.information, one.theta, *bounds) for one in points]
-    nodes = None if problem.approach("posterior") is None else InterpolatedDensity(problem, jobs)
+    nodes = None if problem.plain is None else InterpolatedDensity(problem, jobs)
     evaluator = Evaluator(problem, jobs, interpolated=nodes)
     found = sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
     return replace(found, interpolated=nodes)
