@@ -18,7 +18,7 @@ from needlefit.inference.metric_objective import SMOOTHING_MM, WeightedDistances
 FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
 MIN_GAIN = 1e-4  #: gain that the linear problem promises, as a part of the sum, under which a search ends
 #: times the linear problem is reweighted: from kinks as wide as a typical distance to sharp ones
-REWEIGHTINGS = 12
+REWEIGHTINGS = 5
 
 
 def run_gauss_newton(recorder: EvaluationRecorder, start: Floats) -> str:

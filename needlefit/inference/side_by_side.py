@@ -47,10 +47,11 @@ def run_side_by_side(
 
     def run(item: Item) -> tuple[Result, ...]:
         _this_thread.group = group
-        try:
-            return () if stop() else (search(item),)
-        finally:
-            group.end_search()
+        with group.turn:
+            try:
+                return () if stop() else (search(item),)
+            finally:
+                group.end_search()
 
     with ThreadPoolExecutor(max(1, min(len(items), MAX_SEARCHES))) as threads:
         yield from as_they_end({threads.submit(run, item): n for n, item in enumerate(items)}, stop)
@@ -63,22 +64,22 @@ def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) 
         return [function(item) for item in items]
     # parts stand for one search; the last that ends is that search again
     group.add_parts(len(items) - 1)
-    left, lock = len(items), threading.Lock()
+    left = len(items)
 
     def run(item: Item) -> Result:
         nonlocal left
         _this_thread.group = group
-        try:
-            return function(item)
-        finally:
-            with lock:
+        with group.turn:
+            try:
+                return function(item)
+            finally:
                 left -= 1
-                last = left == 0
-            if not last:
-                group.add_parts(-1)
+                group.add_parts(-1 if left else 0)
 
     with ThreadPoolExecutor(len(items)) as threads:
-        return list(threads.map(run, items))
+        results = threads.map(run, items)
+        group.turn.wait_for(lambda: not left)
+        return list(results)
 
 
 _this_thread = threading.local()
@@ -98,36 +99,34 @@ class _Group:
 
     def __init__(self, searches: int, jobs: int) -> None:
         self._left, self._parts, self._jobs = searches, 0, jobs
-        self._changed = threading.Condition()
+        #: held by the one search that runs: threads that all run at once wait for the interpreter instead
+        self.turn = threading.Condition()
         self._waiting: list[_Request] = []
 
     def end_search(self) -> None:
         """Count one search less."""
-        with self._changed:
-            self._left -= 1
-            self._changed.notify_all()
+        self._left -= 1
+        self.turn.notify_all()
 
     def add_parts(self, count: int) -> None:
         """Count so many more parts of searches, each of which evaluates like a search."""
-        with self._changed:
-            self._parts += count
-            self._changed.notify_all()
+        self._parts += count
+        self.turn.notify_all()
 
     def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
         """Return `function` at theta (P,), once all searches that run wait for a value."""
         request = _Request(function, theta)
-        with self._changed:
-            self._waiting.append(request)
-            while not request.ended:
-                if len(self._waiting) < min(self._left, MAX_SEARCHES) + self._parts:
-                    self._changed.wait()
-                    continue
-                requests, self._waiting = self._waiting, []
-                while requests:
-                    same = [one for one in requests if one.function == requests[0].function]
-                    requests = [one for one in requests if one.function != same[0].function]
-                    self._evaluate_together(same)
-                self._changed.notify_all()
+        self._waiting.append(request)
+        while not request.ended:
+            if len(self._waiting) < min(self._left, MAX_SEARCHES) + self._parts:
+                self.turn.wait()
+                continue
+            requests, self._waiting = self._waiting, []
+            while requests:
+                same = [one for one in requests if one.function == requests[0].function]
+                requests = [one for one in requests if one.function != same[0].function]
+                self._evaluate_together(same)
+            self.turn.notify_all()
         if request.error is not None:
             raise request.error
         return request.value
