@@ -11,6 +11,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import without_bevel_spread
 from needlefit.inference.problem import Problem
@@ -150,9 +151,6 @@ class Analytic:
     lower: np.ndarray
     upper: np.ndarray
 
-    def approach(self, minimized: str) -> None:
-        return None
-
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(f"x{k}" for k in range(len(self.lower)))
@@ -164,6 +162,10 @@ class Analytic:
         moves = 1e-6 * np.eye(len(theta))
         slopes = [(self.function(theta + m) - self.function(theta - m)) / 2e-6 for m in moves]
         return self.function(theta), np.array(slopes)
+
+    def distances(self, theta: np.ndarray) -> WeightedDistances:
+        value, slope = self.objective_gradient(theta)
+        return WeightedDistances(np.ones(1), np.array([[value, 0.0]]), np.array([[slope, 0.0 * slope]]))
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         return {name: float(x) for name, x in zip(self.names, theta, strict=True)}
@@ -177,10 +179,7 @@ class Squares:
     lower: np.ndarray
     upper: np.ndarray
     constant: float = 7.0
-    easier: "Squares | None" = None
-
-    def approach(self, minimized: str) -> "Squares | None":
-        return self.easier
+    plain: "Squares | None" = None
 
     def compute_misfits(self, theta: np.ndarray) -> np.ndarray:
         return self.residuals(theta)

@@ -33,8 +33,7 @@ class Known:
         self.calls += 1
         return np.array(self.residuals(*theta), dtype=float), np.array(self.slopes(*theta), dtype=float)
 
-    def approach(self, minimized: str) -> None:
-        return None
+    plain = None
 
 
 def line(**changed: object) -> Known:

@@ -1,9 +1,10 @@
 """Search for the best fit: many starts, each by least squares or by gradients, then a check of its end.
 
 Searches begin at many starts spread over the box, side by side, and are resumable; the best end is the fit.
-An easier objective is minimised first; starts that end at the same point there continue as one, and those far
+Starts first go down an easier way; those that end at the same point there continue as one, and those far
 behind the best do not. With uncertain depths every needle is simulated many times: depths taken as stated
-make a posterior whose modes lie next to those of the whole one, at a fraction of the cost.
+make a posterior whose modes lie next to those of the whole one, at a fraction of the cost. The metric
+objective is approached by Gauss-Newton steps on its distances.
 """
 
 import math
