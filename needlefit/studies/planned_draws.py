@@ -47,7 +47,7 @@ SAME_DRAW = 1e-6  #: deviations of parameters (ln of positive ones) below which 
 #: rounds in which the crossings of interpolated needles converge; each changes them by a slope less
 CROSSING_ROUNDS = 6
 
-CHECKED_DRAWS = 32  #: draws, at most, that are also simulated at their own depths
+CHECKED_DRAWS = 12  #: draws, at most, that are also simulated at their own depths
 #: largest rms error of their interpolated tips, as a part of the standard deviation of a predicted tip
 MAX_INTERPOLATION_ERROR = 0.1
 
