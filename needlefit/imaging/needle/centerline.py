@@ -59,9 +59,9 @@ MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.
 BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that part, mm
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
 WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
-# Another diameter is spoken of from this factor on (logarithm), and from so many of its deviations on, beyond
-# what right ones show on the average.
-MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD = 0.05, 0.08, 3.0
+# Another diameter is spoken of from a factor on (logarithm) that is beyond what right ones show on the average,
+# and that is so many of its deviations; of a larger one the scan is so unlike the model that these are wide.
+MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFITS = 0.05, ((0.08, 3.0), (0.2, 2.0))
 # Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
 
@@ -155,6 +155,8 @@ def trace_needle(
     axis = extend_axis(axis, end.at, end.point, across, recipe.centerline.knot_spacing_mm)
     if alone and (wide > MIN_WIDE_PART or dark < MAX_DARK_PART):
         end = replace(end, sd=np.hypot(end.sd, [BESIDE_SD_MM * max(wide, -dark), 0.0]))
+    if misfit := _find_width_misfit(end):
+        end = replace(end, sd=np.hypot(end.sd, misfit * recipe.needle.diameter_mm / 2))
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
 
 
@@ -194,13 +196,11 @@ def _list_warnings(
     if axis.slice_sds is not None:  # what follows looks at single sections
         return
     diameter = recipe.needle.diameter_mm
-    if end.width is not None:
-        misfit, sd = end.width[0] - MEAN_WIDTH_MISFIT, end.width[1]
-        if abs(misfit) > max(MIN_WIDTH_MISFIT, MIN_WIDTH_MISFIT_SD * sd):
-            yield (
-                f"the needle looks {'wider' if misfit > 0 else 'thinner'} than the {diameter:g} mm stated "
-                f"({abs(misfit) / sd:.0f} deviations): check needle.diameter_mm; a wrong one moves the tip"
-            )
+    if misfit := _find_width_misfit(end):
+        yield (
+            f"the needle looks {'wider' if misfit > 0 else 'thinner'} than the {diameter:g} mm stated: "
+            "check needle.diameter_mm; a wrong one moves the tip by about half its error"
+        )
     bevel = end.at - bevel_length(recipe.needle)
     step = find_step(volume, axis, bevel, diameter, recipe.centerline.patch_width_mm)
     if step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
@@ -215,6 +215,13 @@ def _list_warnings(
             f"beside the tip it is {'brighter' if bright else 'darker'} than beside the shaft: "
             f"{'a marker or other metal' if bright else 'air'} there moves the tip; look at it"
         )
+
+
+def _find_width_misfit(end: TipFit) -> float:
+    """Return by which factor's logarithm the needle looks wider than stated; 0 where that is not clear."""
+    misfit, sd = np.subtract(end.width or (MEAN_WIDTH_MISFIT, 0.0), (MEAN_WIDTH_MISFIT, 0.0))
+    clear = any(abs(misfit) > max(least, count * sd) for least, count in MIN_WIDTH_MISFITS)
+    return float(misfit) if clear else 0.0
 
 
 def _project_tip(axis: AxisSpline, tip: Floats) -> tuple[float, float]:
