@@ -27,7 +27,7 @@ from needlefit.imaging.needle.axis_spline import (
 )
 from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.hub import find_hub
-from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
+from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, median_tissue_hu, principal_axes
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
@@ -59,9 +59,11 @@ MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.
 BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that part, mm
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
 WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
-# Another diameter is spoken of from a factor on (logarithm) that is beyond what right ones show on the average,
-# and that is so many of its deviations; of a larger one the scan is so unlike the model that these are wide.
+# Another diameter is spoken of from a factor on (logarithm) that exceeds what right ones show on the average,
+# and that is so many of its deviations; a larger one makes these wide, since the model misses the scan.
 MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFITS = 0.05, ((0.08, 3.0), (0.2, 2.0))
+# Where the rest of a needle that moved is looked for: behind and beyond its end, and beside it, mm.
+REST_BEHIND_MM, REST_AHEAD_MM, REST_REACH_MM, MIN_REST_SLICES = 15.0, 3.0, 10.0, 8
 # Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
 
@@ -122,6 +124,8 @@ def trace_needle(
         axis = refine_axis(volume, axis, recipe, heel, end.at)
         placed = place_in_slices(volume, axis, recipe, end.at, spread)
         axis, end = placed or (axis, fit_tip(volume, axis, recipe.needle, end.at, spread))
+        if axis.slice_sds is None:
+            _refuse_displaced_rest(volume, axis, end.at, recipe.needle.diameter_mm)
         dark, wide = _measure_wide_end(volume, axis, end.at, recipe.needle.diameter_mm)
         if wide > (MAX_WIDE_PART if axis.slice_sds is None else MAX_WIDE_PART_IN_SLICES):
             raise refusal(f"""where the needle ends does not show: what stands there is wider than a needle,
@@ -182,6 +186,38 @@ def _measure_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: fl
     ends = np.sort(part[~shaft])
     usual = float(np.median(part[shaft]))
     return float(ends[1]) - min(usual, 0.0), float(ends[-2]) - max(usual, 0.0)  # air may lie along the shaft
+
+
+def _refuse_displaced_rest(volume: Volume, axis: AxisSpline, end: float, diameter: float) -> None:
+    """Raise DataError if metal leaves the axis near its `end`, mm, and goes on beside it in the next slice.
+
+    Where the table moves by more than the needle's width, the rest is a piece by itself.
+    """
+    fine = np.arange(max(0.0, end - REST_BEHIND_MM), end + REST_AHEAD_MM, 0.1)
+    index = to_index(volume, axis_frames(axis, fine).origins)
+    slices = np.arange(max(0, int(np.ceil(index[:, 2].min()))), int(index[:, 2].max()) + 1)
+    slices = slices[slices < len(volume.values)][:: 1 if index[-1, 2] > index[0, 2] else -1]
+    if len(slices) < MIN_REST_SLICES:  # it runs along them
+        return
+    level = float(np.median(sample_planes(volume, axis_frames(axis, fine[:50]), np.zeros((1, 2)))))
+    limit = 0.5 * (level + median_tissue_hu(volume))
+    j, i = np.indices(volume.values.shape[1:])
+    areas, places = [], []
+    for k in slices:
+        middle = index[np.argmin(np.abs(index[:, 2] - k))]
+        away = np.hypot((i - middle[0]) * volume.spacing[0], (j - middle[1]) * volume.spacing[1])
+        metal = volume.values[k] > limit
+        beside = metal & (away > diameter) & (away < REST_REACH_MM)
+        areas.append([np.count_nonzero(metal & (away <= diameter)), np.count_nonzero(beside)])
+        places.append(float(away[beside].mean()) if beside.any() else 0.0)
+    on, off = np.array(areas).T / max(1.0, float(np.median([one[0] for one in areas[: len(areas) // 2]])))
+    jumps = (on[:-1] > 0.5) & (on[1:] < 0.3) & (off[:-1] < 0.1) & (off[1:] > 0.4) & (off[1:] < 2.0)
+    if jumps.any():
+        n = int(np.flatnonzero(jumps)[0])
+        raise refusal(f"""the needle ends at slice {slices[n]} (counted from 0), and {places[n + 1]:.1f} mm
+                beside it metal as thick goes on: table or specimen moved during the scan
+            expected: one needle that does not move
+            fix: scan again; or place the tip in 3D Slicer (--corrections)""")
 
 
 def _list_warnings(
