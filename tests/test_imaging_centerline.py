@@ -96,9 +96,7 @@ def test_a_step_between_slices_and_another_diameter_are_named():
         values[beyond:] = np.roll(values[beyond:], 2, axis=2)  # by 0.92 mm
         (warning,) = found(replace(volume, values=values)).warnings
         assert f"slices {beyond - 1} and {beyond}" in warning
-    values[last - 12 :] = np.roll(
-        volume.values[last - 12 :], 7, axis=2
-    )  # by 3.2 mm: the rest is another piece
+    values[last - 12 :] = np.roll(volume.values[last - 12 :], 7, axis=2)  # by 3.2 mm
     message = refusal(DataError, "goes on", found, replace(volume, values=values)).what
     assert f"slice {last - 13} " in message and "3.2 mm" in message
     (warning,) = found(volume, cases.recipe(needle={"diameter_mm": 2.1})).warnings

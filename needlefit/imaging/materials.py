@@ -64,6 +64,8 @@ def _row_medians(values: Floats, least: float) -> Floats:
 
 # Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU.
 MAX_GAP_HU = -250.0
+# Brighter than air, HU, and darker than fat is also a light material, as foam, that lasts for so long, mm.
+MAX_AIR_HU, MIN_LIGHT_MM = -600.0, 5.0
 # Soft material must last so long along the needle to be a run, and air before the tissue, mm.
 MIN_SIDE_LENGTH_MM = 2.0
 MIN_GAP_LENGTH_MM = 1.0  # air between two soft runs must last so long, mm
@@ -109,6 +111,10 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
         return ()
     step = float(np.median(np.diff(s)))
     kinds = np.where(values > MIN_METAL_HU, 2, np.where(values < MAX_GAP_HU, 0, 1))
+    light = (values > MAX_AIR_HU) & (kinds == 0)
+    for part in np.split(np.arange(len(s)), np.flatnonzero(np.diff(light)) + 1):
+        if light[part[0]] and s[part[-1]] - s[part[0]] >= MIN_LIGHT_MM:
+            kinds[part] = 1
     for at in s[kinds == 2]:
         kinds[(np.abs(s - at) <= METAL_BLUR_MM) & (kinds == 1)] = 2
     kinds = _absorb_short_runs(kinds, step)
