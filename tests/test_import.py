@@ -191,9 +191,12 @@ def test_a_european_table_a_workbook_and_many_markups(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
-@pytest.mark.parametrize(("separator", "decimal"), [(";", ","), ("\t", "."), (",", "."), (" ", ",")])
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(";", ","), ("\t", "."), (",", "."), (" ", ","), (",", ",")]
+)
 def test_separator_decimal_sign_and_encoding_are_found(tmp_path, encoding, separator, decimal):
-    lines = [separator.join(f"{value:.3f}".replace(".", decimal) for value in row) for row in CURVES[0]]
+    cell = '"{:.3f}"' if separator == decimal else "{:.3f}"
+    lines = [separator.join(cell.format(value).replace(".", decimal) for value in row) for row in CURVES[0]]
     (tmp_path / "a.txt").write_bytes("\n".join([separator.join("xyz"), *lines]).encode(encoding))
     assert read_text_cells(tmp_path / "a.txt").decimal == decimal
     assert_same(curves_of(tmp_path / "a.txt"), CURVES[:1])
@@ -210,7 +213,7 @@ def test_a_long_table_with_names_and_attributes(tmp_path):
     assert unused_of(tmp_path / "a.csv") == {"column i"}
     rows[5] = rows[5].replace("gel", "meat")
     (tmp_path / "a.csv").write_text("\n".join(rows))
-    assert refusal(DataError, "meat", curves_of, tmp_path / "a.csv").where.endswith("a.csv:6")
+    assert refusal(DataError, "meat", curves_of, tmp_path / "a.csv").where.endswith("a.csv:6, column 2")
 
 
 def test_a_column_that_no_language_knows_is_named_by_an_option(tmp_path, capsys):
@@ -390,6 +393,14 @@ def test_fields_of_structs_name_curves_and_state_their_bevels(tmp_path, version)
     assert {what for what, _ in content.unused} == {"field rate", "field layers", *forces}
 
 
+@pytest.mark.parametrize("order", [(1, 2, 0), (0, 1, 2), None])
+def test_curves_of_one_size_may_be_a_stack_or_cells_of_numbers(tmp_path, order):
+    curves = [one[:14] for one in CURVES]
+    stack = np.array(curves, dtype=object) if order is None else np.transpose(curves, order)
+    savemat(tmp_path / "a.mat", {"c": stack})
+    assert_same(curves_of(tmp_path / "a.mat"), curves)
+
+
 # ---- hostile files
 
 
@@ -445,6 +456,8 @@ def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
     file = write_long(tmp_path, [NEEDLES[0][::-1], *NEEDLES[1:]])
     assert "n1" in refusal(DataError, "--entry", planned, [file]).what
     assert planned([file], entry="first")[1]["entry"] == ("first", "option")
+    file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
+    assert "--entry last" in refusal(DataError, "-1,0,0", planned, [file], pose="1,0,0").fix
 
 
 def test_names_of_digits_stand_above_the_columns_of_their_needles(tmp_path):
@@ -553,7 +566,7 @@ def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
     assert plan.rows[0].depth == pytest.approx(30.0)
     assert planned([write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["61"]])])[0].pose == "free"
     file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["80"]])
-    assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2")
+    assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2, column 2")
 
 
 def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
@@ -597,13 +610,15 @@ def test_a_boundary_that_may_be_in_centimetres_is_an_assumption(tmp_path, stated
 def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
     answers = {"pose": "1,0,0", "bevel": "0,1,0"}
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
-    assert refusal(DataError, "'A'", planned, [file], **answers).where.endswith(":2")
+    assert refusal(DataError, "'A'", planned, [file], **answers).where.endswith(":2, column 2")
     plan, made = planned([file], bevel_side="unten", **answers)
     assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel side"] == ("unten", "option")
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
     assert "n2" in refusal(DataError, "--bevel-side", planned, [file], **answers).what
     plan, _ = planned([file], bevel_side="-1", **answers)
     assert [row.side for row in plan.rows] == [1, -1, -1]
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], ["-1"], ["1"]])
+    assert "n2" in refusal(DataError, "--bevel", planned, [file], pose="1,0,0").what
     file = write_long(tmp_path, NEEDLES)
     assert planned([file], **answers)[1]["bevel side"] == ("1", "assumption")
     assert planned([file])[1]["bevel"] == ("bend", "assumption")
@@ -662,8 +677,8 @@ def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_pat
         ("id,depth_mm,bevel_roll_deg\nq1,30,\n", 2, "bevel side"),
         ("id,turn depth,roll\nq1,30,sideways\n", 0, "sideways"),
         ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 1, "curvature z"),
-        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", 2, "much"),
-        ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", 1, "ft"),
+        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", "2, column 4", "much"),
+        ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", "1, column 3", "ft"),
     ],
 )
 def test_a_bad_row_of_turns_or_curvatures_stops_the_import_at_its_place(tmp_path, text, place, reason):

@@ -214,8 +214,9 @@ def unknown_name_error(kind: str, name: str, known: list[str], otherwise: str = 
     if nearest and _compare(last, nearest[0]) >= LIKE:
         what += f"; did you mean `{nearest[0]}`?"
     fix = f"use one of these names{otherwise}"
-    if path_exists(Path(name)) and not is_path(name):
-        fix = f"write ./{name} if you mean the one in this folder"
+    here = [one for one in (name, f"{name}.toml") if path_exists(Path(one)) and not is_path(name)]
+    if here:
+        fix = f"write ./{here[0]} if you mean the one in this folder"
     return ConfigError(what, expected=f"one of {join_names(nearest) or '(none found)'}", fix=fix)
 
 

@@ -32,10 +32,10 @@ EXPECTED_ARRAYS = "N x 3 arrays of numbers, or structs with x, y and z, mm, entr
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every array of shape (N, 3) or (3, N), N > 3, by name, and the names of what is none.
 
-    Names: `a`, `a_1` in a cell or array of structs, `a_b` in a struct; a struct with one such array gives it
-    its name. A struct with vectors x, y and z of one length is a curve, too, with `NAMED_FIELDS` in its
-    `stated`, as are texts and single numbers beside a curve, or above it. Reads versions 4 to 7 (scipy), 7.3
-    (h5py).
+    Names: `a`, `a_1` in a cell, an array of structs or a stack (N, 3, K) or (K, N, 3), `a_b` in a struct; a
+    struct with one such array gives it its name. A struct with vectors x, y and z of one length is a curve,
+    too, with `NAMED_FIELDS` in its `stated`, as are texts and single numbers beside a curve, or above it.
+    Reads versions 4 to 7 (scipy), 7.3 (h5py).
 
     DataError if the file is missing, is no MATLAB file, or holds no such array.
     """
@@ -86,6 +86,9 @@ def _iterate_curves(
     unused: list[str],
 ) -> Iterator[tuple[str, Floats, dict[str, str]]]:
     """Yield name, points and what is stated of every curve in a value; add what is none to `unused`."""
+    is_cell = isinstance(value, np.ndarray) and value.dtype == object
+    if is_cell and all(isinstance(one, int | float) for one in value.flat):
+        value = value.astype(np.float64)  # a cell array of numbers
     if isinstance(value, dict):
         columns, value = _take_columns(value)
         texts = {key: text for key, part in value.items() if (text := _to_text(part)) is not None}
@@ -102,6 +105,9 @@ def _iterate_curves(
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
             yield from _iterate_curves(f"{name}_{number}", part, stated, unused)
+    elif isinstance(value, np.ndarray) and value.ndim == 3 and 3 in value.shape[1:]:  # curves of one size
+        stack = value if value.shape[2] == 3 < value.shape[1] else np.moveaxis(value, 2, 0)
+        yield from _iterate_curves(name, [*stack], stated, unused)
     elif (points := _to_points(value)) is not None:
         yield name, points, stated
     else:

@@ -77,9 +77,9 @@ class Stated:
         expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
         raise self.error("bevel side", expected)
 
-    def error(self, what: str, expected: str) -> DataError:
+    def error(self, what: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
-        fix = "correct it" + (f", or state {name_option(what)}" if what != "depth" else "")
+        fix = fix or "correct it" + (f", or state {name_option(what)}" if what != "depth" else "")
         return DataError(
             f"{what} is {self.text[:60]!r} {self.unit}".strip(), where=self.where, expected=expected, fix=fix
         )

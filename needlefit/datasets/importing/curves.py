@@ -362,7 +362,8 @@ class _TableReader:
         values = np.zeros((len(rows), len(columns)))
         for (k, n), (i, m) in product(enumerate(rows), enumerate(columns)):
             if (number := self.cells.number(text := self.cells.cell(n, m))) is None:
-                what, fix = f"a number is {text[:40]!r}", "correct the cell, or empty those of the row"
+                what = f"a number is {text[:40]!r}"
+                fix = "correct the cell; to leave the point out, empty all coordinates of its row"
                 expected = f"numbers with a decimal {'comma' if self.cells.decimal == ',' else 'point'}"
                 raise DataError(what, where=self.cells.where(n, m), expected=expected, fix=fix)
             values[k, i] = number

@@ -61,6 +61,7 @@ class Planner:
         answers.setup = content.setup
         self.content, self.curves, self.surfaces = content, content.curves, list[Surface]()
         self.answers, self.settle, self.keep = answers, answers.settle, answers.keep
+        self.entry = "first"  # the end of the curves that is the entry
 
     def make_plan(self) -> ImportPlan:
         """Return the plan, question by question.
@@ -150,7 +151,8 @@ class Planner:
         against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
         reason = f"{join_names(against, 5)} runs against the others" if against else "the order of the file"
         answer = self.settle("entry", "" if against else "first", reason, choices=("first", "last"))
-        for one in self.curves if answer.text == "last" else ():
+        self.entry = answer.text
+        for one in self.curves if self.entry == "last" else ():
             one.points = one.points.part(np.arange(len(one.line))[::-1])
 
     # ---- entry and pose
@@ -166,8 +168,10 @@ class Planner:
             raise pose.error("pose", f"{along} or shaft, of surfaces, turns and curvatures")
         if pose.text not in ("free", "shaft"):
             cosine = normalize(pose.to_vector("pose")) @ chord / (np.linalg.norm(chord) or 1.0)
-            if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
-                raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}")
+            if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
+                which = {"first": "last", "last": "first"}[self.entry]
+                fix = f"state --entry {which}: the needles run against it" if cosine <= -least else ""
+                raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
         return pose
 
     def settle_entry_point(self, pose: Stated) -> Floats | None:
@@ -330,10 +334,13 @@ class Planner:
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
-            mean = np.mean([one / (np.linalg.norm(one) or 1.0) for one in toward], axis=0)
-            source, guess = "guess", format_direction(normalize(toward.sum(axis=0)))
-            guess = guess if np.linalg.norm(mean) > MIN_SAME_SIDE else ""
+            units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), SAME_POINT_MM)
+            source, guess = "guess", format_direction(mean := normalize(toward.sum(axis=0)))
             reason = "the mean direction in which needles bend from their sides"
+            if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
+                off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))
+                names = join_names([self.curves[n].name for n in off], 5)
+                guess, reason = "", f"the stated bevel sides do not fit how {names} bend beside the others"
         answer = self.settle("bevel", guess, reason, source)
         if answer.text == "bend":
             if differ:

@@ -32,7 +32,7 @@ _NUMBERS = {
     ",": re.compile(r"[-+]?(\d{1,3}(\.\d{3})+,\d+|\d+,?\d*|,\d+)(e[-+]?\d+)?", re.IGNORECASE),
 }
 _LAYOUTS = (  # separators and decimal signs, in the order in which equally good ones are taken
-    *((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (" ", ","), (" ", ".")),
+    *((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (",", ","), (" ", ","), (" ", ".")),
 )
 
 
@@ -54,11 +54,8 @@ class CellTable:
     def where(self, row: int, column: int | None = None) -> str:
         """Return the place of a row, or of its cell in a column, for a message."""
         cell = "" if column is None else f", column {column + 1}"
-        return (
-            f"{self.path}, sheet {self.sheet}, row {row + 1}{cell}"
-            if self.sheet
-            else f"{self.path}:{row + 1}"
-        )
+        place = f", sheet {self.sheet}, row {row + 1}" if self.sheet else f":{row + 1}"
+        return f"{self.path}{place}{cell}"
 
     def cell(self, row: int, column: int) -> str:
         """Return a cell; empty where its row ends before it."""
