@@ -13,6 +13,7 @@ from needlefit.datasets.dataset_warnings import find_side_warnings, measure_scat
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import check, inspect, read
 from needlefit.datasets.write import write_dataset as write_curves
+from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import Surface, make_mesh, make_sheet
 from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
@@ -230,14 +231,33 @@ def plane(x: float):
     return make_sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
 
 
-def test_surfaces_listed_twice_turned_or_missed_are_faults(tmp_path):
+def test_surfaces_listed_twice_missed_or_out_of_order_are_named(tmp_path):
     once = layered(tmp_path / "once", {"layers/a.stl": plane(20)})
     assert check(once) == []
     (twice,) = check(layered(tmp_path / "name", {"layers/a.stl": plane(20)}, ["layers/a.stl"] * 2, 3))
     assert "layers/a.stl" in twice.what and twice.where.startswith(str(tmp_path / "name/dataset.toml"))
-    (turned,) = check(layered(tmp_path / "turned", {"layers/a.stl": plane(-20)}))
-    assert "RAS" in turned.fix and "all 2" in turned.what
-    assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces_missed"]
+    missed = check(layered(tmp_path / "turned", {"layers/a.stl": plane(-20)}))
+    assert ["RAS" in one.fix for one in missed] == [True, True]
+    assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces"]
+    both = {"layers/a.stl": plane(20), "layers/b.stl": plane(40)}
+    assert kinds(layered(tmp_path / "order", both, layers=3)) == []
+    (turned,) = find_warnings(layered(tmp_path / "swapped", both, [*both][::-1], layers=3))
+    assert turned.kind == "surfaces" and "3 > 2" in turned.what
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_curves_that_begin_at_the_tip_are_named(tmp_path, pose):
+    """Three needles into one block, from the entry to the tip and the other way round."""
+    for turned in (False, True):
+        curves = {name: CURVE[: len(CURVE) - 8 * n][:: -1 if turned else 1] for n, name in enumerate("abc")}
+        rows = []
+        for name, curve in curves.items():
+            known = {"entry": curve[0], "direction": np.eye(3)[0] * (-1 if turned else 1)}
+            depth = float(arc_length(curve)[-1])
+            rows.append(into_gel(name, depth=depth, **(known if pose == "known" else FREE)))
+        frame = {"name": "frame", "pose": pose}
+        path = write_rows(tmp_path / str(turned), *rows, curves=curves, frame=frame)
+        assert ("reversed" in kinds(path)) == turned
 
 
 @pytest.mark.parametrize("turn", [0.0, 35.0])
@@ -280,7 +300,7 @@ def test_surfaces_that_insertions_begin_within_and_never_meet_have_a_hole(tmp_pa
         surface = Surface("skin", make_mesh(mesh.vertices, mesh.faces), "sheet", 2)
         tables = {"media": {"gel": medium}, "noise": NOISE}
         write_dataset(folder, record(**tables), [into_gel()], {"a": CURVE}, {"skin.stl": surface})
-        (found,) = (one for one in find_warnings(folder) if one.kind == "surfaces_missed")
+        (found,) = (one for one in find_warnings(folder) if one.kind == "surfaces")
         assert words in found.fix
 
 

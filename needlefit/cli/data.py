@@ -3,6 +3,7 @@
 import shlex
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +15,7 @@ from needlefit.cli.options import Json, Out, Plugins, Strict, argument, option, 
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
-from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
+from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 
 def new_project(
@@ -210,6 +211,11 @@ def check(
         _check_study(invocation, kind, name, path)
 
 
+def _judge(warnings: Sequence[ResultWarning]) -> str:
+    count = len(warnings)
+    return f"No faults, {count} warning{'s' * (count > 1)}" if count else "No faults"
+
+
 def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: str, path: Path) -> None:
     from needlefit.project.locate import file_label
     from needlefit.studies.study_files import check_study_file
@@ -224,7 +230,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
     else:
         sizes = [f"{tune} fitted, {held_out} held out" for tune, held_out in dict.fromkeys(found.folds)]
         folds_text = f": {'; '.join(sizes)}; {len(found.folds)} folds" if sizes else ""
-        screen.print_text(f"No faults: {file_label(path)}, {found.kind}{folds_text}.")
+        screen.print_text(f"{_judge(found.warnings)}: {file_label(path)}, {found.kind}{folds_text}.")
     screen.print_warnings(invocation, found.warnings)
     if not invocation.json:
         command = "tune" if kind == "fit" else "validate"
@@ -260,7 +266,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     else:
         count = len(faults) if dataset is None else len(dataset.insertions)
         counted = f"{count} {'fault' if dataset is None else 'insertion'}{'s' * (count != 1)} in {path}"
-        screen.print_text(f"{counted}:" if dataset is None else f"No faults: {counted}.")
+        screen.print_text(f"{counted}:" if dataset is None else f"{_judge(found.warnings)}: {counted}.")
         for fault in faults:
             screen.print_line(str(fault))
     screen.print_warnings(invocation, found.warnings, in_full=True)

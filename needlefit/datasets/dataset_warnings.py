@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.datasets.columns import NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.insertion import Insertion, Noise, TipTrack
-from needlefit.datasets.layers import ListedInsertion, name_small_unit
+from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
 from needlefit.datasets.planes import (
     MAX_NAMED_INSERTIONS,
     MIN_BEND_SLOPE,
@@ -55,6 +55,10 @@ MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a ne
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
+
+# Curves of which the first points spread along the needles by more than this, mm, and the last ones by less
+# than this part of it, begin at the tips.
+MIN_LEVEL_MM, MAX_LEVEL_PART = 5.0, 0.1
 
 # ---- the record
 
@@ -214,6 +218,7 @@ def find_insertion_warnings(
     yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
     yield from find_plane_warnings(listed, noise)
     yield from find_curvature_warnings(listed, noise)
+    yield from _find_reversed_warnings(listed, noise)
     gaps = [float(np.diff(arc_length(one.planar)).max()) for one in insertions]
     scatters = [
         min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
@@ -236,17 +241,65 @@ def find_insertion_warnings(
     if unit := name_small_unit(deepest, record.needle.length_mm):
         what = f"the deepest insertion is {deepest:.3g} mm deep: this looks like {unit}"
         yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
-    for name in dict.fromkeys(one.medium for one in insertions):
+    for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
         group = [one for one in insertions if one.medium == name]
-        if all(one.surfaces and one.sequence == (1,) for one in group):
-            what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
-            points = np.vstack([one.centerline[:1] for one in group])
-            bounds = [surface.mesh.bounds for surface in group[0].surfaces]
-            within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
-            fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
-            fix = "they begin within its bounds: close the hole where they enter" if within else fix
-            yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
+        yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
     yield from _find_noise_warnings(record, listed, noise, where)
+
+
+def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) -> Iterator[ResultWarning]:
+    """Yield a warning if insertions miss the surfaces of their medium, or meet sheets in another order."""
+    meeting = [one for one in group if len(one.sequence) > 1]
+    sheets = [surface.into for surface in group[0].surfaces if surface.kind == "sheet"]
+    least = max((float(one.boundaries[0]) for one in meeting), default=0.0)
+    missed = [one for one in group if one not in meeting and one.depth > least]
+    if missed and (not meeting or len(sheets) == len(group[0].surfaces)):  # beside a solid a needle may pass
+        points = np.vstack([one.centerline[:1] for one in missed])
+        bounds = [surface.mesh.bounds for surface in group[0].surfaces]
+        within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
+        what = f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces"
+        fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
+        yield ResultWarning("surfaces", what, where, fix)
+    orders = [[layer for layer in dict.fromkeys(one.sequence) if layer in sheets] for one in meeting]
+    turned = [order != sorted(order) for order in orders if len(order) > 1]
+    if turned and all(turned):
+        what = f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}"
+        fix = "number `into` (at an import: name the files) in the order in which needles meet the surfaces"
+        yield ResultWarning("surfaces", what, where, fix)
+
+
+def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning if curves seem to begin at the tips; of at least one insertion.
+
+    Either their last points lie in one plane across them, and their first ones do not, or they begin off the
+    entry direction, beyond errors, and end along it: a bevel bends a needle the more, the deeper it is.
+    """
+    own = [one.insertion for one in listed]
+    ends = np.array([one.centerline[[0, -1]] for one in own])
+    along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
+    first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
+    reasons = []
+    if len(own) > 2 and first > MIN_LEVEL_MM and last < MAX_LEVEL_PART * first:
+        reasons.append("the last points lie in one plane across the needles, the first ones do not")
+    slopes = list[
+        tuple[float, ...]
+    ]()  # at the first and at the last point, about the entry direction, and their deviation, rad
+    for one in own:
+        if one.pose_source != "none" and not one.turns and not one.base_moved:
+            s = one.measure_arc(2)
+            bend, slope, _ = np.polyfit(s, np.column_stack([one.planar[:, 1], one.out_of_plane]), 2)
+            sd = math.hypot(one.pose_angle_sd, 4 * math.hypot(noise.point_sd, noise.correlated_sd) / s[-1])
+            begin, end = (float(np.linalg.norm(one)) for one in (slope, slope + 2 * bend * s[-1]))
+            slopes.append((begin, end, sd))
+    if slopes:
+        begin, end, sd = np.sqrt(np.mean(np.square(slopes), axis=0))
+        if begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE):
+            off = [f"{math.degrees(one):.1f} degrees off the entry direction" for one in (begin, end)]
+            reasons.append(f"they begin {off[0]}, and end {off[1]}")
+    if reasons:
+        what = f"curves seem to run from the tip to the entry: {'; '.join(reasons)}"
+        fix = "reverse the points and the entry direction; at an import state --entry last"
+        yield ResultWarning("reversed", what, listed[0].where, fix)
 
 
 def _find_noise_warnings(

@@ -27,6 +27,7 @@ from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
+MISSED_FIX = "export surfaces and centrelines in mm and in one frame: 3D Slicer asks, LPS or RAS"
 
 
 @dataclass(frozen=True)
@@ -321,7 +322,7 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
 def find_layer_faults(
     listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
 ) -> Iterator[Fault]:
-    """Return the insertions that do not meet their listed layers; one reason if all miss all surfaces."""
+    """Return the insertions that do not meet their listed layers, and surfaces that are listed twice."""
     for name in dict.fromkeys(one.insertion.medium for one in listed):
         group = [one for one in listed if one.insertion.medium == name]
         files = [one.file for one in record.media[name].surfaces]
@@ -329,15 +330,6 @@ def find_layer_faults(
             what = f"medium {name} lists a surface twice: {', '.join(files)}"
             where, fix = locate_key(file, f"media.{name}.surfaces"), "name the right file, or remove one"
             yield Fault(where, what, "a surface of its own for every boundary", fix)
-            continue
-        if all(
-            one.insertion.surfaces and one.insertion.sequence == (1,) and one.insertion.layers > 1
-            for one in group
-        ):
-            what = f"all {len(group)} insertions into {name} miss all its surfaces"
-            fix = "export surfaces and centrelines in one frame (3D Slicer asks: LPS or RAS)"
-            where = locate_key(file, f"media.{name}.surfaces")
-            yield Fault(where, what, "surfaces that needles cross, or one layer", fix)
             continue
         faults = [fault for one in group for fault in _find_count_fault(one)]
         deepest = max(one.insertion.depth for one in group)
@@ -365,4 +357,5 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     what = f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; boundaries at {depths} mm)"
     expected = f"{met} in `layers`, or in `layers_alternative` where the tip lies at a boundary"
     fix = f"write {met} there, or correct the boundaries of medium {insertion.medium}"
+    fix += f" ({MISSED_FIX})" if insertion.surfaces and met == 1 else ""
     yield Fault(one.where, f"{what}, but {listed}", expected, fix)
