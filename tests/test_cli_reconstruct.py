@@ -175,10 +175,18 @@ def two_needles(folder):
     return [spoiled(folder, change)]
 
 
-def test_every_needle_of_a_scan_is_an_insertion_with_the_same_markers(tmp_path) -> None:
+def test_every_needle_of_a_scan_is_an_insertion_and_the_printed_commands_follow(tmp_path, capsys) -> None:
     (path,) = two_needles(tmp_path)
     volume = read_volume(path)
     assert run("reconstruct", path, "--all", "--out", tmp_path / "both", "-q") == 0
+    *_, study, predict = (
+        shlex.split(line.partition("needlefit ")[2]) for line in capsys.readouterr().err.splitlines()
+    )
+    assert study[0] == "validate" and predict[:3] == ["predict", study[1], "--scene"]
+    assert run("check", study[1]) == 0 and run("simulate", predict[3]) == 0
+    assert run("tune", tmp_path / "both") == 3 and study[1] in capsys.readouterr().err
+    assert run("report", tmp_path / "both") == 0
+    assert str(tmp_path / "both/scenes") in capsys.readouterr().out
     found = read_dataset(tmp_path / "both").insertions
     assert [one.id for one in found] == ["spoiled-1", "spoiled-2"]
     rows = pd.read_csv(tmp_path / "both" / "scans.csv")

@@ -208,6 +208,10 @@ def test_a_name_that_is_nearly_right_is_proposed(name, tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match="did you mean `study3`") as fault:
             find(name)
         assert fault.value.expected.startswith("one of study3, ")
+    Path("study.toml").touch()
+    with pytest.raises(ConfigError) as fault:
+        locate.find_file("study", "study")
+    assert "./study.toml" in fault.value.fix
 
 
 @pytest.fixture

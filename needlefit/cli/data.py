@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from needlefit.cli import screen
+from needlefit.cli.execution import show_next_steps
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import Json, Out, Plugins, Strict, argument, option, split_pair
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
@@ -112,7 +113,7 @@ def import_data(
     lists every decision under [import], with all columns, rows, fields and sheets that are not used. OUT also
     gets a picture, a first study and a scene. It must not exist yet; the default is ./FILE-dataset.
     """
-    from needlefit.datasets.first_study import SCENE_FILE, name_study_file
+    from needlefit.datasets.first_study import SCENE_FILE
     from needlefit.datasets.importing.answers import Answers
     from needlefit.datasets.importing.files import read_content
     from needlefit.datasets.importing.planning import Planner
@@ -158,15 +159,9 @@ def import_data(
         screen.show_frame(decisions, "Decisions")
     screen.print_warnings(invocation, inspect(out).warnings)
     path = str(out) if out.is_absolute() else f"./{out}"
-    if dataset.pose == "tracker":
-        screen.print_note(f"then: {shlex.join(('needlefit', 'check', path))}")
-        return
-    screen.print_note(f"look at {out / PICTURE_FILE}, then: {shlex.join(('needlefit', 'check', path))}")
-    study = f"{path}/{name_study_file(dataset.name)}"
-    if len(dataset.insertions) > 1:
-        predict = shlex.join(("needlefit", "predict", study, "--scene", f"{path}/{SCENE_FILE}"))
-        screen.print_note(f"a first study: {shlex.join(('needlefit', 'validate', study))}")
-        screen.print_note(f"then a prediction: {predict}")
+    look = "" if dataset.pose == "tracker" else f"look at {out / PICTURE_FILE}, "
+    screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
+    show_next_steps(dataset, out, SCENE_FILE)
 
 
 def _ask(what: str, guess: str, reason: str) -> str:

@@ -18,6 +18,7 @@ from needlefit.project.processes import count_cores
 from needlefit.project.progress import never_stop, no_note
 
 if TYPE_CHECKING:
+    from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
     from needlefit.studies.job import Inputs
@@ -237,11 +238,8 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     for table in shown:
         screen.show_display(replace(table, breaks=()), notes=False)
     for head, words in (("What to do.", answer.advice), ("What the fit determined.", answer.determined)):
-        if words:  # which name folders of results as if they were in ./reports
-            beside = re.sub(
-                r"(?<= )reports/([\w.-]+)", lambda m: shlex.quote(str(folder.parent / m[1])), words
-            )
-            screen.print_text(f"{head} {beside}")
+        if words:
+            screen.print_text(f"{head} {place_folders(words, result.name, folder)}")
     if invocation.explain:
         named_tables = {table.name for table in shown}
         further = [
@@ -254,6 +252,28 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     if documents:
         screen.print_line(f"Report: {', '.join(documents)}")
     screen.print_written(folder)
+
+
+def place_folders(words: str, name: str, folder: Path) -> str:
+    """Return what a result of a name advises, with the paths of folders where it lies in `folder`.
+
+    It names folders of results as if they were in ./reports, and that of a reconstruction as if in this one.
+    """
+    words = re.sub(r"(?<= )reports/([\w.-]+)", lambda m: shlex.quote(str(folder.parent / m[1])), words)
+    own = shlex.quote(str(folder) if folder.is_absolute() else f"./{folder}")
+    return re.sub(rf"(?<= )\./{re.escape(name)}(?=/|\s|$)", lambda _: own, words)
+
+
+def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:
+    """Print the commands that follow on a new dataset in `folder` with a first study, if it has one."""
+    from needlefit.datasets.first_study import name_study_file
+
+    path = str(folder) if folder.is_absolute() else f"./{folder}"
+    if len(dataset.insertions) > 1 and dataset.pose != "tracker":
+        study = f"{path}/{name_study_file(dataset.name)}"
+        predict = shlex.join(("needlefit", "predict", study, "--scene", f"{path}/{scene}"))
+        screen.print_note(f"a first study: {shlex.join(('needlefit', 'validate', study))}")
+        screen.print_note(f"then a prediction: {predict}")
 
 
 def show_runs(execution: Execution, runs: "Sequence[Run]", more: dict[str, object] | None = None) -> None:

@@ -1,6 +1,5 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import begin, open_pool, print_remark
+from needlefit.cli.execution import begin, open_pool, place_folders, print_remark, show_next_steps
 from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
@@ -164,12 +163,16 @@ def reconstruct(
                 write_refused(failed, refused)
             else:  # those of an earlier run would be taken for this one's
                 remove_result(refused, print_remark)
-    warnings = inspect(out).warnings if written else ()
+    inspected = inspect(out) if written else None
+    warnings = inspected.warnings if inspected else ()
     if written and not invocation.json:
         screen.print_text(f"{written.verdicts[0].sentence}.")
     _print_failures(written, failed, out if written else refused)
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
+    if inspected and inspected.dataset and not invocation.json:
+        deepest = max(inspected.dataset.insertions, key=lambda one: one.depth)
+        show_next_steps(inspected.dataset, out, f"scenes/{deepest.id}.toml")
     if failed and written:
         screen.print_note(f"needlefit: finished scans are kept in {keep}; to go on: {invocation.resuming()}")
     else:
@@ -217,8 +220,8 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
-        path = shlex.quote(str(out) if out.is_absolute() else f"./{out}")
-        screen.print_line(f"What to do. {found.answer.advice.replace('DATASET', path)}")  # to be copied whole
+        # to be copied whole
+        screen.print_line(f"What to do. {place_folders(found.answer.advice, found.name, out)}")
         pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
         screen.print_written(out, f" (pictures: {pictures})")
 

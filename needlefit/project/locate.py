@@ -124,6 +124,7 @@ def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKi
 def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
     found = _find_sources(name, ("study", "fit"))
+    _require_no_dataset(name, found)
     if not found:
         raise unknown_name_error("study or fit", name, [*list_names("study"), *list_names("fit")])
     if len(found) == 2:
@@ -132,6 +133,15 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
             fix=f"state which: studies/{name}.toml or configs/fits/{name}.toml",
         )
     return ("study" if found[0][0] == "study" else "fit"), found[0][1]
+
+
+def _require_no_dataset(name: str, found: Sequence[tuple[SourceKind, Path]]) -> None:
+    """Raise ConfigError if a name that is no study or fit is a dataset; it names the studies beside it."""
+    path = _look_up("dataset", name)
+    if path is not None and (not found or found[0][0] == "dataset"):
+        own = [str(one) for one in sorted(path.parent.glob("*_study.toml"))]
+        fix = f"name {' or '.join(own)}" if own else "write a study of it, as docs/studies.md shows"
+        raise ConfigError("is a dataset", where=name, expected="a study or fit", fix=fix)
 
 
 def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
@@ -155,6 +165,7 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
     if name == EVERY_STUDY:
         return [(study, find_file("study", study)) for study in PAPER_STUDIES]
     found = _find_sources(name, ("study", "fit"))
+    _require_no_dataset(name, found)
     if not found:
         raise unknown_name_error("study", name, [*list_names("study"), EVERY_STUDY])
     kind, path = found[0]

@@ -133,7 +133,7 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
 
     Raises ConfigError if there is no such study or fit, or it does more than tune.
     """
-    if is_file(stored := Path(target) / RUN_FILE):
+    if is_file(stored := Path(target) / RUN_FILE) and not is_file(Path(target) / "dataset.toml"):
         return _load_stored_target(stored)
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.first_study import write_scene
+from needlefit.datasets.first_study import write_scene, write_starter_study
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
@@ -206,6 +206,7 @@ def describe(found: Run) -> dict[str, Any]:
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "synthetic": found.synthetic,
+        "folder": f"./{found.name}",
     }
 
 
@@ -275,7 +276,8 @@ def write_reconstruction(
     Where none can be held nothing is written, and what was there stays.
 
     The dataset, with a table of scans that has a row for each needle of divided ones; `quality/<id>.pdf`;
-    `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; the files of every run.
+    `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; a first study of several
+    insertions; `scenes/<id>.toml`; the files of every run.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -300,9 +302,9 @@ def write_reconstruction(
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
         dataset = read(fresh)
-        unregistered = {one.scan.id for one in kept if one.registration is None}
-        for insertion in (one for one in dataset.insertions if one.id in unregistered):
-            (fresh / "scenes").mkdir(exist_ok=True)
+        write_starter_study(fresh, dataset)
+        (fresh / "scenes").mkdir()
+        for insertion in dataset.insertions:
             write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)
         result = tabulate_batch(description.name, record, kept, dataset.warnings)
         if refused:
