@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from needlefit.cli.data import copy_project
+from needlefit.cli.data import new_project
 from needlefit.errors import MAX_MESSAGE_CHARACTERS, ConfigError, DataError, printable
 from needlefit.project import locate
 from needlefit.project.input_files import parse_json, parse_toml, read_bytes, read_json, read_text
@@ -247,7 +247,7 @@ def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
 
 
 def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path, monkeypatch):
-    copy_project(tmp_path / "mine")
+    new_project(tmp_path / "mine")
     monkeypatch.chdir(tmp_path / "mine")
     assert locate.find_file("scene", "chicken") == tmp_path / "mine/configs/scenes/chicken.toml"
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -261,7 +261,8 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
         tmp_path / "mine",
     ):
         with pytest.raises(ConfigError):
-            copy_project(folder)
+            new_project(folder)
     assert [path.name for path in (tmp_path / "notes").iterdir()] == ["thesis.docx"]
     (tmp_path / "new").mkdir()
-    assert len(copy_project(tmp_path / "new")) == 3
+    new_project(tmp_path / "new")
+    assert len(list((tmp_path / "new").iterdir())) == 3

@@ -4,6 +4,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,8 +27,13 @@ def new_project(
 
     That is data/, configs/ and studies/; in DIR the program then uses those.
     """
-    for written in copy_project(folder):
-        screen.print_line(str(written))
+    from needlefit.project.folders import replace_folder
+
+    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
+    with replace_folder(folder, is_result=False) as fresh:
+        for part in PROJECT_FOLDERS:
+            shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
+    screen.print_written(folder)
     screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
@@ -49,20 +55,6 @@ def new_workbook(
     screen.print_line(str(file))
     path = str(file) if file.is_absolute() else f"./{file}"
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'import', path, '--out', file.stem))}")
-
-
-def copy_project(folder: Path) -> list[Path]:
-    """Copy the shipped `data/ configs/ studies/` into `folder`, which is missing or empty; return theirs.
-
-    ConfigError if it is neither.
-    """
-    from needlefit.project.folders import replace_folder
-
-    ignored = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
-    with replace_folder(folder, is_result=False) as fresh:
-        for part in PROJECT_FOLDERS:
-            shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
-    return [folder / part for part in PROJECT_FOLDERS]
 
 
 # ---- import
@@ -233,20 +225,17 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
-    import pandas as pd
-
     from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
-    from needlefit.datasets.select import describe_holes
+    from needlefit.datasets.select import find_hole_source, name_holes
 
     found = inspect(path)
-    faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", ""
+    faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()
     if dataset is not None:
         planes, measured = measure_out_of_plane(dataset), describe_measurement(dataset)
-        holes = describe_holes(dataset)
+        holes = name_holes(dataset)
     if invocation.json:
-        keys = ("where", "what", "expected", "fix")
         screen.show_json(
             {
                 "dataset": str(path),
@@ -254,7 +243,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "measurement": measured,
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
-                "faults": [{key: str(getattr(fault, key)) for key in keys} for fault in faults],
+                "faults": [asdict(fault) for fault in faults],
                 WARNINGS_KEY: to_rows(found.warnings),
             }
         )
@@ -268,14 +257,14 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     if dataset is not None and not invocation.json:
         origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
         screen.print_text(f"{origin}: {dataset.title}. Measurement: {measured}.")
-        rows = [(one.medium, one.layers, one.depth, one.deflection) for one in dataset.insertions]
-        table = pd.DataFrame(rows, columns=["medium", "layers", "depth, mm", "tip deflection, mm"])
-        groups = table.groupby(["medium", "layers"], sort=False)
-        least, most = (one.map("{:.2f}".format) for one in (groups.min(), groups.max()))
-        ranges = least + " to " + most
-        screen.show_frame(ranges.assign(insertions=groups.size()).reset_index(), "")
-        if holes:
-            screen.print_text(f"Holes: {holes}.")
+        table = dataset.to_frame().assign(hole=list(holes.values()))
+        table["holes by"] = [find_hole_source(dataset, one) for one in table["medium"]]
+        groups = table.groupby(["medium", "layers", "holes by"], sort=False)
+        shown = groups["insertion"].size().to_frame("insertions").assign(holes=groups["hole"].nunique())
+        for column, label in (("depth_mm", "depth, mm"), ("deflection_mm", "tip deflection, mm")):
+            least, most = (one.map("{:.2f}".format) for one in (groups[column].min(), groups[column].max()))
+            shown[label] = least + " to " + most
+        screen.show_frame(shown.reset_index(), "")
         if away := [f"{name} {mm:.2f} mm = {sds:.1f} SD" for name, mm, sds in planes]:
             screen.print_text(f"Off the plane, or the turns, of the bevel: {join_names(away, 8)}.")
     if faults:

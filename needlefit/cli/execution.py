@@ -177,18 +177,6 @@ def require_no_faults(faults: Iterable[str]) -> None:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-def plan_studies(study: str) -> list[StudyTask]:
-    """Return the studies that a name means; ConfigError if there is none, or its file is wrong."""
-    from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
-    from needlefit.project.toml import load
-    from needlefit.schemas.study import FitRecord
-    from needlefit.studies.study_files import load_study
-
-    found = [StudyTask(name, load_study(path), path) for name, path in find_studies(study)]
-    fits = [(name, find_file("fit", name)) for name in PAPER_FITS if study == EVERY_STUDY]
-    return [*found, *(StudyTask(name, load(path, FitRecord), path) for name, path in fits)]
-
-
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     """Run, write and print every work; their checkpoints stay. A dataset is read once for all."""
     from needlefit.datasets.read import read

@@ -95,9 +95,17 @@ def explain(
 
     Without a NAME all are listed.
     """
-    from needlefit.reporting.columns import find_column
+    from needlefit.reporting.columns import find_column, list_columns
 
-    groups, name = _list_topics(), " ".join(key or ())
+    name, columns = " ".join(key or ()), list_columns().values()
+    groups = {
+        "Warnings": [*read_sections().values()],
+        "Terms": read_terms(),
+        "Columns of tables": [
+            Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
+            for one in columns
+        ],
+    }
     topics = [one for group in groups.values() for one in group]
     found = [one for one in topics if _fold(name) in (_fold(one.key), _fold(one.symbol))] if name else topics
     if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
@@ -125,29 +133,9 @@ def _fold(name: str) -> str:
     return re.sub("[-_ ]+", " ", name).casefold()
 
 
-def _list_topics() -> dict[str, list[Topic]]:
-    from needlefit.reporting.columns import list_columns
-
-    return {
-        "Warnings": [*read_sections().values()],
-        "Terms": read_terms(),
-        "Columns of tables": [
-            Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
-            for one in list_columns().values()
-        ],
-    }
-
-
-def paper(context: typer.Context, json: options.Json = False) -> None:
+def paper() -> None:
     """Print the paper's tables."""
     from needlefit.reporting import paper as published
 
-    if context.find_root().obj.json:
-        tables = published.TABLE_TITLES
-        rows: dict[str, object] = {
-            name: published.read_published_table(name).to_dict("records") for name in tables
-        }
-        screen.show_json(rows)
-        return
     for name, title in published.TABLE_TITLES.items():
         screen.show_frame(published.read_printed_table(name), title)

@@ -7,14 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.execution import (
-    begin,
-    plan_studies,
-    require_no_faults,
-    run_studies,
-    show_json_of,
-    show_runs,
-)
+from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
 from needlefit.cli.options import argument, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
@@ -167,9 +160,15 @@ def validate(
     Ctrl-C saves what is finished and prints the command that continues; a second Ctrl-C stops at once.
     """
     with begin(context) as execution:
-        from needlefit.project.locate import EVERY_STUDY
+        from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
+        from needlefit.project.toml import load
+        from needlefit.schemas.study import FitRecord
+        from needlefit.studies.study_files import load_study
 
-        todo, combined = plan_studies(study), [study] if study == EVERY_STUDY else []
+        combined = [study] if study == EVERY_STUDY else []
+        fits = [(name, find_file("fit", name)) for name in PAPER_FITS if combined]
+        todo = [StudyTask(name, load_study(path), path) for name, path in find_studies(study)]
+        todo += [StudyTask(name, load(path, FitRecord), path) for name, path in fits]
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)
         runs = run_studies(execution, todo)

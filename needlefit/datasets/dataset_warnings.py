@@ -278,12 +278,8 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     ends = np.array([one.centerline[[0, -1]] for one in own])
     along = (ends[:, 1] - ends[:, 0]).sum(axis=0)
     first, last = np.ptp(ends @ along, axis=0) / (np.linalg.norm(along) or 1.0)
-    reasons = []
-    if len(own) > 2 and first > MIN_LEVEL_MM and last < MAX_LEVEL_PART * first:
-        reasons.append("the last points lie in one plane across the needles, the first ones do not")
-    slopes = list[
-        tuple[float, ...]
-    ]()  # at the first and at the last point, about the entry direction, and their deviation, rad
+    is_level = len(own) > 2 and first > MIN_LEVEL_MM and last < MAX_LEVEL_PART * first
+    slopes = [(0.0, 0.0, 0.0)]  # at the first and last points, about the entry, and their deviation, rad
     for one in own:
         if one.pose_source != "none" and not one.turns and not one.base_moved:
             s = one.measure_arc(2)
@@ -291,13 +287,10 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
             sd = math.hypot(one.pose_angle_sd, 4 * math.hypot(noise.point_sd, noise.correlated_sd) / s[-1])
             begin, end = (float(np.linalg.norm(one)) for one in (slope, slope + 2 * bend * s[-1]))
             slopes.append((begin, end, sd))
-    if slopes:
-        begin, end, sd = np.sqrt(np.mean(np.square(slopes), axis=0))
-        if begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE):
-            off = [f"{math.degrees(one):.1f} degrees off the entry direction" for one in (begin, end)]
-            reasons.append(f"they begin {off[0]}, and end {off[1]}")
-    if reasons:
-        what = f"curves seem to run from the tip to the entry: {'; '.join(reasons)}"
+    begin, end, sd = np.linalg.norm(slopes, axis=0) / math.sqrt(max(len(slopes) - 1, 1))
+    if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
+        why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
+        what = f"curves seem to run from the tip to the entry: they {why}"
         fix = "reverse the points and the entry direction; at an import state --entry last"
         yield ResultWarning("reversed", what, listed[0].where, fix)
 
@@ -366,13 +359,11 @@ def _find_number_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each column of deviations of the table that holds values hard to believe."""
-    source, depth = record.insertions, max((one.insertion.depth for one in listed), default=0.0)
+    source = record.insertions
     for name, (least, most) in {
         "pose_shift_sd_mm": (MIN_POSE_SD_MM, MAX_POSE_SD_MM),
         "pose_angle_sd_deg": ANGLE_SD_DEG,
         ROLL_COLUMNS[1]: (0.0, MAX_ROLL_SD_DEG),
-        "boundary_sd_mm": (0.0, depth),
-        "depth_sd_mm": (0.0, depth),
     }.items():
         values = np.array([getattr(one.insertion, NUMBER_COLUMNS[name][0]) for one in listed])
         values = np.degrees(values) if name.endswith("_deg") else values

@@ -12,7 +12,6 @@ from needlefit.schemas.study import StudyRecord
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
 MODULUS_BOUNDS_PA = [1e3, 1e9]
 SCENE_MU_PA, SCENE_ALPHA = 2e5, 1.0  # of a scene before any fit
-_START_NOTE = "# A start, made by needlefit: {what}\n"
 
 
 def name_study_file(name: str) -> str:
@@ -41,7 +40,7 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
         ],
     }
     check(scene, SceneRecord, file.name)
-    _write_start(file, scene, "needle, depth, layers, bevel and its turns.")
+    file.write_bytes(dumps(scene).encode())
 
 
 def record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
@@ -68,10 +67,6 @@ def _choose_advance(dataset: Dataset) -> tuple[str, dict[str, str], dict[str, fl
     if left or any(one.turns for one in dataset.insertions):
         return "cut_angle_deg", {"advance": "path_angle"}, {"cut_angle_deg": 1.0}
     return "bevel_mm", {}, {"offset_mm": 0.05}
-
-
-def _write_start(file: Path, tables: dict[str, object], what: str) -> None:
-    file.write_bytes((_START_NOTE.format(what=what) + dumps(tables)).encode("utf-8"))
 
 
 def write_starter_study(folder: Path, dataset: Dataset) -> bool:
@@ -110,9 +105,8 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
         "leave_out": unit,
         **({} if several else {"same_specimen": True}),
     }
-    study_file = name_study_file(dataset.name)
-    check(tissue, MediumRecord, TISSUE_FILE)
-    check(study, StudyRecord, study_file)
-    _write_start(folder / TISSUE_FILE, tissue, "the layers, and which parameters are fitted.")
-    _write_start(folder / study_file, study, "what is fitted, and what is predicted.")
+    files = (TISSUE_FILE, tissue, MediumRecord), (name_study_file(dataset.name), study, StudyRecord)
+    for name, tables, record in files:
+        check(tables, record, name)
+        (folder / name).write_bytes(dumps(tables).encode())
     return True

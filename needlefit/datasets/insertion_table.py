@@ -30,7 +30,7 @@ from needlefit.datasets.columns import (
     describe_column,
 )
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers
+from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.geometry.frames import Frame
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
@@ -42,11 +42,7 @@ MIN_DEPTH_MM = 1.0  # an insertion of less than this, mm, was written in metres
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows without faults; note the faults of the others."""
     pose_known = record.frame.pose == "known"
-    note_missing_columns(table, list(record.insertions.columns.values()), found)
-    cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.insertions.columns.items()})
-    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
-    absent = {name: str(value) for name, value in record.insertions.constants.items() if name not in cells}
-    named = CsvTable(table.path, cells.assign(**absent), table.lines, record.insertions.columns)
+    named = rename_columns(table, record.insertions.columns, record.insertions.constants, found)
     has_scan = any(column in named.cells for column in SCAN_COLUMNS)
     wanted = (*REQUIRED_COLUMNS, *(POSE_COLUMNS if pose_known else ()), *(SCAN_COLUMNS if has_scan else ()))
     if note_missing_columns(named, wanted, found):
@@ -63,58 +59,59 @@ def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> li
     return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
 
 
+MAX_CURVATURE = 0.1  # of a needle, 1/mm: a radius of 10 mm
+
+
 def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows with the turns of the bevel that a table lists; note the faults of that table."""
-    if note_missing_columns(table, list(TURN_COLUMNS), found):
-        return list(rows)
-    ids = list(table.cells["id"])
-    depth, roll = (parse_numbers(table, name, found) for name in TURN_COLUMNS[1:])
-    known = {row.id: row for row in rows}
     turns: dict[str, list[tuple[float, float]]] = {}
-    for n, name in enumerate(ids):
-        own, row = turns.setdefault(name, []), known.get(name)
-        least = own[-1][0] if own else 0.0
-        if row is None:
-            fix = "correct the id, or remove the line"
-            found.append(Fault(table.where(n), f"turns insertion {name!r:.60}", "an id of the table", fix))
-        elif not least < depth[n] < row.depth:
-            what = f"turns {name} at {depth[n]:g} mm"
+    for row, (depth, roll), where in _iterate_beside(rows, table, TURN_COLUMNS, found):
+        own = turns.setdefault(row.id, [])
+        if not (own[-1][0] if own else 0.0) < depth < row.depth:
+            what = f"turns {row.id} at {depth:g} mm"
             expected = f"depths that increase between 0 and {row.depth:g} mm"
-            found.append(Fault(table.where(n), what, expected, "correct depth_mm, or remove the line"))
-        own.append((float(depth[n]), math.radians(roll[n])))
+            found.append(Fault(where, what, expected, "correct depth_mm, or remove the line"))
+        own.append((depth, math.radians(roll)))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
-
-
-MAX_CURVATURE = 0.1  # of a needle, 1/mm: a radius of 10 mm
 
 
 def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows with the curvatures that a table lists; note the faults of that table."""
-    if note_missing_columns(table, list(CURVATURE_COLUMNS), found):
-        return list(rows)
-    ids = np.array(table.cells["id"], dtype=object)
-    values = np.column_stack([parse_numbers(table, name, found) for name in CURVATURE_COLUMNS[1:]])
-    known, read = {row.id: row for row in rows}, set[tuple[str, float]]()
-    for n, (name, (s, y, z, sd)) in enumerate(zip(ids, values.tolist(), strict=True)):
-        row, again = known.get(name), (name, s) in read
-        read.add((name, s))
-        if row is None:
-            fix = "correct the id, or remove the line"
-            found.append(Fault(table.where(n), f"is of insertion {name!r:.60}", "an id of the table", fix))
-        elif not MIN_SENSOR_MM <= s <= row.depth - MIN_SENSOR_MM:
+    curvature: dict[str, list[list[float]]] = {}
+    for row, values, where in _iterate_beside(rows, table, CURVATURE_COLUMNS, found):
+        (s, y, z, sd), own = values, curvature.setdefault(row.id, [])
+        if not MIN_SENSOR_MM <= s <= row.depth - MIN_SENSOR_MM:
             expected = f"{MIN_SENSOR_MM:g} to {row.depth - MIN_SENSOR_MM:g} mm from the tip"
             fix = "correct s_mm: from the tip, inside the tissue"
-            found.append(Fault(table.where(n), f"has a sensor at {s:g} mm", expected, fix))
+            found.append(Fault(where, f"has a sensor at {s:g} mm", expected, fix))
         elif not sd > 0:
             fix = "state the standard deviation of the curvature, 1/mm"
-            found.append(Fault(table.where(n), f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
+            found.append(Fault(where, f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
             what, expected = f"has a curvature of {max(abs(y), abs(z)):g} 1/mm", f"at most {MAX_CURVATURE:g}"
-            found.append(Fault(table.where(n), what, expected, "state it in 1/mm: divide 1/m by 1000"))
-        elif again:
-            what = f"states the curvature of {name!r:.60} at {s:g} mm again"
-            found.append(Fault(table.where(n), what, "one line for each sensor", "remove the line"))
-    return [replace(row, curvature=own) if len(own := values[ids == row.id]) else row for row in rows]
+            found.append(Fault(where, what, expected, "state it in 1/mm: divide 1/m by 1000"))
+        elif s in (one[0] for one in own):
+            what = f"states the curvature of {row.id} at {s:g} mm again"
+            found.append(Fault(where, what, "one line for each sensor", "remove the line"))
+        own.append(values)
+    read = {name: np.array(values) for name, values in curvature.items()}
+    return [replace(row, curvature=read.get(row.id)) for row in rows]
+
+
+def _iterate_beside(
+    rows: Sequence[InsertionRow], table: CsvTable, columns: Sequence[str], found: list[Fault]
+) -> Iterator[tuple[InsertionRow, list[float], str]]:
+    """Yield the row, the numbers and the place of each line of a table of an id and numbers; note faults."""
+    if note_missing_columns(table, columns, found):
+        return
+    known = {row.id: row for row in rows}
+    values = np.column_stack([parse_numbers(table, name, found) for name in columns[1:]]).tolist()
+    for n, name in enumerate(table.cells[columns[0]]):
+        if name in known:
+            yield known[name], values[n], table.where(n)
+        else:
+            fix = "correct the id, or remove the line"
+            found.append(Fault(table.where(n), f"is of insertion {name!r:.60}", "an id of the table", fix))
 
 
 def _is_finite(row: InsertionRow) -> bool:
@@ -143,7 +140,11 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     bevel = vectors(BEVEL_COLUMNS)
     turn, shift = vectors(SCAN_ROTATION_COLUMNS, math.nan), vectors(SCAN_SHIFT_COLUMNS, math.nan)
     entry, direction = (vectors(ENTRY_COLUMNS), vectors(DIRECTION_COLUMNS)) if pose_known else (None, None)
-    numbers = {name: column(name, default) for name, (_, default) in NUMBER_COLUMNS.items()}
+    numbers = {}
+    for name, (field, default) in NUMBER_COLUMNS.items():
+        values = column(name, default)
+        values = np.radians(values) if name.endswith("_deg") else values
+        numbers[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
     side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
@@ -166,20 +167,10 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             patient=_make_patient_frame(turn[n], shift[n]),
             hole=holes[n],
             line=int(table.lines[n]),
-            **{
-                field: _to_field(name, float(numbers[name][n]), default)
-                for name, (field, default) in NUMBER_COLUMNS.items()
-            },  # type: ignore[arg-type]
+            **{field: values[n] for field, values in numbers.items()},  # type: ignore[arg-type]
         )
         for n, (medium, specimen) in enumerate(zip(texts("medium"), texts("specimen"), strict=True))
     ]
-
-
-def _to_field(name: str, value: float, default: float | None) -> float | None:
-    """Return a number of a column as the field of a row holds it."""
-    if default is not None and math.isnan(value):
-        return None
-    return math.radians(value) if name.endswith("_deg") else value
 
 
 def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:

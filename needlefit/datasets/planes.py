@@ -100,10 +100,8 @@ def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks.
     """
     known = dataset.insertions if dataset.pose != "tracker" else ()
-    away = {one.id: (measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known}
-    return sorted(
-        ((name, gap, gap / (sd or math.nan)) for name, (gap, sd) in away.items()), key=lambda one: -one[2]
-    )
+    gaps = [(one.id, measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known]
+    return sorted(((name, gap, gap / (sd or math.nan)) for name, gap, sd in gaps), key=lambda one: -one[2])
 
 
 def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:

@@ -27,6 +27,7 @@ from needlefit.datasets.formats.csv import (
     parse_numbers,
     read_curve,
     read_table,
+    rename_columns,
 )
 from needlefit.datasets.insertion import (
     DEFAULT_MEASUREMENT,
@@ -360,26 +361,21 @@ def _parse_track_columns(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
 ) -> dict[str, NDArray[Any]] | None:
     """Return every column (N,) under our names; None after a fault."""
-    source, constants = record.tip_tracks, record.tip_tracks.constants
-    names = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
-    theirs = {name: source.columns.get(name, name) for name in names}
-    absent = {theirs[name]: str(constants[name]) for name in theirs if name in constants}
-    table = CsvTable(table.path, table.cells.assign(**absent), table.lines)
-    wanted = [theirs[name] for name in REQUIRED_TRACK_COLUMNS] + list(source.columns.values())
-    unknown = sorted((source.columns.keys() | constants.keys()) - theirs.keys())
-    for name in unknown:
-        what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
-        found.append(Fault(str(table.path), what, f"one of {', '.join(theirs)}", fix))
-    if note_missing_columns(table, list(dict.fromkeys(wanted)), found) or unknown:
-        return None
+    source, known = record.tip_tracks, (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
     before = len(found)
-    values = {name: parse_numbers(table, theirs[name], found) for name in REQUIRED_TRACK_COLUMNS[2:]}
+    table = rename_columns(table, source.columns, source.constants, found)
+    for name in sorted((source.columns.keys() | source.constants.keys()) - {*known}):
+        what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
+        found.append(Fault(str(table.path), what, f"one of {', '.join(known)}", fix))
+    if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, found) or len(found) > before:
+        return None
+    values = {name: parse_numbers(table, name, found) for name in REQUIRED_TRACK_COLUMNS[2:]}
     for name, default in OPTIONAL_TRACK_COLUMNS.items():
         values[name] = np.full(len(table.lines), default)
-        if theirs[name] in table.cells:
-            given = parse_numbers(table, theirs[name], found, optional=True)
+        if name in table.cells:
+            given = parse_numbers(table, name, found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
-    texts = {name: table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium")}
+    texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
     return texts | values if len(found) == before else None
 
 

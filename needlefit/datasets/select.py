@@ -155,30 +155,6 @@ def name_holes(dataset: Dataset) -> dict[str, str]:
     return {one.id: first.setdefault(bevel, one.id) for one, bevel in bevels}
 
 
-_HOLE_SOURCES: dict[HoleSource, str] = {
-    "stated": "by the column `hole`",
-    "entry": "depths from one entry pose, with one bevel side, are one hole",
-    "assumed": "assumed: depths in one specimen, with one bevel side, are one hole; else state column `hole`",
-    "separate": "assumed: every insertion has its own; else state column `hole`",
-}
-
-
-def describe_holes(dataset: Dataset) -> str:
-    """Return into how many holes insertions went, and how that is known, in words.
-
-    Empty where every insertion has its own hole by its entry, or its specimen.
-    """
-    holes, by_source = name_holes(dataset), dict[str, list[str]]()
-    for medium in dataset.media:
-        into = [one for one in dataset.insertions if one.medium == medium and not isinstance(one, TipTrack)]
-        source = find_hole_source(dataset, medium)
-        found = {holes[one.id] for one in into}
-        of_specimen = {(one.specimen, one.side) for one in into}
-        if len(found) < len(into) or (source == "separate" and len(of_specimen) < len(into)):
-            by_source.setdefault(_HOLE_SOURCES[source], []).append(f"{len(found)} in {medium}")
-    return "; ".join(f"{', '.join(counts)} ({how})" for how, counts in by_source.items())
-
-
 def group_insertions(dataset: Dataset, insertions: Sequence[Insertion]) -> tuple[str, ...]:
     """Return the independent group of some insertions of a dataset, as `group_independent`."""
     holes = name_holes(dataset)

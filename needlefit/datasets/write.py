@@ -76,7 +76,11 @@ def write_dataset(
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
-    files |= {pattern.replace("{id}", row.id): _format_points(centerlines[row.id]) for row in rows}
+    for row in rows:
+        values = np.asarray(centerlines[row.id], dtype=np.float64)
+        columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
+        table_rows = (columns, *(_format_vector(point, 4) for point in values))
+        files[pattern.replace("{id}", row.id)] = "".join(",".join(one) + "\n" for one in table_rows)
     for name, text in files.items():
         _write_text(folder / name, text)
     for name, surface in surfaces.items():
@@ -131,12 +135,6 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         value = math.degrees(value) if name.endswith("_deg") and value is not None else value
         cells[name] = "" if value is None else _format_number(value)
     return cells
-
-
-def _format_points(points: ArrayLike) -> str:
-    values = np.asarray(points, dtype=np.float64)
-    columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
-    return "\n".join([",".join(columns), *(",".join(_format_vector(point, 4)) for point in values)]) + "\n"
 
 
 def _format_vector(values: Floats | None, digits: int) -> tuple[str, ...]:

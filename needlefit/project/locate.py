@@ -123,10 +123,7 @@ def _find_sources(name: str, kinds: Sequence[SourceKind]) -> list[tuple[SourceKi
 
 def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
-    found = _find_sources(name, ("study", "fit"))
-    _require_no_dataset(name, found)
-    if not found:
-        raise unknown_name_error("study or fit", name, [*list_names("study"), *list_names("fit")])
+    found = _find_studies("study or fit", name, [*list_names("study"), *list_names("fit")])
     if len(found) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",
@@ -135,13 +132,16 @@ def find_study_or_fit(name: str) -> tuple[Literal["study", "fit"], Path]:
     return ("study" if found[0][0] == "study" else "fit"), found[0][1]
 
 
-def _require_no_dataset(name: str, found: Sequence[tuple[SourceKind, Path]]) -> None:
-    """Raise ConfigError if a name that is no study or fit is a dataset; it names the studies beside it."""
-    path = _look_up("dataset", name)
+def _find_studies(kind: str, name: str, known: list[str]) -> list[tuple[SourceKind, Path]]:
+    """Return the study and the fit of a name; ConfigError if it is none, with the studies of a dataset."""
+    found, path = _find_sources(name, ("study", "fit")), _look_up("dataset", name)
     if path is not None and (not found or found[0][0] == "dataset"):
         own = [str(one) for one in sorted(path.parent.glob("*_study.toml"))]
         fix = f"name {' or '.join(own)}" if own else "write a study of it, as docs/studies.md shows"
-        raise ConfigError("is a dataset", where=name, expected="a study or fit", fix=fix)
+        raise ConfigError("is a dataset", where=name, expected=f"a {kind}", fix=fix)
+    if not found:
+        raise unknown_name_error(kind, name, known)
+    return found
 
 
 def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
@@ -164,11 +164,7 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
     """Return the names and files of the studies that `name` means; `all` is the paper's five."""
     if name == EVERY_STUDY:
         return [(study, find_file("study", study)) for study in PAPER_STUDIES]
-    found = _find_sources(name, ("study", "fit"))
-    _require_no_dataset(name, found)
-    if not found:
-        raise unknown_name_error("study", name, [*list_names("study"), EVERY_STUDY])
-    kind, path = found[0]
+    kind, path = _find_studies("study", name, [*list_names("study"), EVERY_STUDY])[0]
     if kind == "fit":
         raise ConfigError(
             f"`{name}` is a fit, which has nothing to validate on",

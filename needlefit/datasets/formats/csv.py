@@ -110,22 +110,26 @@ def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) ->
     before, wanted = len(found), [names.get(column, column) for column in POINT_COLUMNS]
     note_missing_columns(table, [*wanted, *(names[one] for one in (SD_COLUMN,) if one in names)], found)
     values = [parse_numbers(table, column, found) for column in wanted if column in table.cells]
-    sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
+    column, sd = names.get(SD_COLUMN, SD_COLUMN), None
+    if column in table.cells and (table.cells[column] != "").any():
+        sd = parse_numbers(table, column, found)
+        for row in np.flatnonzero(sd < 0)[:MAX_LISTED_CELLS]:
+            what, fix = f"{column} is {sd[row]:g}", "fix the cell, or leave the whole column out"
+            found.append(Fault(table.where(int(row)), what, "a standard deviation, 0 or more, mm", fix))
     if len(found) > before:
         return None
     return Points(table.path, np.column_stack(values), table.lines, sd)
 
 
-def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Floats | None:
-    """Return the standard deviations under `column` (N,); None where it is absent or empty all through."""
-    if column not in table.cells or (table.cells[column] == "").all():
-        return None
-    values = parse_numbers(table, column, found)
-    for row in np.flatnonzero(values < 0)[:MAX_LISTED_CELLS]:
-        where = table.where(int(row))
-        fix = "fix the cell, or leave the whole column out"
-        found.append(Fault(where, f"{column} is {values[row]:g}", "a standard deviation, 0 or more, mm", fix))
-    return values
+def rename_columns(
+    table: CsvTable, names: Mapping[str, str], constants: Mapping[str, object], found: list[Fault]
+) -> CsvTable:
+    """Return a table under our names, with constants where it has no column; note columns that it lacks."""
+    note_missing_columns(table, list(names.values()), found)
+    cells = table.cells.rename(columns={theirs: ours for ours, theirs in names.items()})
+    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
+    absent = {name: str(value) for name, value in constants.items() if name not in cells}
+    return CsvTable(table.path, cells.assign(**absent), table.lines, names)
 
 
 def note_missing_columns(table: CsvTable, wanted: Sequence[str], found: list[Fault]) -> bool:

@@ -201,12 +201,13 @@ def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault
     return (curves[0] if len(curves) == 1 else pick_list(lists, path)).as_curve()
 
 
-def _read_markers(path: Path) -> Points:
-    return Points(path, pick_list(read_markups(path), path).points)
-
-
 MARKUPS = FileFormat(
-    "markups", (".json", ".fcsv"), _read_curves, _read_centerline, _read_markers, in_scan=True
+    "markups",
+    (".json", ".fcsv"),
+    _read_curves,
+    _read_centerline,
+    lambda path: Points(path, pick_list(read_markups(path), path).points),
+    in_scan=True,
 )
 
 

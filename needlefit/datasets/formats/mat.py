@@ -66,7 +66,11 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
 
     data = read_bytes(Path(path))
     if any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS):
-        variables = _read_hdf(data)
+        import h5py
+
+        with h5py.File(BytesIO(data), "r") as file:
+            named = [key for key in file if not key.startswith("#")]
+            variables = {key: _read_hdf_value(file, _get_local_member(file, key)) for key in named}
     else:
         opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)
@@ -148,17 +152,6 @@ def _take_columns(fields: dict[str, Any]) -> tuple[Floats | None, dict[str, Any]
 
 def _is_real(value: NDArray[Any]) -> bool:
     return bool(np.issubdtype(value.dtype, np.number) and not np.iscomplexobj(value))
-
-
-def _read_hdf(data: bytes) -> dict[str, Any]:
-    import h5py
-
-    with h5py.File(BytesIO(data), "r") as file:
-        return {
-            key: _read_hdf_value(file, _get_local_member(file, key))
-            for key in file
-            if not key.startswith("#")
-        }
 
 
 def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
