@@ -339,8 +339,8 @@ class Planner:
             reason = "the mean direction in which needles bend from their sides"
             if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
                 off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))
-                names = join_names([self.curves[n].name for n in off], 5)
-                guess, reason = "", f"the stated bevel sides do not fit how {names} bend beside the others"
+                names = join_names([self.curves[n].name for n in off], 5) or "some needles"
+                guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
         answer = self.settle("bevel", guess, reason, source)
         if answer.text == "bend":
             if differ:
