@@ -17,8 +17,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Python looks through all objects for cycles when it ends, which takes a sixth of `simulate`: memory that
     # the system frees anyway. What must happen at exit is registered, or closed by `with`.
     atexit.register(gc.freeze)
-    # It looks again and again while modules load and figures are drawn: a twentieth of a study's time.
-    gc.set_threshold(100_000, 50, 50)
+    # It would also look whenever so many more objects exist: modules alone are 300 000, which stay.
+    gc.set_threshold(1_000_000, 50, 50)
     _prepare_streams()
     limit_to_one_thread()
     os.environ.setdefault("MPLBACKEND", "agg")  # else matplotlib loads pyplot to look for a display
