@@ -32,6 +32,8 @@ from needlefit.inference.parameters import Parameters, Values
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 
+#: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
+NodePoints = list[tuple[Floats, Floats]]
 #: needles whose residuals are held at once, and those whose residuals are with derivatives
 NEEDLES_AT_ONCE, DERIVATIVES_AT_ONCE = 25_000, 40_000
 
@@ -115,9 +117,19 @@ class PosteriorDensity:
         parts = (sets[some] for some in self.split(len(sets), DERIVATIVES_AT_ONCE))
         return [pair for part in parts for pair in self._linearize(part, jobs)]
 
-    def _linearize(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+    def differentiate_points(self, values: Values) -> NodePoints:
+        """Return the points of all nodes: the same where observations differ in their errors alone."""
+        return list(self._nodes.model.differentiate([values], self.parameters, self._nodes.places))
+
+    def jacobian(self, values: Values, points: NodePoints) -> tuple[Floats, Floats]:
+        """Return the `jacobians` of one set of values, given the points there."""
+        return self._linearize([values], 1, points)[0]
+
+    def _linearize(
+        self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None
+    ) -> list[tuple[Floats, Floats]]:
         """Return the `jacobians` of sets whose needles are held at once."""
-        pairs, at = self._differentiate(sets, jobs), self._scales(sets)
+        pairs, at = self._differentiate(sets, jobs, points), self._scales(sets)
         log_det, by_det = np.zeros(len(sets)), np.zeros((len(sets), len(self.parameters.free)))
         parts, slopes = [], []
         for members, group in self._nodes.groups:
@@ -238,14 +250,16 @@ class PosteriorDensity:
         slopes = (by[0] - by[0, :1] for _, by in self._differentiate([values], 1))
         return replace(self, node_slopes=tuple(slopes))
 
-    def _differentiate(self, sets: Sequence[Values], jobs: int) -> list[tuple[Floats, Floats]]:
+    def _differentiate(
+        self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None
+    ) -> list[tuple[Floats, Floats]]:
         """Return of each insertion `whitened_residuals`, and the derivatives (B, m + c, R, P) by theta."""
         found, nodes = [], self._first_nodes if self.node_slopes else self._nodes
-        pairs = nodes.model.differentiate(sets, self.parameters, nodes.places, jobs)
+        pairs = iter(points or nodes.model.differentiate(sets, self.parameters, nodes.places, jobs))
         exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
         for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
-            points, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
-            stacked = np.stack([pad_planes(part, one.planes) for part in points], axis=1)
+            places, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
+            stacked = np.stack([pad_planes(part, one.planes) for part in places], axis=1)
             by = np.stack([pad_planes(part, one.planes, axis=-2) for part in slopes], axis=1)
             white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
             by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)

@@ -28,7 +28,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
     stated = max(one.boundary_sd for one in problem.insertions)
     exact = tuple(replace(one, boundary_sd=0.0) for one in problem.insertions)
     base = replace(problem, insertions=exact)
-    residuals, slope, chi_square = linearize(base, theta)
+    residuals, slope, chi_square, _ = linearize(base, theta)
     scale = max(1.0, chi_square)
     covariance = np.linalg.pinv(slope.T @ slope / scale + prior_and_noise_information(base), hermitian=True)
     moduli = [k for k, name in enumerate(problem.names) if name.startswith("mu")]

@@ -97,5 +97,5 @@ def nested_gain(
 
 def fisher_information(problem: Problem, theta: Floats) -> Floats:
     """Return the Fisher information (P, P) of insertions, plus that of the bounds or the stated prior."""
-    _, slope, _ = linearize(problem, theta)
+    slope = linearize(problem, theta).slope
     return slope.T @ slope + prior_and_noise_information(problem)

@@ -6,6 +6,7 @@ The assumptions are those of docs/fitting.md, "Assumptions loosened".
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,6 +21,7 @@ from needlefit.inference.identifiability.directions import (
 from needlefit.inference.likelihood.observation import Discrepancy
 from needlefit.inference.parameter_names import HYPERPARAMETERS, NOISE_SCALE, is_logarithmic
 from needlefit.inference.parameters import MATERIAL_SPREAD, Parameters, loosen_ties
+from needlefit.inference.posterior_density import NodePoints
 from needlefit.inference.problem import Problem
 
 
@@ -33,8 +35,13 @@ def cramer_rao(information: Floats) -> Floats:
     return np.sqrt(variance.sum(axis=1))
 
 
-#: what `linearize` returns; who needs it twice computes it once
-Linearized = tuple[Floats, Floats, float]
+class Linearized(NamedTuple):
+    """The observations linearised about one theta; who needs it twice computes it once."""
+
+    residuals: Floats  #: (R,)
+    slope: Floats  #: (R, P); derivatives of the residuals by theta
+    chi_square: float  #: reduced
+    points: NodePoints  #: from which all of this follows, also with other errors of the observations
 
 
 def posterior_sds(problem: Problem, theta: Floats, at: Linearized | None = None) -> dict[str, float]:
@@ -51,7 +58,7 @@ def compute_sds(
     Gaussian, the information at one point is smaller or larger. Where bounds cut the draws off, deviations
     are not smaller than by the information, which the bounds hardly limit.
     """
-    residuals, slope, chi_square = at or linearize(problem, theta)
+    residuals, slope, chi_square, _ = at or linearize(problem, theta)
     prior_part = prior_and_noise_information(problem)
     # a chi-square above 1 means that the noise is understated; one below 1 is not taken as extra precision
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
@@ -115,16 +122,20 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     return replace(problem, noise=replace(stated, point_sd=rms))
 
 
-def linearize(problem: Problem, theta: Floats) -> Linearized:
-    """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square."""
+def linearize(problem: Problem, theta: Floats, points: NodePoints | None = None) -> Linearized:
+    """Return the observations linearised about theta (P,); `points` are those of their nodes, if known."""
+    points = points or problem.density.differentiate_points(problem.values(theta))
     # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
     # added by `prior_information`
     count = sum(problem.density.residual_counts)
-    residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
+    residuals, slope = (
+        np.nan_to_num(part[:count]) for part in problem.density.jacobian(problem.values(theta), points)
+    )
     # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * [float(name not in HYPERPARAMETERS) for name in problem.names]
     rows = sum(known.rows for known in problem.density.observations)
-    return residuals, slope, float(residuals @ residuals) / max(1, rows - len(problem.names))
+    chi_square = float(residuals @ residuals) / max(1, rows - len(problem.names))
+    return Linearized(residuals, slope, chi_square, points)
 
 
 def prior_information(problem: Problem) -> Floats:
@@ -180,16 +191,15 @@ def loosen(
     stated = posterior_sds(problem, theta, at)
     known = stated if sds is None else sds
     values, parameters = problem.values(theta), loosen_ties(problem.parameters)
-    found, problems = list[Loosened](), list[tuple[str, Problem, Linearized | None]]()
+    found, problems = list[Loosened](), list[tuple[str, Problem, Linearized]]()
     if parameters != problem.parameters:
         problem, theta = problem.with_parameters(parameters), parameters.theta(values)
         at = linearize(problem, theta)
         problems.append((STATED_TIES, problem, at))
-    residuals, _, chi_square = at
-    error = estimate_model_error(problem, residuals, chi_square)
-    problems.append((NO_MODEL_ERROR, replace(problem, model_error=error), None))
+    allowing = replace(problem, model_error=estimate_model_error(problem, at))
+    problems.append((NO_MODEL_ERROR, allowing, linearize(allowing, theta, at.points)))
     for condition, one, there in problems:
-        loose = posterior_sds(one, one.parameters.theta(values), there)
+        loose = posterior_sds(one, theta, there)
         added = {name: math.sqrt(max(0.0, sd**2 - stated.get(name, 0.0) ** 2)) for name, sd in loose.items()}
         found.append(
             Loosened(condition, {n: math.hypot(known.get(n, 0.0), more) for n, more in added.items()})
@@ -227,11 +237,10 @@ def find_tie_conditions(
 
 def add_model_error(problem: Problem, theta: Floats, at: Linearized) -> Floats:
     """Return the covariance (P, P) that a model error adds to that of theta, by the information there."""
-    residuals, first, chi_square = at
-    allowing = replace(problem, model_error=estimate_model_error(problem, residuals, chi_square))
+    allowing = replace(problem, model_error=estimate_model_error(problem, at))
     covariances = [
         np.linalg.pinv(slope.T @ slope + prior_and_noise_information(one), hermitian=True)
-        for one, slope in ((problem, first), (allowing, linearize(allowing, theta)[1]))
+        for one, slope in ((problem, at.slope), (allowing, linearize(allowing, theta, at.points).slope))
     ]
     # the allowance adds variance in every direction; rounding may say otherwise where it adds none
     added, vectors = np.linalg.eigh(covariances[1] - covariances[0])
@@ -239,15 +248,15 @@ def add_model_error(problem: Problem, theta: Floats, at: Linearized) -> Floats:
     return covariance
 
 
-def estimate_model_error(problem: Problem, residuals: Floats, chi_square: float) -> Discrepancy:
+def estimate_model_error(problem: Problem, at: Linearized) -> Discrepancy:
     """Return a model error of the size of the residuals beyond the noise, `MIN_MODEL_ERROR` at least.
 
     By moments: chi^2 exceeds the degrees of freedom by the sum of the variances that the error adds to the
     whitened residuals.
     """
     unit = Discrepancy(1.0, MODEL_ERROR_LENGTH_MM)
-    squares = float(residuals @ residuals)
-    excess = squares * (1.0 - 1.0 / chi_square) if chi_square > 1 else 0.0
+    squares = float(at.residuals @ at.residuals)
+    excess = squares * (1.0 - 1.0 / at.chi_square) if at.chi_square > 1 else 0.0
     added = sum(
         float(np.sum((one.whitening @ block_diag(*[unit.covariance(s)] * one.planes)) * one.whitening))
         for one in problem.density.observations

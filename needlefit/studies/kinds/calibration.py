@@ -140,7 +140,7 @@ def compute_ranked(problem: Problem, directions: Floats, thetas: Floats) -> dict
 
 def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
     """Return the combination (P,), of length 1, that the insertions determine best at theta."""
-    _, slope, _ = linearize(problem, theta)
+    slope = linearize(problem, theta).slope
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
     return vector * np.sign(vector[np.argmax(np.abs(vector))])
 

@@ -75,9 +75,10 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(problem.names, cramer_rao(fisher_information(problem, theta)).tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
-    information = precision.compute_sds(problem, theta)[1]
+    at = precision.linearize(problem, theta)
+    information = precision.compute_sds(problem, theta, at=at)[1]
     together = find_together(problem.names, information, precision.prior_information(problem))
-    loosened = precision.loosen(problem, theta)
+    loosened = precision.loosen(problem, theta, at=at)
     found = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
     rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in found.rows]
     parameters = [n for n in job.parameters.names if any(n in row for row in found.points)]
