@@ -7,6 +7,7 @@ from itertools import groupby
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting import paper
@@ -35,17 +36,22 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     """
     metrics, keys = list_metrics(), list(by)
     names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
-    finite = errors.assign(**{name: _finite_column(errors, name) for name in names})
-    rows = []
-    for key, group in finite.groupby(keys, sort=False):
-        flagged, converged = group["edp_flagged"].astype(bool), group["converged"].astype(bool)
+    table = errors.reindex(columns=names).to_numpy(dtype=np.float64)
+    ids = errors["insertion"].to_numpy()
+    flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
+    places, rows = pd.Series(np.arange(len(errors)), errors.index), []
+    for key, group in places.groupby([errors[name] for name in keys], sort=False):
+        members = group.to_numpy()
         head = {
             **dict(zip(keys, key, strict=True)),
-            "insertions": group["insertion"].nunique(),
-            "edp_flagged": group.loc[flagged, "insertion"].nunique(),
-            "not_converged": group.loc[~converged, "insertion"].nunique(),
+            "insertions": len(set(ids[members])),
+            "edp_flagged": len(set(ids[members[flagged[members]]])),
+            "not_converged": len(set(ids[members[~converged[members]]])),
         }
-        means, unflagged = group[names].mean(), group.loc[~flagged, names].mean()
+        means, unflagged = (
+            dict(zip(names, _average_finite(table[some]).tolist(), strict=True))
+            for some in (members, members[~flagged[members]])
+        )
         for name in (metric.name for metric in metrics):
             cells = {"value": means[name], "floor": means[f"floor_{name}"], "unflagged": unflagged[name]}
             rows.append({**head, "metric": name, **cells})
@@ -79,8 +85,9 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
     names = [metric.name for metric in headline_metrics(in_space=is_in_space(results))]
     tip = name_tip_error(results)
-    errors = errors.assign(group=group_rows(errors), **{name: _finite_column(errors, name) for name in names})
-    means = errors.groupby(["method", "fold", "group"], sort=False)[names].mean()
+    values = errors.reindex(columns=names).astype(float)
+    keys = [errors["method"], errors["fold"], list(group_rows(errors))]
+    means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
     found, rows = set(errors["method"]), []
     for method in [name for name in list_methods() if {name, "fitted"} <= found]:
         theirs = means.loc[method]
@@ -105,12 +112,11 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
-def _finite_column(frame: pd.DataFrame, name: str) -> "pd.Series[float]":
-    """Return a column with infinities as NaN, so that a failed solve never enters a mean; NaN without it."""
-    if name not in frame:
-        return pd.Series(np.nan, frame.index)
-    values = frame[name].astype(float)
-    return values.where(np.isfinite(values))
+def _average_finite(rows: Floats) -> Floats:
+    """Return the means (C,) of rows (N, C) without what is not finite: a failed solve; NaN of nothing."""
+    known = np.isfinite(rows)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(known, rows, 0.0).T.copy().sum(axis=1) / known.sum(axis=0))
 
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
