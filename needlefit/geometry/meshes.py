@@ -117,10 +117,6 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     return Surface(name, make_mesh(points[used], largest_faces), "solid", into), others
 
 
-# Voxels by which a surface is moved before it is cut: no vertex shall lie exactly in a plane of centres.
-_SHIFT = np.array([1.3e-5, 1.7e-5, 2.3e-5])
-
-
 def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Return the pixels (J, I) whose centres lie inside an odd number of closed outlines.
 

@@ -109,24 +109,22 @@ class PosteriorDensity:
         mean, covariance = solve_shared(white, group, scale, spread)
         return mean[:, 0], np.sqrt(covariance[:, 0, 0])
 
-    def jacobians(self, sets: Sequence[Values], jobs: int = 1) -> list[tuple[Floats, Floats]]:
+    def jacobians(
+        self, sets: Sequence[Values], jobs: int = 1, points: NodePoints | None = None
+    ) -> list[tuple[Floats, Floats]]:
         """Return of each set residuals (R,) and their derivatives (R, P) by theta; NaN where a solve fails.
 
-        The residuals are of the insertions, of the normalising factor, and of the prior.
+        The residuals are of the insertions, of the normalising factor, and of the prior. `points` are what
+        `differentiate_points` gave of one set, also where the errors of the observations were others.
         """
         parts = (sets[some] for some in self.split(len(sets), DERIVATIVES_AT_ONCE))
-        return [pair for part in parts for pair in self._linearize(part, jobs)]
+        return [pair for part in parts for pair in self._linearize(part, jobs, points)]
 
     def differentiate_points(self, values: Values) -> NodePoints:
-        """Return the points of all nodes: the same where observations differ in their errors alone."""
         return list(self._nodes.model.differentiate([values], self.parameters, self._nodes.places))
 
-    def jacobian(self, values: Values, points: NodePoints) -> tuple[Floats, Floats]:
-        """Return the `jacobians` of one set of values, given the points there."""
-        return self._linearize([values], 1, points)[0]
-
     def _linearize(
-        self, sets: Sequence[Values], jobs: int, points: NodePoints | None = None
+        self, sets: Sequence[Values], jobs: int, points: NodePoints | None
     ) -> list[tuple[Floats, Floats]]:
         """Return the `jacobians` of sets whose needles are held at once."""
         pairs, at = self._differentiate(sets, jobs, points), self._scales(sets)

@@ -62,16 +62,12 @@ def quantile(mixture: PredictiveMixture, p: ArrayLike) -> Floats:
 
     By Newton's steps of all at once, and halves of the bracket where a step would leave it.
     """
-    sd, count = mixture.sd, len(mixture.means)
+    sd, count, beyond = mixture.sd, len(mixture.means), BRACKET_SD * mixture.sd + TINY_MM
     wanted, ranked = np.asarray(p, dtype=np.float64)[..., None], np.sort(mixture.means, axis=0)
     # the quantile lies between two draws of the ranks about p B, within the width of their Gaussians
-    first = np.maximum(np.floor(wanted * count).astype(np.int64) - 1, 0)
-    last = np.minimum(np.ceil(wanted * count).astype(np.int64), count - 1)
-    columns, beyond = np.arange(len(sd)), BRACKET_SD * sd + TINY_MM
-    nearest = (ranked[first, columns] + ranked[last, columns]) / 2
-    low, high = ranked[first, columns] - beyond, ranked[last, columns] + beyond
-    centre, spread = ranked.mean(axis=0), ranked.std(axis=0) + TINY_MM
-    at: Floats = np.clip(centre + (nearest - centre) * np.hypot(1, sd / spread), low, high)
+    first, last = np.floor(wanted[..., 0] * count) - 1, np.ceil(wanted[..., 0] * count)
+    low, high = (ranked[np.clip(rank, 0, count - 1).astype(np.int64)] for rank in (first, last))
+    at, low, high = (low + high) / 2, low - beyond, high + beyond
     means = mixture.means.reshape(count, *(1,) * (wanted.ndim - 1), -1)
     for _ in range(MAX_STEPS):
         excess = cdf(PredictiveMixture(means, sd), at) - wanted

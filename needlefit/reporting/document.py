@@ -40,7 +40,6 @@ class Document:
     blocks: tuple[Block, ...]
     # The needles that the HTML page computes
     explorer: PageData | None = None
-    # Whether it is made from files that do not agree with their manifest: the foot of every page says so
 
 
 def heading(words: str) -> Block:

@@ -9,7 +9,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.reporting.table_files import Row, select_records
+from needlefit.reporting.table_files import Row, to_records
 
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
@@ -86,4 +86,5 @@ def _find_file(name: str) -> Path:
 
 def select_rows(name: TableName, **match: object) -> list[Row]:
     """Return the rows of one published table whose cells equal `match`; errors as `read_published_table`."""
-    return select_records(read_published_table(name), **match)
+    rows = to_records(read_published_table(name))
+    return [row for row in rows if all(row[key] == value for key, value in match.items())]

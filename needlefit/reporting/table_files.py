@@ -38,21 +38,12 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def all_files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())
-
-
 Row = dict[str, Any]
 
 
 def to_records(frame: pd.DataFrame) -> list[Row]:
     """Return the rows as JSON values; missing values are None."""
     return [{str(k): _to_plain_value(v) for k, v in row.items()} for row in frame.to_dict("records")]
-
-
-def select_records(frame: pd.DataFrame, **match: object) -> list[Row]:
-    """Return the rows whose cells equal `match`, as `to_records`."""
-    return [row for row in to_records(frame) if all(row[key] == value for key, value in match.items())]
 
 
 def _to_plain_value(value: object) -> object:

@@ -9,7 +9,7 @@ from needlefit.reporting import document
 from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import all_files, write_csv, write_json
+from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies import fit_tables
 from needlefit.studies.fit_figures import draw_groups
@@ -49,7 +49,7 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         label_figures(drawn, synthetic)
         write_json(new / "run.json", {one.name: one.run_json for one in runs})
         write_json(new / "timing.json", {one.name: one.timing for one in runs})
-    return all_files(folder)
+    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 def compose_overview(

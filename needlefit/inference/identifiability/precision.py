@@ -124,16 +124,15 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
 
 def linearize(problem: Problem, theta: Floats, points: NodePoints | None = None) -> Linearized:
     """Return the observations linearised about theta (P,); `points` are those of their nodes, if known."""
-    points = points or problem.density.differentiate_points(problem.values(theta))
+    values, density = problem.values(theta), problem.density
+    points = points or density.differentiate_points(values)
     # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
     # added by `prior_information`
-    count = sum(problem.density.residual_counts)
-    residuals, slope = (
-        np.nan_to_num(part[:count]) for part in problem.density.jacobian(problem.values(theta), points)
-    )
+    count, (found,) = sum(density.residual_counts), density.jacobians([values], points=points)
+    residuals, slope = (np.nan_to_num(part[:count]) for part in found)
     # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * [float(name not in HYPERPARAMETERS) for name in problem.names]
-    rows = sum(known.rows for known in problem.density.observations)
+    rows = sum(known.rows for known in density.observations)
     chi_square = float(residuals @ residuals) / max(1, rows - len(problem.names))
     return Linearized(residuals, slope, chi_square, points)
 
