@@ -95,7 +95,8 @@ class _LinearErrors:
 
     def _gradient(self, step: Floats) -> tuple[float, Floats]:
         off = self.off + (self._flat @ step).reshape(self.off.shape)
-        distances = np.sqrt((off * off).sum(axis=1) + SMOOTHING_MM**2)
+        # numpy's own sum over so short an axis takes three times as long
+        distances = np.sqrt(sum((off * off).T) + SMOOTHING_MM**2)
         along = (self.weights / distances)[:, None] * off
         return float(self.weights @ (distances - SMOOTHING_MM)), along.ravel() @ self._flat
 
