@@ -146,8 +146,8 @@ def collect_explorer(results: Run) -> PageData | None:
     shapes = results.frames["shapes"].query("boundaries == 'measured'")
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
-        key: some[points].to_numpy().reshape(-1, 2, 3)
-        for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)
+        key: some.to_numpy().reshape(-1, 2, 3)
+        for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)[points]
     }
     errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
     order = {name: n for n, name in enumerate(list_methods())}

@@ -57,8 +57,8 @@ def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
     found = {}
     for name, rows in frame.groupby("insertion", sort=False):
         curves = {
-            str(curve): points[["x_mm", "y_mm", "z_mm"]].to_numpy(dtype=np.float64)
-            for curve, points in rows.groupby("curve", sort=False)
+            str(curve): points.to_numpy(dtype=np.float64)
+            for curve, points in rows.groupby("curve", sort=False)[["x_mm", "y_mm", "z_mm"]]
         }
         first, band = rows.iloc[0], None
         if "middle" in curves:

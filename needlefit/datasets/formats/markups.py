@@ -269,5 +269,4 @@ def _format_markups(markups: Markups, style: CurveStyle) -> str:
     return f'{_to_json(head)[:-1]}, "controlPoints": [\n{listed}\n], "display": {_to_json(display)}}}'
 
 
-def _to_json(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+_to_json = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
