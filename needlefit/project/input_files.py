@@ -104,7 +104,7 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
 
 MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
 # A key of thousands of parts, of which the parser would take the square.
-_DEEP_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+\.\s*+){{{MAX_NESTING}}}""")
+_DEEP_KEY = re.compile(rf"""(?:\.\s*+(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')\s*+){{{MAX_NESTING}}}""")
 
 
 def _list_members(value: object) -> list[Any]:

@@ -4,6 +4,7 @@ import difflib
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -37,6 +38,7 @@ PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
 MAX_LISTED_NAMES = 40  # names that a message lists, the nearest first
 
 
+@cache
 def shipped_folder() -> Path:
     """Return the folder that holds the shipped `data/ configs/ studies/`."""
     package = Path(__file__).resolve().parent.parent
