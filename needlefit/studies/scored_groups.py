@@ -34,12 +34,12 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         insertions that deflect by more than their noise floor. Counts of insertions: `insertions`,
         `edp_flagged` (the others of these) and `not_converged`.
     """
-    metrics, keys = list_metrics(), list(by)
-    names = [name for metric in metrics for name in (metric.name, f"floor_{metric.name}")]
-    table = errors.reindex(columns=names).to_numpy(dtype=np.float64)
-    ids = errors["insertion"].to_numpy()
+    metrics, keys = [metric.name for metric in list_metrics()], list(by)
+    names = [name for metric in metrics for name in (metric, f"floor_{metric}")]
+    table = errors.reindex(columns=names).to_numpy(dtype=np.float64).reshape(-1, len(metrics), 2)
+    ids, places = errors["insertion"].to_numpy(), pd.Series(np.arange(len(errors)), errors.index)
     flagged, converged = (errors[name].to_numpy(dtype=bool) for name in ("edp_flagged", "converged"))
-    places, rows = pd.Series(np.arange(len(errors)), errors.index), []
+    rows = []
     for key, group in places.groupby([errors[name] for name in keys], sort=False):
         members = group.to_numpy()
         head = {
@@ -48,13 +48,9 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
             "edp_flagged": len(set(ids[members[flagged[members]]])),
             "not_converged": len(set(ids[members[~converged[members]]])),
         }
-        means, unflagged = (
-            dict(zip(names, _average_finite(table[some]).tolist(), strict=True))
-            for some in (members, members[~flagged[members]])
-        )
-        for name in (metric.name for metric in metrics):
-            cells = {"value": means[name], "floor": means[f"floor_{name}"], "unflagged": unflagged[name]}
-            rows.append({**head, "metric": name, **cells})
+        every, unflagged = (_average_finite(table[some]) for some in (members, members[~flagged[members]]))
+        for name, (value, floor), (kept, _) in zip(metrics, every.tolist(), unflagged.tolist(), strict=True):
+            rows.append({**head, "metric": name, "value": value, "floor": floor, "unflagged": kept})
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
@@ -113,10 +109,10 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
 
 
 def _average_finite(rows: Floats) -> Floats:
-    """Return the means (C,) of rows (N, C) without what is not finite: a failed solve; NaN of nothing."""
+    """Return the means (M, C) of rows (N, M, C) without what is not finite: a failed solve; NaN of none."""
     known = np.isfinite(rows)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(known, rows, 0.0).T.copy().sum(axis=1) / known.sum(axis=0))
+        return np.asarray(np.where(known, rows, 0.0).T.copy().sum(axis=-1).T / known.sum(axis=0))
 
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
