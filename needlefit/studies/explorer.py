@@ -143,7 +143,8 @@ def collect_explorer(results: Run) -> PageData | None:
     if not rows:
         return None
     data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
-    shapes = results.frames["shapes"].query("boundaries == 'measured'")
+    shapes = results.frames["shapes"]
+    shapes = shapes[shapes["boundaries"] == "measured"]
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
         key: some.to_numpy().reshape(-1, 2, 3)

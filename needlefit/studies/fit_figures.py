@@ -34,9 +34,9 @@ def collect_curves(
     `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
-    where = "role == @role and boundaries == 'measured' and method in @shown"
-    shapes = results.frames["shapes"].query(where, local_dict={"role": role, "shown": list(shown)})
-    bands = results.frames["bands"]
+    shapes, bands = results.frames["shapes"], results.frames["bands"]
+    here = (shapes["role"] == role) & (shapes["boundaries"] == "measured")
+    shapes = shapes[here & shapes["method"].isin(list(shown))]
     if from_above:
         along_z = {f"{name}_y_mm": shapes[f"{name}_z_mm"] for name in ("measured", "simulated")}
         shapes = shapes.assign(**along_z)
@@ -88,8 +88,8 @@ def _title_panels(errors: pd.DataFrame, metric: str) -> dict[forms.InsertionKey,
 def draw_first_page(results: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
     method, metric = choose_method(results), scores.name_tip_error(results)
-    ranked = select_fitted(results.frames["errors"], role, method).query("converged")
-    ranked = ranked.sort_values(metric, kind="stable")
+    fitted = select_fitted(results.frames["errors"], role, method)
+    ranked = fitted[fitted["converged"].astype(bool)].sort_values(metric, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = collect_curves(results, role, (method,), _OVERLAY_POINT_STEP)
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)

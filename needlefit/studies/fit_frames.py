@@ -146,12 +146,13 @@ def find_scored_role(errors: pd.DataFrame) -> str:
 
 def select_fitted(frame: pd.DataFrame, role: str = "validate", method: str = "fitted") -> pd.DataFrame:
     """Return the rows of a method on the insertions of a role, with layers where they were measured."""
-    return frame.query("role == @role and method == @method and boundaries == 'measured'")
+    boundaries = frame["boundaries"] == "measured"
+    return frame[(frame["role"] == role) & (frame["method"] == method) & boundaries]
 
 
 def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of the parameters that the fit estimated, of all folds."""
-    return parameters.query("method == 'fitted' and status == 'free'")
+    return parameters[(parameters["method"] == "fitted") & (parameters["status"] == "free")]
 
 
 def list_methods() -> tuple[str, ...]:

@@ -56,7 +56,7 @@ def collect_values(results: Run) -> dict[str, Any]:
         "held_out": len({one for fold in folds for one in fold["validate"]}),
         "depths": {
             str(name): [float(found.min()), float(found.max())]
-            for name, found in errors.query("method == 'fitted'").groupby("role")["depth_mm"]
+            for name, found in errors[errors["method"] == "fitted"].groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
@@ -151,7 +151,8 @@ MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand withou
 
 def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     """Return the free parameters by whether the data determine them, and whether those have intervals."""
-    rows = results.frames["parameters"].query("method == 'fitted' and status != 'fixed'")
+    rows = results.frames["parameters"]
+    rows = rows[(rows["method"] == "fitted") & (rows["status"] != "fixed")]
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     words = {
         str(name): find_least_determined(map(str, some["determined"]))
@@ -173,7 +174,7 @@ def lay_out_tables(results: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(results.frames["errors"]), results.frames
     # the parameters of which more is to say than their interval
-    explained = frames["identification"].query("note != ''")
+    explained = frames["identification"][frames["identification"]["note"] != ""]
     found = [
         fit_tables.lay_out_summary(results),
         fit_tables.lay_out_validation(results),
