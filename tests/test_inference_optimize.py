@@ -238,18 +238,14 @@ def test_distances_that_are_0_are_reached_in_few_steps():
         slopes = np.stack([np.full(5, np.exp(theta[0])), 0 * places], axis=1)[..., None]
         return WeightedDistances(weights, off, slopes)
 
-    known = ObjectiveFunction(
-        np.full(1, -5.0), np.full(1, 9.0), lambda t: distances(t).sum(), distances=distances
-    )
-    for start in (-4.0, 1.0, 8.5):
-        recorder = EvaluationRecorder(known, 100, never_stop)
-        assert run_gauss_newton(recorder, np.array([start])) == "tolerance"
-        assert np.exp(recorder.theta[0]) == pytest.approx(7.0, abs=1e-3)
-        assert recorder.evaluations <= 15
-    assert recorder.objective == pytest.approx(6 + 4 + 1.5 * 13 + 0.5 * 83, abs=1e-2)
-    bounded = replace(known, upper=np.full(1, 1.5))
-    recorder = EvaluationRecorder(bounded, 100, never_stop)
-    run_gauss_newton(recorder, np.array([-4.0]))
-    assert recorder.theta == pytest.approx([1.5])
-    recorder = EvaluationRecorder(known, 3, never_stop)
-    assert run_gauss_newton(recorder, np.array([-4.0])) == "budget" and recorder.evaluations == 3
+    for start, upper, budget, end, reason in (
+        (-4.0, 9.0, 15, 7.0, "tolerance"),
+        (8.5, 9.0, 15, 7.0, "tolerance"),
+        (-4.0, 1.5, 15, np.exp(1.5), "tolerance"),  # its bound
+        (-4.0, 9.0, 1, np.exp(-4.0), "budget"),
+    ):
+        box = np.full(1, -5.0), np.full(1, upper)
+        known = ObjectiveFunction(*box, lambda theta: distances(theta).sum(), distances=distances)
+        recorder = EvaluationRecorder(known, budget, never_stop)
+        assert run_gauss_newton(recorder, np.array([start])) == reason
+        assert np.exp(recorder.theta[0]) == pytest.approx(end, abs=1e-3)

@@ -121,6 +121,7 @@ class PosteriorDensity:
         return [pair for part in parts for pair in self._linearize(part, jobs, points)]
 
     def differentiate_points(self, values: Values) -> NodePoints:
+        """Return the points of all nodes of one set, and their derivatives."""
         return list(self._nodes.model.differentiate([values], self.parameters, self._nodes.places))
 
     def _linearize(
