@@ -245,7 +245,7 @@ def test_distances_that_are_0_are_reached_in_few_steps():
         (-4.0, 9.0, 1, np.exp(-4.0), "budget"),
     ):
         box = np.full(1, -5.0), np.full(1, upper)
-        known = ObjectiveFunction(*box, lambda theta: distances(theta).sum(), distances=distances)
+        known = ObjectiveFunction(*box, lambda theta: distances(theta).total, distances=distances)
         recorder = EvaluationRecorder(known, budget, never_stop)
-        assert run_gauss_newton(recorder, np.array([start])) == reason
+        assert recorder.run(run_gauss_newton, np.array([start])) == reason
         assert np.exp(recorder.theta[0]) == pytest.approx(end, abs=1e-3)

@@ -6,41 +6,34 @@ most minima lie on some of them, which quasi-Newton methods find in many small s
 solved by least squares, reweighted while the kinks are made sharp.
 """
 
-from contextlib import suppress
-
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.fit import EvaluationRecorder, SearchEnded
+from needlefit.inference.fit import FIRST_RADIUS, EvaluationRecorder
 from needlefit.inference.least_squares import find_step
 from needlefit.inference.metric_objective import SMOOTHING_MM, WeightedDistances
 
-FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
 MIN_GAIN = 1e-4  #: gain that the linear problem promises, as a part of the sum, under which a search ends
 #: times the linear problem is reweighted: from kinks as wide as a typical distance to sharp ones
 REWEIGHTINGS = 5
 
 
 def run_gauss_newton(recorder: EvaluationRecorder, start: Floats) -> str:
-    """Search from theta `start` (P,) within the bounds; return why it ended."""
-    reason = ""
-    with suppress(SearchEnded):
-        reason = _run(recorder, start)
-    return recorder.reason or reason
+    """Search from theta `start` (P,) within the bounds; return why it ended.
 
-
-def _run(recorder: EvaluationRecorder, start: Floats) -> str:
+    Raises SearchEnded where the recorder ends it.
+    """
     lower, upper = recorder.objective_function.lower, recorder.objective_function.upper
     theta, radius, at = start, FIRST_RADIUS, recorder.distances(start)
     if at is None:
         return "failed at its start"
     while True:
         step = _solve_linear(at, np.maximum(lower - theta, -radius), np.minimum(upper - theta, radius))
-        gain = at.sum() - at.move(step).sum()
-        if gain <= MIN_GAIN * at.sum():
+        gain = at.total - at.move(step).total
+        if gain <= MIN_GAIN * at.total:
             return "tolerance"
         trial = recorder.distances(theta + step)
-        gain_ratio = -1.0 if trial is None else (at.sum() - trial.sum()) / gain
+        gain_ratio = -1.0 if trial is None else (at.total - trial.total) / gain
         if gain_ratio > 0.75:
             radius *= 2
         elif gain_ratio < 0.25:
@@ -52,16 +45,15 @@ def _run(recorder: EvaluationRecorder, start: Floats) -> str:
 def _solve_linear(at: WeightedDistances, low: Floats, high: Floats) -> Floats:
     """Return the step (P,) between two bounds that makes the sum of the distances made linear least."""
     step = np.zeros(len(low))
-    rows = at.slopes.reshape(at.off.size, len(low))
     width = float(np.median(np.linalg.norm(at.off, axis=1)))
     for smoothing in np.geomspace(max(width, SMOOTHING_MM), SMOOTHING_MM, REWEIGHTINGS):
         off = at.move(step).off
         pull = at.weights / np.sqrt(np.sum(off**2, axis=1) + smoothing**2)
         each = np.repeat(pull, at.off.shape[1])
-        curvature = (rows.T * each) @ rows
+        curvature = (at.rows.T * each) @ at.rows
         # singular where a combination of parameters moves nothing
         curvature[np.diag_indices(len(low))] += 1e-12 * max(float(np.trace(curvature)), 1e-300)
-        found = find_step((at.off.ravel() * each) @ rows, curvature, low, high)
+        found = find_step((at.off.ravel() * each) @ at.rows, curvature, low, high)
         if found is None:
             break
         step = np.clip(found, low, high)

@@ -9,7 +9,6 @@ explains, but not what all share. In both the needles are linear in theta about 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from needlefit.inference.compared_points import ComparedPoints, align, different
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
-from needlefit.inference.metric_objective import SMOOTHING_MM, station_weights
+from needlefit.inference.metric_objective import WeightedDistances, station_weights
 from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.problem import Problem
 from needlefit.inference.slsqp import run_slsqp
@@ -58,68 +57,54 @@ def estimate_tolerance(
 
     `stated` are the parameters with the ties that have a spread; the problem takes these as exact.
     """
-    parts = _linearize(problem, stated, theta, rng)
+    parts, replicates = zip(*_linearize(problem, stated, theta, rng), strict=True)
     bounds = problem.lower - theta, problem.upper - theta
     by_noise = by_insertions = math.nan
-    drawn = [one.drawn for one in parts if one.drawn is not None]
+    drawn = [one for one in replicates if one is not None]
     if len(drawn) == len(parts):
-        replicates = (_join(parts, off) for off in zip(*drawn, strict=True))
-        by_noise = float(np.quantile([one.excess(*bounds) for one in replicates], PROBABILITY))
+        found = [_find_excess(_join(parts, off), *bounds) for off in zip(*drawn, strict=True)]
+        by_noise = float(np.quantile(found, PROBABILITY))
     _, group = np.unique(group_insertions(problem.dataset, problem.insertions), return_inverse=True)
     count = int(group.max()) + 1
     if count >= MIN_GROUPS:
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
         off, repeats = [one.off for one in parts], counts[:, group] * (len(group) / count)
-        by_insertions = float(
-            np.quantile([_join(parts, off, row).excess(*bounds) for row in repeats], PROBABILITY)
-        )
+        found = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
+        by_insertions = float(np.quantile(found, PROBABILITY))
     smallest = max(MIN_RELATIVE_TOLERANCE * problem.objective(theta), MIN_TOLERANCE_MM)
     return ErrorTolerance(by_noise, by_insertions, smallest)
 
 
-@dataclass(frozen=True)
-class _LinearErrors:
-    """The objective about a point, where needles are linear: sum_r w_r |d_r + J_r step| over R stations."""
+def _find_excess(at: WeightedDistances, lower: Floats, upper: Floats) -> float:
+    """Return the linear objective minus its least value, for steps within bounds (P,)."""
 
-    weights: Floats  #: (R,)
-    off: Floats  #: (R, 2 or 3) simulated minus measured points, mm
-    jacobian: Floats  #: (R, 2 or 3, P) derivatives of the simulated points by theta
-    drawn: Floats | None = None  #: (B, R, 2 or 3) replicates of what `off` would be at the true theta, mm
+    def gradient(step: Floats) -> tuple[float, Floats]:
+        moved = at.move(step)
+        return moved.total, moved.differentiate()
 
-    def excess(self, lower: Floats, upper: Floats) -> float:
-        """Return the objective without a step minus its least value, for steps within bounds (P,)."""
-        function = ObjectiveFunction(lower, upper, lambda step: self._gradient(step)[0], self._gradient)
-        recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
-        run_slsqp(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
-        return self._gradient(np.zeros(len(lower)))[0] - recorder.objective
-
-    def _gradient(self, step: Floats) -> tuple[float, Floats]:
-        off = self.off + (self._flat @ step).reshape(self.off.shape)
-        # numpy's own sum over so short an axis takes three times as long
-        distances = np.sqrt(sum((off * off).T) + SMOOTHING_MM**2)
-        along = (self.weights / distances)[:, None] * off
-        return float(self.weights @ (distances - SMOOTHING_MM)), along.ravel() @ self._flat
-
-    @cached_property
-    def _flat(self) -> Floats:
-        """The derivatives (2 R or 3 R, P)."""
-        return self.jacobian.reshape(self.off.size, self.jacobian.shape[-1])
+    function = ObjectiveFunction(lower, upper, lambda step: at.move(step).total, gradient)
+    recorder = EvaluationRecorder(function, REPLICATE_EVALUATIONS, never_stop)
+    run_slsqp(recorder, np.zeros(len(lower)), REPLICATE_ACCURACY)
+    return at.total - recorder.objective
 
 
 def _join(
-    parts: Sequence[_LinearErrors], off: Sequence[Floats], repeats: Floats | None = None
-) -> _LinearErrors:
+    parts: Sequence[WeightedDistances], off: Sequence[Floats], repeats: Floats | None = None
+) -> WeightedDistances:
     """Return the mean objective of insertions, each with other differences, and so many times."""
     times = np.ones(len(parts)) if repeats is None else repeats
     weights = [n / len(parts) * one.weights for n, one in zip(times, parts, strict=True)]
-    jacobian = np.concatenate([one.jacobian for one in parts])
-    return _LinearErrors(np.concatenate(weights), np.concatenate(off), jacobian)
+    slopes = np.concatenate([one.slopes for one in parts])
+    return WeightedDistances(np.concatenate(weights), np.concatenate(off), slopes)
 
 
 def _linearize(
     problem: Problem, stated: Parameters, theta: Floats, rng: np.random.Generator
-) -> list[_LinearErrors]:
-    """Return the objective of each insertion about theta (P,), with replicates of its errors."""
+) -> list[tuple[WeightedDistances, Floats | None]]:
+    """Return the distances of each insertion, linear about theta (P,), and replicates of their `off`.
+
+    The replicates (B, R, 2 or 3) are what `off` would be at the true theta, mm; None without noise.
+    """
     values, some = problem.values(theta), []
     for goal in problem.compared_points:
         at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
@@ -143,14 +128,8 @@ def _linearize(
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
             # as the alignment of a free pose changes simulated points, so it changes these
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
-        found.append(
-            _LinearErrors(
-                station_weights(measured, problem.weights),
-                align(*place) - measured,
-                differentiate_align(*place, by),
-                drawn,
-            )
-        )
+        weights, off = station_weights(measured, problem.weights), align(*place) - measured
+        found.append((WeightedDistances(weights, off, differentiate_align(*place, by)), drawn))
     return found
 
 

@@ -181,6 +181,9 @@ def half_square(residuals: Floats) -> float:
         return 0.5 * float(residuals @ residuals)
 
 
+FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
+
+
 class SearchEnded(Exception):  # noqa: N818  (no error: the way out of a search)
     """Raised to leave a search: its budget is spent, or a stop was requested."""
 
@@ -203,6 +206,13 @@ class EvaluationRecorder:
         self.objective, self.worst = math.inf, -math.inf  #: smallest and largest finite value
         self.evaluations = self.gradients = self.failures = 0
         self.reason = ""  #: why the recorder ended the search; empty if it did not
+
+    def run(self, method: "Callable[[EvaluationRecorder, Floats], str]", start: Floats) -> str:
+        """Search from theta `start` (P,) by a method; return why it ended, by itself or by the recorder."""
+        reason = ""
+        with suppress(SearchEnded):
+            reason = method(self, start)
+        return self.reason or reason
 
     def value(self, theta: Floats) -> float:
         """Return the objective, infinite where it failed.
@@ -242,7 +252,7 @@ class EvaluationRecorder:
         point = self._begin_evaluation(theta)
         self.gradients += 1
         found = self._evaluate(self.objective_function.distances, point)
-        value = self._record(point, None if found is None else found.sum())
+        value = self._record(point, None if found is None else found.total)
         return found if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:

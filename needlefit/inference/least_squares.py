@@ -33,14 +33,10 @@ VALUE_ROUNDING = 1e-9  #: rise of the sum of squares, as a part of it, that may 
 
 
 def run_least_squares(recorder: EvaluationRecorder, start: Floats) -> str:
-    """Search from theta `start` (P,), to rounding; return why it ended."""
-    reason = ""
-    with suppress(SearchEnded):
-        reason = _run_scipy(recorder, start)
-    return recorder.reason or reason
+    """Search from theta `start` (P,), to rounding; return why it ended.
 
-
-def _run_scipy(recorder: EvaluationRecorder, start: Floats) -> str:
+    Raises SearchEnded where the recorder ends it.
+    """
     if not recorder.find_constant(start):
         return "failed at its start"
     small = max(MIN_TOLERANCE, recorder.objective_function.absolute_tolerance / TYPICAL_HALF_SQUARES)

@@ -8,6 +8,7 @@ A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,24 +31,35 @@ def metric_misfits(off: Floats, weights: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class WeightedDistances:
-    """The distances whose weighted sum is the objective of some insertions, at one theta."""
+    """The distances whose weighted sum is the objective of some insertions, about one theta."""
 
     weights: Floats  #: (R,) of each compared point
     off: Floats  #: (R, 2 or 3) simulated minus measured, mm
     slopes: Floats  #: (R, 2 or 3, P) its derivatives by theta
 
-    def sum(self) -> float:
-        """Return the objective, mm."""
-        return float(metric_misfits(self.off[None], self.weights)[0])
+    @cached_property
+    def total(self) -> float:
+        """The objective, mm."""
+        return float(self.weights @ (self._lengths - SMOOTHING_MM))
+
+    @cached_property
+    def rows(self) -> Floats:
+        """The derivatives as rows (2 R or 3 R, P)."""
+        return self.slopes.reshape(self.off.size, -1)
+
+    @cached_property
+    def _lengths(self) -> Floats:
+        # numpy's own sum over so short an axis takes three times as long
+        return np.asarray(np.sqrt(sum((self.off * self.off).T) + SMOOTHING_MM**2))
 
     def move(self, step: Floats) -> "WeightedDistances":
         """Return the distances after a step of theta (P,), to first order."""
-        return replace(self, off=self.off + self.slopes @ step)
+        return replace(self, off=self.off + (self.rows @ step).reshape(self.off.shape))
 
-    def differentiate_sum(self) -> Floats:
+    def differentiate(self) -> Floats:
         """Return the derivatives of the objective, (P,)."""
-        along = self.off * (self.weights / np.sqrt(np.sum(self.off**2, axis=-1) + SMOOTHING_MM**2))[:, None]
-        return np.asarray(along.ravel() @ self.slopes.reshape(self.off.size, -1))
+        along = (self.weights / self._lengths)[:, None] * self.off
+        return np.asarray(along.ravel() @ self.rows)
 
 
 def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:

@@ -53,9 +53,9 @@ def search(
     recorder = EvaluationRecorder(objective_function, recipe.evaluations, stop)
     start = np.array(start_point.theta, dtype=np.float64)
     if objective_function.jacobian is not None:
-        reason = run_least_squares(recorder, start)
+        reason = recorder.run(run_least_squares, start)
     elif objective_function.distances is not None:
-        reason = run_gauss_newton(recorder, start)
+        reason = recorder.run(run_gauss_newton, start)
     else:
         reason = run_slsqp(recorder, start, recipe.tolerance)
     if reason != INTERRUPTED:

@@ -116,7 +116,7 @@ class Problem:
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
-        return [(one.sum(), one.differentiate_sum()) for one in self._distances(thetas, jobs)]
+        return [(one.total, one.differentiate()) for one in self._distances(thetas, jobs)]
 
     def distances(self, theta: Theta) -> WeightedDistances:
         """Return the distances whose weighted sum is `objective`, with exact derivatives."""
@@ -283,13 +283,11 @@ APPROACH_TOLERANCE = 1e-6
 
 def make_objective(problem: Problem, minimized: ObjectiveName) -> ObjectiveFunction:
     """Return the objective function that a recipe's `minimize` names, with an easier one to start from."""
-    if minimized == "posterior":
-        found = make_posterior_objective(problem)
-    else:
+    if minimized == "metric":
         box = (problem.lower, problem.upper, problem.objective)
         by_distances = ObjectiveFunction(*box, distances=problem.distances)
         return ObjectiveFunction(*box, problem.objective_gradient, approach=by_distances)
-    easier = problem.plain
+    found, easier = make_posterior_objective(problem), problem.plain
     if easier is None:
         return found
     return replace(found, approach=make_posterior_objective(easier, APPROACH_TOLERANCE))

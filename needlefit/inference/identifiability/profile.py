@@ -20,13 +20,12 @@ from scipy.special import gammaincinv
 
 from needlefit.arrays import Bools, Floats
 from needlefit.geometry.curves import interpolate_hermite
-from needlefit.inference.fit import EVALUATION_ERRORS
+from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import map_side_by_side
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
 MIN_GAIN = 1e-3
-FIRST_RADIUS = 2.0  #: longest first step along any parameter: of a logarithm, or of a shape parameter
 MAX_EVALUATIONS = 40  #: evaluations after which a descent gives up
 
 
