@@ -16,7 +16,7 @@ from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import Json, Out, Plugins, Strict, argument, option, split_pair
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
+from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 
@@ -53,7 +53,7 @@ def new_workbook(
     with replace_file(file) as fresh:
         shutil.copyfile(WORKBOOK_FILE, fresh)
     screen.print_line(str(file))
-    path = str(file) if file.is_absolute() else f"./{file}"
+    path = format_path(file)
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'import', path, '--out', file.stem))}")
 
 
@@ -150,7 +150,7 @@ def import_data(
         screen.show_frame(needles, "Needles")
         screen.show_frame(decisions, "Decisions")
     screen.print_warnings(invocation, inspect(out).warnings)
-    path = str(out) if out.is_absolute() else f"./{out}"
+    path = format_path(out)
     look = "" if dataset.pose == "tracker" else f"look at {out / PICTURE_FILE}, "
     screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
     show_next_steps(dataset, out, SCENE_FILE)

@@ -14,6 +14,7 @@ import typer
 from needlefit.cli import exit_codes, screen
 from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import show_progress
+from needlefit.project.locate import format_path
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import never_stop, no_note
 
@@ -248,7 +249,7 @@ def place_folders(words: str, name: str, folder: Path) -> str:
     It names folders of results as if they were in ./reports, and that of a reconstruction as if in this one.
     """
     words = re.sub(r"(?<= )reports/([\w.-]+)", lambda m: shlex.quote(str(folder.parent / m[1])), words)
-    own = shlex.quote(str(folder) if folder.is_absolute() else f"./{folder}")
+    own = shlex.quote(format_path(folder))
     return re.sub(rf"(?<= )\./{re.escape(name)}(?=/|\s|$)", lambda _: own, words)
 
 
@@ -256,7 +257,7 @@ def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:
     """Print the commands that follow on a new dataset in `folder` with a first study, if it has one."""
     from needlefit.datasets.first_study import name_study_file
 
-    path = str(folder) if folder.is_absolute() else f"./{folder}"
+    path = format_path(folder)
     if len(dataset.insertions) > 1 and dataset.pose != "tracker":
         study = f"{path}/{name_study_file(dataset.name)}"
         predict = shlex.join(("needlefit", "predict", study, "--scene", f"{path}/{scene}"))

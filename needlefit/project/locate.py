@@ -208,6 +208,11 @@ def is_path(name: str) -> bool:
     return "/" in name or name in (".", "..") or name.endswith(".toml")
 
 
+def format_path(path: Path) -> str:
+    """Return a path as a command takes it: for no name."""
+    return str(path) if path.is_absolute() else f"./{path}"
+
+
 def _name(kind: FileKind, path: Path) -> str:
     return path.parent.name if kind in ("dataset", "scans") else path.stem
 

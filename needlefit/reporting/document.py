@@ -196,7 +196,6 @@ _INNER_SVG_PATTERN = re.compile(rb'xlink:href="(data:image/svg\+xml;base64,[^"]+
 _SVG_WIDTH_PATTERN = re.compile(rb'<svg [^>]*width="([0-9.]+)pt"')
 _SVG_PATH_PATTERN = re.compile(rb' d="[^"]*"')
 _SVG_DIGITS_PATTERN = re.compile(rb"(?<=\.\d\d)\d+")
-_SVG_QUOTED_PATTERN = re.compile(rb"[^\w.~ =:/;,()'+\n-]")
 _SVG_INDENT_PATTERN = re.compile(rb"\n\s+")
 
 
@@ -254,8 +253,7 @@ def _encode_figure(pdf: bytes) -> Block:
         lambda path: _SVG_DIGITS_PATTERN.sub(b"", path[0]), base64.b64decode(data)
     )
     small = _SVG_INDENT_PATTERN.sub(b"\n", drawing).replace(b"'", b"&#39;").replace(b'"', b"'")
-    quoted = _SVG_QUOTED_PATTERN.sub(lambda found: quote(found[0]).encode(), small).decode("ascii")
-    picture = Markup("data:image/svg+xml," + quoted)  # noqa: S704 - no double quote is left
+    picture = Markup("data:image/svg+xml," + quote(small, safe=" =:/;,()'+-\n"))  # noqa: S704 - no double quote is left
     return {"picture": picture, "width": round(SVG_SCALE * float(width[1]))}
 
 

@@ -3,7 +3,6 @@
 Equal tables give equal bytes.
 """
 
-import csv
 import json
 import math
 import re
@@ -21,15 +20,7 @@ from needlefit.project.json_values import to_json_values
 
 def write_csv(frame: pd.DataFrame, path: Path) -> None:
     """Write a table as CSV, tidy, to eight significant digits."""
-    tidy = to_tidy(frame)
-    columns = (  # pandas formats number by number through five functions
-        [f"{one:.8g}" if one == one else "" for one in values.tolist()]
-        if values.dtype.kind == "f"
-        else ["" if lacks else one for one, lacks in zip(values.tolist(), values.isna(), strict=True)]
-        for _, values in tidy.items()
-    )
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([tidy.columns, *zip(*columns, strict=True)])
+    to_tidy(frame).to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
