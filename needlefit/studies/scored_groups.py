@@ -111,7 +111,7 @@ def find_bevel_sides(results: Run) -> dict[str, int]:
 def _average_finite(rows: Floats) -> Floats:
     """Return the means (M, C) of rows (N, M, C) without what is not finite: a failed solve; NaN of none."""
     known = np.isfinite(rows)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # summed along contiguous columns: pairwise, as pandas does
         return np.asarray(np.where(known, rows, 0.0).T.copy().sum(axis=-1).T / known.sum(axis=0))
 
 

@@ -201,12 +201,16 @@ def _refuse_displaced_rest(volume: Volume, axis: AxisSpline, end: float, diamete
         return
     level = float(np.median(sample_planes(volume, axis_frames(axis, fine[:50]), np.zeros((1, 2)))))
     limit = 0.5 * (level + median_tissue_hu(volume))
-    j, i = np.indices(volume.values.shape[1:])
+    reach = np.ceil(REST_REACH_MM / volume.spacing[:2]).astype(np.int64) + 1
     areas, places = [], []
     for k in slices:
-        middle = index[np.argmin(np.abs(index[:, 2] - k))]
-        away = np.hypot((i - middle[0]) * volume.spacing[0], (j - middle[1]) * volume.spacing[1])
-        metal = volume.values[k] > limit
+        middle = index[np.argmin(np.abs(index[:, 2] - k)), :2]
+        low = np.maximum(np.rint(middle).astype(np.int64) - reach, 0)
+        columns, rows = (slice(at, at + 2 * size + 1) for at, size in zip(low, reach, strict=True))
+        metal = volume.values[k, rows, columns] > limit
+        j, i = np.indices(metal.shape)
+        across, down = i + (low[0] - middle[0]), j + (low[1] - middle[1])
+        away = np.hypot(across * volume.spacing[0], down * volume.spacing[1])
         beside = metal & (away > diameter) & (away < REST_REACH_MM)
         areas.append([np.count_nonzero(metal & (away <= diameter)), np.count_nonzero(beside)])
         places.append(float(away[beside].mean()) if beside.any() else 0.0)
