@@ -714,7 +714,7 @@ def _require_unchanged(dataset: Dataset) -> Dataset:
     stored = read(dataset.path)
     pairs = zip(dataset.insertions, stored.insertions, strict=False)
     same = len(dataset.insertions) == len(stored.insertions) and all(_is_same(*pair) for pair in pairs)
-    if not same or (dataset.noise, dataset.needle) != (stored.noise, stored.needle):
+    if not same or dataset.noise != stored.noise:
         raise ConfigError(
             "the dataset is not what its files hold",
             where=str(dataset.path),
@@ -727,7 +727,8 @@ def _require_unchanged(dataset: Dataset) -> Dataset:
 def _is_same(one: Insertion, other: Insertion) -> bool:
     plain = (np.ndarray, float, int, str)
     values = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
-    return all(np.array_equal(a, b) for a, b in values if isinstance(a, plain))
+    same = all(np.array_equal(a, b) for a, b in values if isinstance(a, plain))
+    return same and one.needle == other.needle
 
 
 def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions) -> Run:

@@ -57,7 +57,7 @@ def measure_shapes(
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         kept = along >= DROPPED_MM
         away, s = leave_plane(points[kept]), along[kept]
-        rolled = roll_needle(dataset.needle, values, one.depth, one.depth - (s[-1] - s))
+        rolled = roll_needle(one.needle, values, one.depth, one.depth - (s[-1] - s))
         noise = dataset.noise.correlated_sd * np.linalg.cholesky(dataset.noise.correlate(s))
         drawn = leave_plane(points[kept] * [1, 1, 0] + noise @ rng.normal(size=(DRAWS, len(s), 3)))
 

@@ -45,7 +45,7 @@ def insertion(
 ) -> Insertion:
     """Conditions of an insertion not yet measured."""
     return Insertion(
-        id=f"at{depth:g}", medium="test", specimen=f"at{depth:g}", layers=len(sequence),
+        id=f"at{depth:g}", medium="test", specimen=f"at{depth:g}", needle=NEEDLE, layers=len(sequence),
         layers_alternative=len(sequence), depth=depth, side=side, frame=Frame(np.zeros(3), np.eye(3)),
         pose_source="stage", pose_shift_sd=0.0, pose_angle_sd=angle_sd, centerline=np.zeros((2, 3)),
         planar=np.zeros((2, 2)), out_of_plane=np.zeros(2), boundaries=np.array(boundaries, dtype=float),
@@ -61,7 +61,7 @@ def measure(
     error: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Insertion:
     """The insertion with the model's own shape as its measured centreline."""
-    planar = sample_inserted_points(predict(values, record, NEEDLE, planned), points)
+    planar = sample_inserted_points(predict(values, record, planned), points)
     planar = planar if error is None else error(planar)
     centerline = np.column_stack([planar, np.zeros(len(planar))])
     return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))
@@ -69,7 +69,7 @@ def measure(
 
 def dataset(insertions: Sequence[Insertion], noise: Noise = NOISE, pose: str = "known", drop: float = 0.0):
     return Dataset(
-        "cases", "cases", "synthetic", NEEDLE, tuple(insertions), ("test",), noise, pose, drop, Path(), "0"
+        "cases", "cases", "synthetic", tuple(insertions), ("test",), noise, pose, drop, Path(), "0"
     )  # fmt: skip
 
 

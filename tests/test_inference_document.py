@@ -39,7 +39,7 @@ def bend(dataset, one, s, boundaries, depth, bevel):
     guides = () if one.guide_distance is None else (Guide(-one.guide_distance),)
     options = ModelOptions(tolerance=MAX_TOLERANCE_MM, first_cell=MEDIUM.first_cell_mm)
     step = Step(depth, Bevel(bevel, one.side), Controls(guides=guides))
-    return compute_positions(simulate_steps(dataset.needle, tissue, (step,), options), s)
+    return compute_positions(simulate_steps(one.needle, tissue, (step,), options), s)
 
 
 def put_in_order(boundaries):
@@ -72,7 +72,7 @@ def prepare_sections(dataset, one, scale):
     """Section 2: where the needle is read, G, the measured y, and the covariance of the coefficients."""
     kept = one.sections
     s = np.minimum(one.depth, kept.s * one.depth / kept.s[-1])
-    inside = s >= one.depth - dataset.needle.length + 4 * one.depth_sd
+    inside = s >= one.depth - one.needle.length + 4 * one.depth_sd
     s, q, w = s[inside], kept.q[inside], kept.weights[inside]
     x, y, _ = one.frame.rotation.T @ (kept.points[inside] - one.frame.origin).T
     size = len(kept.knots) - 4

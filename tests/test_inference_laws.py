@@ -51,7 +51,7 @@ def test_information_verdict_and_scene_have_every_parameter_of_a_law(law):
         for layer in (1, 2, 1, 2)
     ]
     shape = simulate_scene(Scene.from_record(record))[-1]
-    expected = predict(truth, p.medium, p.dataset.needle, p.insertions[0])
+    expected = predict(truth, p.medium, p.insertions[0])
     np.testing.assert_allclose(shape.u, expected.u, rtol=0, atol=1e-6)
 
 

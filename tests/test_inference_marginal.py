@@ -190,7 +190,7 @@ def shipped(name):
 
 
 def whiten(known, one, s):
-    return whiten_residuals(known, compute_positions(predict(VALUES, PHANTOM2, twin().needle, one), s))
+    return whiten_residuals(known, compute_positions(predict(VALUES, PHANTOM2, one), s))
 
 
 @cache

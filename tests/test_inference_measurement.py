@@ -35,7 +35,7 @@ KNOT, SIGMA = 15.0, 0.02
 
 def with_sections(dataset, insertion):
     """Return an insertion measured without noise: a spline through cross-sections, with 30 mm of shaft."""
-    shape = predict(TRUE, MEDIUM, dataset.needle, insertion)
+    shape = predict(TRUE, MEDIUM, insertion)
     s = np.append(np.arange(-30.0, insertion.depth - 4, 0.5), insertion.depth)
     q = s + 30.0
     places = np.column_stack([read_points(insertion, shape, s), np.zeros(len(s))])
@@ -59,7 +59,7 @@ def scanned(tmp_path_factory):
 def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scanned):
     one = scanned.insertions[-1]
     stored = make_observation(scanned, one)
-    shape = predict(TRUE, MEDIUM, scanned.needle, one)
+    shape = predict(TRUE, MEDIUM, one)
     at_truth = whiten_deflections(stored, read_points(one, shape, stored.nodes.s[0])[:, 1])
     assert stored.rows == len(fit_matrices(one.sections.q, one.sections.weights, one.sections.knots).spread)
     assert stored.nodes.s[0].min() < -25
@@ -87,7 +87,7 @@ def test_an_error_along_one_direction_alone_is_one_of_that_direction(scanned):
     plain, found, flat = map(make_observation, (data, data, scanned), (one, planned, planned))
     added, size = found.point_covariance - plain.point_covariance, len(plain.point_covariance) // 2
     along_z = added[size:, size:] / math.sin(angle) ** 2
-    known = select_sections(one, scanned.needle)
+    known = select_sections(one)
     fade = np.exp(-np.abs(known.s[:, None] - known.s) / SHARED_ERROR_LENGTH_MM)
     assert_allclose(along_z, hidden**2 * known.operator @ fade @ known.operator.T, atol=1e-12)
     assert_allclose(added[:size, :size], math.cos(angle) ** 2 * along_z, atol=1e-12)

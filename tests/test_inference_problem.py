@@ -37,7 +37,7 @@ def test_a_solve_that_fails_makes_the_objective_infinite():
     wide = replace(bent_off, bounds={**bent_off.bounds, "bevel_mm": (1e-3, 50.0)})
     hopeless = p.with_parameters(wide)
     theta = np.log([1e9, 30.0])
-    assert not predict(hopeless.values(theta), hopeless.medium, NEEDLE, hopeless.insertions[0]).converged
+    assert not predict(hopeless.values(theta), hopeless.medium, hopeless.insertions[0]).converged
     assert hopeless.objective(theta) == math.inf
     assert math.isnan(hopeless.log_posterior(theta))
     assert np.isnan(hopeless.jacobian(theta)[0]).all()
@@ -54,8 +54,8 @@ def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_s
 
 def test_planned_boundaries_meshes_and_what_cannot_be_compared():
     record = medium()
-    asked = predict(TRUTH, record, NEEDLE, insertion(40.0, (15.0,), (1, 2)), np.array([25.0]), (1, 2))
-    meant = predict(TRUTH, record, NEEDLE, insertion(40.0, (25.0,), (1, 2)))
+    asked = predict(TRUTH, record, insertion(40.0, (15.0,), (1, 2)), np.array([25.0]), (1, 2))
+    meant = predict(TRUTH, record, insertion(40.0, (25.0,), (1, 2)))
     assert np.array_equal(asked.u, meant.u)
     for spacing, element in ((1.0, 1.0), (0.5, 0.5), (2.0, 1.0), (2.5, 2.5 / 3)):
         got = make_options(medium().model_copy(update={"constraint_spacing_mm": spacing}))

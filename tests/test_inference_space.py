@@ -48,7 +48,7 @@ BY_CURVATURE = LikelihoodRecord(bevel_spread=0.0, measurement="curvature")
 def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
     """An insertion through two layers whose bevel turns on the way, measured without errors."""
     planned = replace(insertion(depth, (12.0,), (1, 2)), turns=turns, **changes)
-    points = sample_inserted_points(predict(TRUTH, medium(), NEEDLE, planned), 101)
+    points = sample_inserted_points(predict(TRUTH, medium(), planned), 101)
     z = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
     return planned.with_planar(points[:, :2], z)
 
@@ -214,9 +214,9 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     """A needle turned over leaves its plane; fitted with its friction it gives back the truth."""
     known = medium().model_copy(update={"torsional_friction_n": 0.5})
     planned = replace(insertion(40.0, (12.0,), (1, 2)), turns=((18.0, 180.0),))
-    shape = predict(TRUTH, known, NEEDLE, planned)
+    shape = predict(TRUTH, known, planned)
     lag = compute_roll_lag(NEEDLE, make_tissue(TRUTH, (1, 2), np.array([12.0]), known), 18.0)
-    behind = predict(TRUTH, medium(), NEEDLE, replace(planned, turns=((18.0, 180.0 - lag),)))
+    behind = predict(TRUTH, medium(), replace(planned, turns=((18.0, 180.0 - lag),)))
     np.testing.assert_allclose(shape.w, behind.w, atol=1e-9)
     assert lag > 5 and abs(shape.w[-1]) > 0.02
     points = sample_inserted_points(shape, 101)
@@ -239,7 +239,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
 
 def test_draws_that_are_simulated_one_by_one_lie_in_space_too():
     sets, s = [TRUTH, {**TRUTH, "mu1_pa": 4e5}], np.linspace(5.0, 40.0, 4)
-    args = sets, medium(), NEEDLE, turned(), s, np.zeros(2), np.zeros((2, 9))
+    args = sets, medium(), turned(), s, np.zeros(2), np.zeros((2, 9))
     planned = PlannedInsertion(*args)
     each, together = planned.simulate_each(np.arange(2)).points, planned.simulate().points
     assert each.shape == (2, 4, 3) and np.abs(each[..., 2]).max() > 0.1

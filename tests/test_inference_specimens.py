@@ -96,7 +96,7 @@ def test_a_tip_is_differentiated_with_all_that_is_tied():
 
     def log_tip(at: np.ndarray) -> float:
         return 0.5 * math.log(
-            np.mean([predict(p.values(at), p.medium, NEEDLE, one).tip_lateral ** 2 for one in p.insertions])
+            np.mean([predict(p.values(at), p.medium, one).tip_lateral ** 2 for one in p.insertions])
         )
 
     both = np.array([float(name in ("mu1_pa", "mu2_pa")) for name in p.names])

@@ -95,7 +95,7 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
     theta = 0.5 * (parameters.lower + parameters.upper)
     s = np.linspace(1.0, insertion.depth, 7)
 
-    model = PreparedModel(medium, twin.needle, [insertion])
+    model = PreparedModel(medium, [insertion])
 
     def predict(theta):
         ((points, moves),) = model.differentiate([parameters.values(theta)], parameters, [s])

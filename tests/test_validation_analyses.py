@@ -79,22 +79,22 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     bevel = Bevel(0.03)
     tissue = Tissue(np.array([3e-3]), np.array([1.0]), np.empty(0), np.array([5.0]))
     steps = (Step(40.0, bevel), Step(40.0, bevel, Controls(base_y=8.0)))
-    shape = predict(SOFT, THIN, NEEDLE, MOVED)
+    shape = predict(SOFT, THIN, MOVED)
     assert shape.u == pytest.approx(
         simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=1e-9)).u, abs=1e-9
     )
-    still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_moved=0.0))
+    still = predict(SOFT, THIN, replace(MOVED, base_moved=0.0))
     assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
-    (lanes,) = PreparedModel(THIN, NEEDLE, [MOVED]).simulate([SOFT])
+    (lanes,) = PreparedModel(THIN, [MOVED]).simulate([SOFT])
     assert lanes.u[0] == pytest.approx(shape.u, abs=1e-6)
 
 
 def test_a_moved_bases_needle_has_exact_derivatives():
     parameters = Parameters.from_record(THIN)
     theta, s = parameters.theta(SOFT), np.linspace(0.0, 40.0, 9)
-    ((_, (slopes,)),) = PreparedModel(THIN, NEEDLE, [MOVED]).differentiate([SOFT], parameters, [s])
+    ((_, (slopes,)),) = PreparedModel(THIN, [MOVED]).differentiate([SOFT], parameters, [s])
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
-        ends = [predict(parameters.values(theta + sign * move), THIN, NEEDLE, MOVED) for sign in (1, -1)]
+        ends = [predict(parameters.values(theta + sign * move), THIN, MOVED) for sign in (1, -1)]
         by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4
         assert slopes[:, :, k] == pytest.approx(by, rel=1e-3, abs=1e-6)

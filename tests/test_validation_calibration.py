@@ -57,7 +57,7 @@ def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Jo
         for depth in (13.0, 19.0)[:count]
     )
     noise = Noise(registration_mean=0.19, point_sd=0.02, correlated_sd=0.02)
-    data = Dataset("small", "small", "synthetic", NEEDLE, made, ("test",), noise, "known", 0.0, Path(), "0")
+    data = Dataset("small", "small", "synthetic", made, ("test",), noise, "known", 0.0, Path(), "0")
     fit = FitRecord.model_validate({"schema": 1, "dataset": "small", "medium": "test"})
     recipe = RecipeRecord.model_validate({"schema": 1, "likelihood": {"noise_scale": scale}})
     return Job(

@@ -58,11 +58,11 @@ def known(job):
     return draw_fold_parameters(job, job.folds[0], fit, Settings()).draws
 
 
-def predict_alone(values, medium, needle, insertion, s, wrong, deep):
+def predict_alone(values, medium, insertion, s, wrong, deep):
     """One needle through the layers that it meets itself, with errors of depths, mm."""
-    met = with_planned_layers(insertion, values, medium, needle)
+    met = with_planned_layers(insertion, values, medium)
     moved, at = shift_depths(met, s, deep + wrong[: len(met.boundaries)], deep)
-    return read_points(moved, predict(values, medium, needle, moved), at)
+    return read_points(moved, predict(values, medium, moved), at)
 
 
 def sure(known):
@@ -92,7 +92,7 @@ def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job,
     insertion, sd = exact(job.folds[0].validate[0]), np.array([1e-4, 2e-4])
     insertion = replace(insertion, curvature=np.column_stack([[5.0, 20.0], np.zeros((2, 2)), sd]))
     values, about = job.parameters.values(known.thetas[0]), append_sensors(insertion, np.empty(0))
-    args = job.medium, job.dataset.needle, insertion, about, np.zeros(5), 0.0
+    args = job.medium, insertion, about, np.zeros(5), 0.0
     kappa = np.diff(predict_alone(values, *args)[:, 1].reshape(2, 3), n=2)[:, 0]
     insertion.curvature[:, 1] = kappa + sd * (1.9, -2.0)
     record = job.record.model_copy(update={"specimens": "training only"})
@@ -121,21 +121,21 @@ def test_a_bevel_that_varies_between_insertions_widens_it(job, known):
 
 
 def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, known):
-    insertion, medium, needle = job.folds[0].validate[0], job.medium, job.dataset.needle
+    insertion, medium = job.folds[0].validate[0], job.medium
     sets = [job.parameters.values(theta) for theta in known.thetas[:300]]
     errors = draw_depth_errors(insertion, len(sets), np.random.default_rng(3))
     s = np.linspace(10.0, insertion.depth, 5)
     other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
     typical = job.parameters.values(known.thetas.mean(axis=0))
     for drawn, tolerance in ((other, 0.05), ([typical] * len(sets), 0.02)):
-        together = PlannedInsertion(drawn, medium, needle, insertion, s, *errors).simulate()
+        together = PlannedInsertion(drawn, medium, insertion, s, *errors).simulate()
         assert together.solved.all() and together.valid.all()
         for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths
             deep, wrong = (one[n] for one in errors)
-            alone = predict_alone(drawn[n], medium, needle, insertion, s, wrong, deep)
+            alone = predict_alone(drawn[n], medium, insertion, s, wrong, deep)
             assert together.points[n] == pytest.approx(alone, abs=tolerance)
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
-    found = PlannedInsertion(failing, medium, needle, insertion, s, *errors).simulate()
+    found = PlannedInsertion(failing, medium, insertion, s, *errors).simulate()
     assert found.solved[:-1].all() and not found.solved[-1]
 
 
@@ -145,7 +145,7 @@ def test_needles_that_cannot_be_interpolated_over_depths_are_simulated_each():
     moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(200))
     sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
     errors = draw_depth_errors(planned, len(sets), rng)
-    needles = PlannedInsertion(sets, medium(), NEEDLE, planned, np.linspace(0.0, 55.0, 5), *errors)
+    needles = PlannedInsertion(sets, medium(), planned, np.linspace(0.0, 55.0, 5), *errors)
     each = needles.simulate_each(np.arange(len(sets)))
     np.testing.assert_allclose(needles.simulate().points, each.points, atol=1e-9)
     assert np.ptp(each.points[:, -1, 1]) > 1.0

@@ -136,8 +136,8 @@ def test_parameter_sets_are_outside_where_any_of_their_needles_is():
     thetas = [problem.parameters.theta({**TRUTH, "bevel_mm": b}) for b in (0.02, 0.08, 0.5, 0.9)]
     found = find_outside_validity(problem, thetas)
     for theta, beyond in zip(thetas, found, strict=True):
-        values, needle = problem.values(theta), problem.dataset.needle
-        shapes = [predict(values, problem.medium, needle, one) for one in problem.insertions]
+        values = problem.values(theta)
+        shapes = [predict(values, problem.medium, one) for one in problem.insertions]
         assert beyond == any(shape.converged and not shape.valid for shape in shapes)
     assert not found[0] and found[-1]
     assert find_outside_validity(problem, []).shape == (0,)
@@ -151,7 +151,7 @@ def test_scored_simulations_are_counted_and_named():
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
         scorer.score(place, one, model_predictor(values, medium(), data))
-    assert predict(STEEP, medium(), NEEDLE, one).converged
+    assert predict(STEEP, medium(), one).converged
     table = json.loads(json.dumps(scorer.counts.table()))
     assert table["scored"] == {"simulations": 3, "outside": 2}
     assert table["fitted_outside"] == 1
@@ -177,7 +177,7 @@ def oblique(planned: Insertion):
 
 
 def shape_with(planned: Insertion, boundary: float) -> NeedleShape:
-    return predict(WRONG, medium(), NEEDLE, planned, np.array([boundary]), (1, 2))
+    return predict(WRONG, medium(), planned, np.array([boundary]), (1, 2))
 
 
 def own_crossing(planned: Insertion) -> float:

@@ -104,7 +104,7 @@ def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
     scene = make_scene_record(VALUES, record, dataset([one]), one)
     again = SceneRecord.model_validate_json(scene.model_dump_json(by_alias=True))
     scene = Scene.from_record(again)
-    needle, tissue, steps, sharp = make_simulation_inputs(VALUES, record, dataset([one]).needle, one)
+    needle, tissue, steps, sharp = make_simulation_inputs(VALUES, record, one)
     assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
     for part in ("mu", "shape", "boundaries", "thickness", "friction"):
         assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))

@@ -89,7 +89,7 @@ def test_errors_up_to_the_depth_in_common():
 def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
     turned = MEASURED.planar @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
     free = dataclasses.replace(MEASURED, planar=turned)
-    shape = predict(OFF, medium(), dataset([free]).needle, free)
+    shape = predict(OFF, medium(), free)
     one = of(free, "free", shape=shape, drop=5.0)
     flat = straight(40.0)
     goal = select_points("free", 5.0, free)

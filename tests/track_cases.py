@@ -74,7 +74,7 @@ def track(
     if guide_z is not None:
         readings = readings._replace(tip_z=np.zeros(len(depth)), guide_z=guide_z)
     turns = ((0.0, roll),) if roll else ()
-    return make_track(name, "gel", "gel", side, readings, (np.empty(0), (1,)), turns)
+    return make_track(name, "gel", "gel", NEEDLE, side, readings, (np.empty(0), (1,)), turns)
 
 
 def with_tip(one: TipTrack, tip: np.ndarray, tip_z: np.ndarray | None = None) -> TipTrack:
@@ -90,13 +90,13 @@ def simulate_tips(tracks: list[TipTrack]) -> tuple[np.ndarray, ...]:
 
 def simulate_deflections(tracks: list[TipTrack], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """The tips (1, K) of every run at its depths `at` (K,), at the truth."""
-    points = PreparedModel(MEDIUM, NEEDLE, tracks).read_points([TRUTH], at)
+    points = PreparedModel(MEDIUM, tracks).read_points([TRUTH], at)
     return tuple(one[..., 1] for one in points)
 
 
 def simulate_in_space(one: TipTrack) -> np.ndarray:
     """The tips (n, 2) along y and z of a run at the truth."""
-    ((points,),) = PreparedModel(MEDIUM, NEEDLE, [one]).read_points([TRUTH], [one.depths])
+    ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.depths])
     return np.asarray(pad_planes(points, 2)[:, 1:])
 
 
@@ -115,7 +115,7 @@ def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | 
 
 def dataset(tracks: list[TipTrack], planes: int = 1) -> Dataset:
     found = Dataset(
-        "cases", "cases", "synthetic", NEEDLE, tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
+        "cases", "cases", "synthetic", tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
     )
     return replace(found, planes=planes)
 

@@ -26,15 +26,18 @@ SCAN_SHIFT_COLUMNS = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
 SCAN_COLUMNS = (*SCAN_ROTATION_COLUMNS, *SCAN_SHIFT_COLUMNS)
 # Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too.
 REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
-# The columns of `insertions.csv` in the order in which they are written. `SHARED_COLUMN`, `HOLE_COLUMN` and
-# `ROLL_COLUMNS` follow where they are stated, `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS`
-# where any insertion has its own motion.
+# The columns of `insertions.csv` in the order in which they are written. `NEEDLE_COLUMN`,
+# `BOUNDARIES_COLUMN`, `SHARED_COLUMN`, `HOLE_COLUMN` and `ROLL_COLUMNS` follow where they are stated,
+# `BASE_SHIFT_COLUMN` where any base was moved, `SCAN_COLUMNS` where any insertion has its own motion.
 INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
     *(*ENTRY_COLUMNS, *DIRECTION_COLUMNS, *BEVEL_COLUMNS),
     *("pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
+NEEDLE_COLUMN = "needle"
+BOUNDARIES_COLUMN = "boundaries_mm"  # depths, separated by `;`, or `NO_BOUNDARY`
+NO_BOUNDARY = "none"
 SHARED_COLUMN = "boundary_shared_sd_mm"
 HOLE_COLUMN = "hole"
 BASE_SHIFT_COLUMN = "base_moved_mm"
@@ -100,6 +103,9 @@ class InsertionRow:
     pose_source: PoseSource = "none"
     pose_shift_sd: float = 0.0
     pose_angle_sd: float = 0.0
+    needle: str = ""  # the name of a table `[needles.NAME]`; "": that of `[needle]`
+    # depths of its own boundaries along C's x, mm, or () for none; None: those of its medium
+    boundaries: tuple[float, ...] | None = None
     boundary_sd: float = 0.0
     boundary_shared_sd: float | None = None
     depth_sd: float = 0.0

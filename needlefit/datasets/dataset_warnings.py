@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from needlefit.datasets.columns import NUMBER_COLUMNS, ROLL_COLUMNS
+from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.insertion import Insertion, Noise, TipTrack
 from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
 from needlefit.datasets.planes import (
@@ -32,7 +32,7 @@ from needlefit.project.unit_warnings import (
     needle_warnings,
     warn,
 )
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, list_needles, needle_key
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
@@ -70,7 +70,9 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
         what = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
         yield ResultWarning("placeholder", what, where(keys[0]), "write what was measured; reports print it")
-    yield from needle_warnings(record.needle, where)
+    needles = list_needles(record)
+    for name, needle in needles.items():
+        yield from needle_warnings(needle, where, needle_key(name))
     decisions = () if record.import_ is None else record.import_.decisions
     if assumed := [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]:
         fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
@@ -88,7 +90,7 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
             yield from warn(
                 doubt_range(value, plausible, units, f"noise.{name}", name[-3:].strip("_")), where
             )
-    longest = (0.0, record.needle.length_mm)
+    longest = (0.0, max(needle.length_mm for needle in needles.values()))
     if noise.correlated_sd_mm:
         key = "noise.correlation_length_mm"
         yield from warn(doubt_range(noise.correlation_length_mm, longest, LENGTH_UNITS, key, "mm"), where)
@@ -237,9 +239,10 @@ def find_insertion_warnings(
                 yield ResultWarning("copy", what, place, fix)
                 break
     yield from find_boundary_warnings(record, insertions, where)
-    deepest = max((one.depth for one in insertions), default=math.inf)
-    if unit := name_small_unit(deepest, record.needle.length_mm):
-        what = f"the deepest insertion is {deepest:.3g} mm deep: this looks like {unit}"
+    yield from _find_own_boundary_warnings(record, listed)
+    deepest = max(insertions, key=lambda one: one.depth, default=None)
+    if deepest is not None and (unit := name_small_unit(deepest)):
+        what = f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}"
         yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
     for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
         group = [one for one in insertions if one.medium == name]
@@ -353,6 +356,24 @@ def find_boundary_warnings(
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
             yield from warn(doubt_layers(medium.boundaries_mm, max(depths), key), where)
+
+
+def _find_own_boundary_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion]
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium with insertions whose own boundaries lie at depths that none has."""
+    column = record.insertions.columns.get(BOUNDARIES_COLUMN, BOUNDARIES_COLUMN)
+    for name in record.media:
+        group = [one for one in listed if one.insertion.medium == name]
+        deepest = max((one.insertion.depth for one in group), default=0.0)
+        found = [
+            (doubts, one.where)
+            for one in group
+            if (doubts := list(doubt_layers(one.row.boundaries or (), deepest, column)))
+        ]
+        for _, what, fix in found[0][0] if found else ():
+            counted = f"{what} ({len(found)} of {len(group)} rows of {name})"
+            yield ResultWarning("units", counted, found[0][1], fix)
 
 
 def _find_number_warnings(

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps, load
-from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.dataset import DatasetRecord, list_needles
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import SceneRecord, StepRecord
 from needlefit.schemas.study import StudyRecord
@@ -23,6 +24,8 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
     """Write an insertion of a dataset as a scene, to be simulated, planned, viewed and predicted."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
     _, advance, bevel = _choose_advance(dataset)
+    needles = list_needles(load(dataset.path, DatasetRecord)).values()
+    needle = next(one for one in needles if Needle.from_record(one) == insertion.needle)
     path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
     if insertion.turns:
         path = {"steps": [one.model_dump(exclude_defaults=True) for one in record_steps(insertion)]}
@@ -31,7 +34,7 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
         "title": f"A planned insertion as {insertion.id} of {dataset.name}",
         "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
         **path,
-        "needle": load(dataset.path, DatasetRecord).needle.model_dump(exclude_defaults=True),
+        "needle": needle.model_dump(exclude_defaults=True),
         "bevel": {**bevel, "side": insertion.side},
         **({"rules": advance} if advance else {}),
         "layers": [

@@ -60,6 +60,8 @@ class Insertion:
     ----------
     id, medium, specimen : str
         `specimen` groups repeats in one piece; folds never split it.
+    needle : Needle
+        The needle that was inserted.
     layers, layers_alternative : int
         Layers traversed as listed, and the other reading where it ends at a boundary (else the same).
     depth : float
@@ -118,6 +120,7 @@ class Insertion:
     id: str
     medium: str
     specimen: str
+    needle: Needle
     layers: int
     layers_alternative: int
     depth: float
@@ -165,7 +168,7 @@ class Insertion:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Insertions measured with one needle.
+    """Insertions of one or several needles, measured alike.
 
     Attributes
     ----------
@@ -182,8 +185,6 @@ class Dataset:
         SHA-256 over all files read, in the order of their names.
     notes : tuple of str
         What its makers want known of data, needle and noise; reports print it.
-    outer_diameter : float or None
-        Of the needle, mm, where it is stated.
     warnings : tuple of ResultWarning
         What is suspicious in it, though it can be fitted.
     remarks : tuple of str
@@ -199,7 +200,6 @@ class Dataset:
     name: str
     title: str
     origin: Literal["measured", "synthetic"]
-    needle: Needle
     insertions: tuple[Insertion, ...] = field(repr=False)
     media: tuple[str, ...]
     noise: Noise
@@ -208,9 +208,13 @@ class Dataset:
     path: Path
     digest: str
     notes: tuple[str, ...] = field(default=(), repr=False)
-    outer_diameter: float | None = None
     warnings: tuple[ResultWarning, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def needles(self) -> tuple[Needle, ...]:
+        """The needles, in the order of their first insertions."""
+        return tuple(dict.fromkeys(one.needle for one in self.insertions))
 
     def to_frame(self) -> "pd.DataFrame":
         """Return one row per insertion: what it went into, its depth and measured tip deflection (mm)."""
@@ -356,6 +360,7 @@ def make_track(
     name: str,
     medium: str,
     specimen: str,
+    needle: Needle,
     side: int,
     readings: TipReadings,
     layers: tuple[Floats, tuple[int, ...]],
@@ -370,10 +375,11 @@ def make_track(
     planar = np.column_stack([readings.depth, readings.tip])
     guide_z = None if readings.tip_z is None else np.zeros(len(across))
     return TipTrack(
-        id=name, medium=medium, specimen=specimen, layers=len(sequence), layers_alternative=len(sequence),
-        depth=float(readings.depth[-1]), side=side, frame=IDENTITY_FRAME, pose_source="none",
-        pose_shift_sd=0.0, pose_angle_sd=0.0, centerline=np.column_stack([planar, across]), planar=planar,
-        turns=turns, out_of_plane=across, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
+        id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
+        layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
+        frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
+        centerline=np.column_stack([planar, across]), planar=planar, out_of_plane=across,
+        turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
         guide=readings.guide, heading=readings.heading, heading_z=readings.heading_z,
         guide_z=guide_z if readings.guide_z is None else readings.guide_z,
     )  # fmt: skip

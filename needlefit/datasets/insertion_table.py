@@ -5,17 +5,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BEVEL_COLUMNS,
+    BOUNDARIES_COLUMN,
     CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     HOLE_COLUMN,
     ID_PATTERN,
     MIN_SENSOR_MM,
+    NEEDLE_COLUMN,
+    NO_BOUNDARY,
     NUMBER_COLUMNS,
     POSE_COLUMNS,
     POSE_SOURCES,
@@ -32,7 +36,14 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.geometry.frames import Frame
-from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.dataset import (
+    DatasetRecord,
+    TrackDatasetRecord,
+    boundaries_fault,
+    list_needles,
+    needle_key,
+)
+from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
@@ -145,6 +156,8 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
         values = column(name, default)
         values = np.radians(values) if name.endswith("_deg") else values
         numbers[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
+    boundaries = [_parse_boundaries(table, n, found) for n in range(len(table.lines))]
+    needles = texts(NEEDLE_COLUMN)
     side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
@@ -165,12 +178,34 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             bevel=None if np.isnan(bevel[n]).all() else bevel[n],
             pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
             patient=_make_patient_frame(turn[n], shift[n]),
+            needle=needles[n],
+            boundaries=boundaries[n],
             hole=holes[n],
             line=int(table.lines[n]),
             **{field: values[n] for field, values in numbers.items()},  # type: ignore[arg-type]
         )
         for n, (medium, specimen) in enumerate(zip(texts("medium"), texts("specimen"), strict=True))
     ]
+
+
+def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[float, ...] | None:
+    """Return the depths of an insertion's own boundaries, mm; None of an empty cell, or after a fault."""
+    text = table.cells[BOUNDARIES_COLUMN].iloc[row] if BOUNDARIES_COLUMN in table.cells else ""
+    if text in ("", NO_BOUNDARY):
+        return None if text == "" else ()
+    numbers = pd.to_numeric(pd.Series(text.split(";")), errors="coerce")
+    depths = tuple(numbers.astype(float).tolist())
+    if not np.isfinite(depths).all():
+        fault = f"is {text!r:.60}"
+    elif len(depths) >= MAX_LAYERS:
+        fault = f"has {len(depths)} depths, more than {MAX_LAYERS - 1}"
+    elif not (fault := boundaries_fault(depths)):
+        return depths
+    expected = f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}"
+    fix = "correct the cell, or leave it empty: the boundaries of the medium"
+    what = f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}"
+    found.append(Fault(table.where(row), what, expected, fix))
+    return None
 
 
 def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:
@@ -200,6 +235,7 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
         listed = ", ".join(record.media) or "(none)"
         fix = "correct it, or add a table [media.NAME] to dataset.toml"
         yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", fix)
+    yield from _find_boundaries_fault(row, where, record)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
         what = "layers or layers_alternative is not a count"
         yield Fault(where, what, "a whole number from 1", "count the layers that the needle went through")
@@ -225,8 +261,31 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
     yield from _find_pose_faults(row, where, record)
 
 
+def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+    medium = record.media.get(row.medium)
+    if row.boundaries is None or medium is None or not medium.surfaces:
+        return
+    column = describe_column(record.insertions.columns, BOUNDARIES_COLUMN)
+    what = f"{column} is stated, and medium {row.medium} has surfaces"
+    fix = f"leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml"
+    yield Fault(where, what, "either surfaces or depths of the boundaries", fix)
+
+
+def find_needle_fault(name: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
+    """Yield the fault of a needle, named in a cell, that `dataset.toml` does not describe."""
+    if name not in list_needles(record):
+        listed = ", ".join(record.needles) or "(none)"
+        fix = "correct it, or add a table [needles.NAME] to dataset.toml"
+        expected = f"one of {listed}, or an empty cell: [needle]"
+        yield Fault(where, f"needle {name!r:.60} is unknown", expected, fix)
+
+
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
-    length, guide = record.needle.length_mm, row.guide_distance
+    needles = list_needles(record)
+    if row.needle not in needles:
+        yield from find_needle_fault(row.needle, where, record)
+        return
+    length, guide = needles[row.needle].length_mm, row.guide_distance
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
     if row.depth <= 0:
         fix = "give the length from the entry to the tip, without a sign"
@@ -237,7 +296,8 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
     if row.depth >= length:
         what = f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long"
         expected = "a depth smaller than the needle's length, both in mm"
-        yield Fault(where, what, expected, f"correct needle.length_mm in dataset.toml, or {depth_mm}")
+        key = f"{needle_key(row.needle)}.length_mm"
+        yield Fault(where, what, expected, f"correct {key} in dataset.toml, or {depth_mm}")
     if guide is not None and not 0 < guide <= length - row.depth:
         what = f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle"
         expected = "above 0, and within the needle outside the tissue"

@@ -18,6 +18,7 @@ from needlefit.geometry.curves import arc_length, find_bending_direction, fit_fr
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
+from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
 from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import LENGTH_UNITS
@@ -53,13 +54,14 @@ def make_medium(
 ) -> Medium | None:
     """Return an insertion's medium, surfaces in its `folder` in place of shared ones; None after a fault."""
     medium = record.media[row.medium]
+    depths = medium.boundaries_mm if row.boundaries is None else row.boundaries
     surfaces = [
         _read_surface(one, folder / one.file_of(row.id), found) if one.own else shared[one]
         for one in medium.surfaces
     ]
     sound = tuple(surface for surface in surfaces if surface is not None)
-    depths = None if medium.boundaries_mm is None else np.array(medium.boundaries_mm, dtype=np.float64)
-    return Medium(sound, depths) if len(sound) == len(surfaces) else None
+    boundaries = None if depths is None else np.array(depths, dtype=np.float64)
+    return Medium(sound, boundaries) if len(sound) == len(surfaces) else None
 
 
 def _read_surface(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | None:
@@ -139,6 +141,7 @@ def reduce_insertion(
     row: InsertionRow,
     points: Points,
     medium: Medium,
+    needle: Needle,
     patient: Frame,
     sections: SplineSections | None = None,
 ) -> Insertion:
@@ -169,6 +172,7 @@ def reduce_insertion(
             "centerline": centerline,
             "planar": local[:, :2],
             "out_of_plane": local[:, 2],
+            "needle": needle,
             "boundaries": boundaries,
             "sequence": sequence,
             "sd": points.sd,
@@ -300,9 +304,10 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
 
 @dataclass(frozen=True)
 class ListedInsertion:
-    """An insertion, and its line in the table."""
+    """An insertion, its row, and the line of it in the table."""
 
     insertion: Insertion
+    row: InsertionRow
     where: str
 
 
@@ -332,22 +337,24 @@ def find_layer_faults(
             yield Fault(where, what, "a surface of its own for every boundary", fix)
             continue
         faults = [fault for one in group for fault in _find_count_fault(one)]
-        deepest = max(one.insertion.depth for one in group)
-        if faults and (unit := name_small_unit(deepest, record.needle.length_mm)):
-            what = f"{name} has no insertion deeper than {deepest:.3g} mm: this looks like {unit}"
+        deepest = max((one.insertion for one in group), key=lambda one: one.depth)
+        if faults and (unit := name_small_unit(deepest)):
+            what = f"{name} has no insertion deeper than {deepest.depth:.3g} mm: this looks like {unit}"
             yield Fault(group[0].where, what, "mm", f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
         else:
             yield from faults
 
 
-def name_small_unit(deepest: float, needle_length: float) -> str:
-    """Return the unit in which the deepest insertion was probably written, mm; "" if it is in mm."""
-    units = (unit for unit in ("inches", "centimetres") if LENGTH_UNITS[unit] * deepest < needle_length)
-    return next((unit for unit in units if deepest < MIN_DEEPEST_MM <= LENGTH_UNITS[unit] * deepest), "")
+def name_small_unit(deepest: Insertion) -> str:
+    """Return the unit in which the depth of the deepest insertion was probably written; "" if it is in mm."""
+    depths = {unit: LENGTH_UNITS[unit] * deepest.depth for unit in ("inches", "centimetres")}
+    likely = (unit for unit, depth in depths.items() if MIN_DEEPEST_MM <= depth < deepest.needle.length)
+    return next(likely, "") if deepest.depth < MIN_DEEPEST_MM else ""
 
 
 def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     insertion, met = one.insertion, len(one.insertion.sequence)
+    stated = f"the boundaries of medium {insertion.medium}" if one.row.boundaries is None else "boundaries_mm"
     allowed = {insertion.layers, insertion.layers_alternative}
     if met in allowed:
         return
@@ -356,6 +363,6 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     order = " > ".join(map(str, insertion.sequence))
     what = f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; boundaries at {depths} mm)"
     expected = f"{met} in `layers`, or in `layers_alternative` where the tip lies at a boundary"
-    fix = f"write {met} there, or correct the boundaries of medium {insertion.medium}"
+    fix = f"write {met} there, or correct {stated}"
     fix += f" ({MISSED_FIX})" if insertion.surfaces and met == 1 else ""
     yield Fault(one.where, f"{what}, but {listed}", expected, fix)

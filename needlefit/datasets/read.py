@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
-from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
+from needlefit.datasets.columns import BEVEL_FIX, NEEDLE_COLUMN, InsertionRow
 from needlefit.datasets.dataset_warnings import (
     find_boundary_warnings,
     find_insertion_warnings,
@@ -39,7 +39,7 @@ from needlefit.datasets.insertion import (
     find_free_reach,
     make_track,
 )
-from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
+from needlefit.datasets.insertion_table import add_curvature, add_turns, find_needle_fault, parse_rows
 from needlefit.datasets.layers import (
     ListedInsertion,
     SharedSurfaces,
@@ -60,7 +60,14 @@ from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load, locate_key
 from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
+from needlefit.schemas.dataset import (
+    MIN_SD_MM,
+    DatasetRecord,
+    NoiseRecord,
+    TrackDatasetRecord,
+    list_needles,
+    needle_key,
+)
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
@@ -122,23 +129,29 @@ def inspect(path: Path) -> Inspection:
         places = {fault.where for fault in reading.faults}
         remaining = tuple(one for one in reading.warnings if one.where not in places)
         return Inspection(None, tuple(dict.fromkeys(reading.faults)), remaining)
-    parts = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
+    needles = [
+        (f"Needle {name}: " if name else "Needle: ", one.note) for name, one in list_needles(record).items()
+    ]
+    parts = (("", record.notes), *needles, ("Noise: ", record.noise.note))
     dataset = Dataset(
         name=record.name,
         title=record.title or record.name,
         origin=record.origin,
-        needle=Needle.from_record(record.needle),
         insertions=tuple(insertions),
         media=tuple(record.media),
         noise=make_noise(record.noise),
         path=file,
         digest=compute_digest(file, reading.root, files),
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
-        outer_diameter=record.needle.outer_diameter_mm,
         warnings=tuple(reading.warnings),
         **own,
     )
     return Inspection(dataset, (), dataset.warnings)
+
+
+def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
+    """Return the needles of a dataset by what a cell of column `needle` holds."""
+    return {name: Needle.from_record(one) for name, one in list_needles(record).items()}
 
 
 def make_noise(record: NoiseRecord) -> Noise:
@@ -155,11 +168,12 @@ def make_noise(record: NoiseRecord) -> Noise:
 
 def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with a `dataset.toml` by itself."""
-    modulus, shapes = record.needle.youngs_modulus_gpa or 0.0, isinstance(record, DatasetRecord)
-    if modulus > MAX_MODULUS_GPA:
-        key = "needle.youngs_modulus_gpa"
-        expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
-        yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
+    shapes = isinstance(record, DatasetRecord)
+    for name, needle in list_needles(record).items():
+        if (modulus := needle.youngs_modulus_gpa or 0.0) > MAX_MODULUS_GPA:
+            key = f"{needle_key(name)}.youngs_modulus_gpa"
+            expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
+            yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
     if not shapes and record.noise.point_sd_mm <= 0:  # every fit of tip tracks samples a posterior
         key, what = "noise.point_sd_mm", "no noise of the readings is stated"
         yield Fault(locate_key(file, key), what, "a standard deviation above 0, mm", f"write {key}")
@@ -218,7 +232,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
     elif (table := reading.read_table(root / record.insertions.file)) is None:
         return
-    rows = parse_rows(table, record, found)
+    rows, needles = parse_rows(table, record, found), make_needles(record)
     for name, add in ((record.insertions.turns, add_turns), (record.insertions.curvature, add_curvature)):
         if name is not None and not found:  # of rows with faults ids are missing
             beside = reading.read_table(root / name)
@@ -238,7 +252,8 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         if points is None or faults or medium is None:
             continue
         try:
-            yield ListedInsertion(reduce_insertion(row, points, medium, patient, sections), where)
+            reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
+            yield ListedInsertion(reduced, row, where)
         except DataError as error:
             fault = from_error(error, where)
             found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
@@ -361,7 +376,8 @@ def _parse_track_columns(
     table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
 ) -> dict[str, NDArray[Any]] | None:
     """Return every column (N,) under our names; None after a fault."""
-    source, known = record.tip_tracks, (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS)
+    source = record.tip_tracks
+    known = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
     before = len(found)
     table = rename_columns(table, source.columns, source.constants, found)
     for name in sorted((source.columns.keys() | source.constants.keys()) - {*known}):
@@ -376,6 +392,8 @@ def _parse_track_columns(
             given = parse_numbers(table, name, found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
     texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
+    no_needle = np.full(len(table.lines), "")
+    texts[NEEDLE_COLUMN] = table.cells.get(NEEDLE_COLUMN, pd.Series(no_needle)).to_numpy(dtype=str)
     return texts | values if len(found) == before else None
 
 
@@ -385,7 +403,7 @@ def _parse_tracks(
     """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
     if (values := _parse_track_columns(table, record, found)) is None:
         return
-    ids, media = values.pop("id"), values.pop("medium")
+    ids, media, needles = values.pop("id"), values.pop("medium"), make_needles(record)
     for id_ in dict.fromkeys(ids.tolist()):
         rows = np.flatnonzero(ids == id_)
         own = {name: column[rows] for name, column in values.items()}
@@ -413,6 +431,7 @@ def _parse_tracks(
             id_,
             str(media[rows[0]]),
             medium.specimen or str(media[rows[0]]),
+            needles[str(own[NEEDLE_COLUMN][0])],
             int(own["bevel_side"][0]),
             TipReadings(
                 depth=depth,
@@ -429,10 +448,19 @@ def _parse_tracks(
 
 
 def _find_run_faults(
-    id_: str, medium: str, values: Mapping[str, Floats], places: Sequence[str], record: TrackDatasetRecord
+    id_: str,
+    medium: str,
+    values: Mapping[str, NDArray[Any]],
+    places: Sequence[str],
+    record: TrackDatasetRecord,
 ) -> Iterator[Fault]:
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
+    needles = values[NEEDLE_COLUMN]
+    yield from find_needle_fault(str(needles[0]), first, record)
+    for n in np.flatnonzero(needles != needles[0])[:1]:
+        what = f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}"
+        yield Fault(places[n], what, "one needle for all of a run", "correct the cells")
     if not id_:
         yield Fault(first, "a reading has no id", "the run that it belongs to", "fill the cell")
     elif fault := name_fault(id_):

@@ -12,11 +12,14 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import (
     BASE_SHIFT_COLUMN,
     BEVEL_COLUMNS,
+    BOUNDARIES_COLUMN,
     CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
     HOLE_COLUMN,
     INSERTION_COLUMNS,
+    NEEDLE_COLUMN,
+    NO_BOUNDARY,
     NUMBER_COLUMNS,
     POINT_COLUMNS,
     ROLL_COLUMNS,
@@ -98,6 +101,8 @@ def _write_text(path: Path, text: str) -> None:
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns = list(INSERTION_COLUMNS)
+    columns += [NEEDLE_COLUMN] if any(row.needle for row in rows) else []
+    columns += [BOUNDARIES_COLUMN] if any(row.boundaries is not None for row in rows) else []
     columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
     columns += [HOLE_COLUMN] if any(row.hole for row in rows) else []
     columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
@@ -117,6 +122,8 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         "medium": row.medium,
         "specimen": row.specimen or row.hole or row.id,
         HOLE_COLUMN: row.hole,
+        NEEDLE_COLUMN: row.needle,
+        BOUNDARIES_COLUMN: _format_boundaries(row.boundaries),
         "layers": str(row.layers),
         "layers_alternative": str(alternative),
         "bevel_side": f"{row.side:+d}" if row.roll is None else "",
@@ -135,6 +142,10 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         value = math.degrees(value) if name.endswith("_deg") and value is not None else value
         cells[name] = "" if value is None else _format_number(value)
     return cells
+
+
+def _format_boundaries(depths: tuple[float, ...] | None) -> str:
+    return "" if depths is None else ";".join(map(_format_number, depths)) or NO_BOUNDARY
 
 
 def _format_vector(values: Floats | None, digits: int) -> tuple[str, ...]:

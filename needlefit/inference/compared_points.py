@@ -107,7 +107,8 @@ def find_end(track: TipTrack, spacing: float) -> float:
 def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[Insertion, ...]:
     """Return of each insertion the one whose simulation it is read from.
 
-    Runs into the same layers under a guide at rest are one insertion read at different depths: the deepest.
+    Runs of one needle into the same layers under a guide at rest are one insertion, the deepest, that is read
+    at different depths.
     Everything else is simulated for itself.
 
     Raises DataError if a moved guide's readings are too close: the tip is known at constraint points only.
@@ -117,7 +118,8 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
     for one in insertions:
         key = None
         if isinstance(one, TipTrack) and not (one.guided or any(depth for depth, _ in one.turns)):
-            key = (one.side, one.turns, one.bevel_factor, one.sequence, tuple(one.boundaries.tolist()))
+            layers = one.sequence, tuple(one.boundaries.tolist())
+            key = one.needle, one.side, one.turns, one.bevel_factor, layers
             if one.depth > deepest.setdefault(key, one).depth:
                 deepest[key] = one
         elif isinstance(one, TipTrack):

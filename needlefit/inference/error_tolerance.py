@@ -109,7 +109,7 @@ def _linearize(
     for goal in problem.compared_points:
         at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
         some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose, goal.out_of_plane[at]))
-    model, s = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions), [g.s for g in some]
+    model, s = PreparedModel(problem.medium, problem.insertions), [g.s for g in some]
     pairs = model.differentiate([values], problem.parameters, s)
     stated_pairs = model.differentiate([values], stated, s)
     ties = [tie for tie in stated.prior.ties if tie.name in stated.free]
@@ -159,7 +159,7 @@ def _draw_errors(
         drawn = np.concatenate([drawn, _interpolate(at, along, across)[..., None]], axis=-1)
         drawn = drawn + rolls[..., None] * turned
     nodes = make_nodes(insertion, goal.s, "linear")
-    model = PreparedModel(problem.medium, problem.dataset.needle, nodes.insertions)
+    model = PreparedModel(problem.medium, nodes.insertions)
     points = model.read_points([values], list(nodes.s))
     curves = np.stack([pad_planes(one[0], planes) for one in points])  # (m, K, 2 or 3)
     for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):

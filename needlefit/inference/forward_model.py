@@ -40,25 +40,26 @@ if TYPE_CHECKING:
 def predict(
     values: Mapping[str, float],
     medium: MediumRecord,
-    needle: Needle,
     insertion: Insertion,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> NeedleShape:
-    """Return the needle shape that the model predicts for one insertion, of which only depth, bevel and guide
-    count.
+    """Return the needle shape that the model predicts for one insertion, of which only needle, depth, bevel
+    and guide count.
 
     `values` are all parameters of the medium, ties resolved (Pa, mm). `boundaries` (n - 1,), mm, and the
     `sequence` of n layer numbers replace the measured ones, e.g. along the planned path.
 
     Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return simulate_steps(*make_simulation_inputs(values, medium, needle, insertion, boundaries, sequence))
+    return simulate_steps(*make_simulation_inputs(values, medium, insertion, boundaries, sequence))
 
 
 class InsertionInputs(Protocol):
     """What the simulation of an insertion needs of it; see `Insertion`."""
 
+    @property
+    def needle(self) -> Needle: ...
     @property
     def depth(self) -> float: ...
     @property
@@ -80,7 +81,6 @@ class InsertionInputs(Protocol):
 def make_simulation_inputs(
     values: Mapping[str, float],
     medium: MediumRecord,
-    needle: Needle,
     insertion: InsertionInputs,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
@@ -92,7 +92,8 @@ def make_simulation_inputs(
     layers = insertion.sequence if sequence is None else sequence
     depths = insertion.boundaries if boundaries is None else boundaries
     tissue = make_tissue(values, layers, depths, medium)
-    return needle, tissue, _make_steps(values, insertion, medium), make_options(medium, MAX_TOLERANCE_MM)
+    steps = _make_steps(values, insertion, medium)
+    return insertion.needle, tissue, steps, make_options(medium, MAX_TOLERANCE_MM)
 
 
 def stack_shape(table: Mapping[str, Any], law: str, sequence: Sequence[int]) -> Floats:
@@ -135,8 +136,8 @@ class PreparedModel:
     Raises DataError if a moved guide's readings are too close: see `share_simulations`.
     """
 
-    def __init__(self, medium: MediumRecord, needle: Needle, insertions: Sequence[Insertion]) -> None:
-        self._medium, self._needle = medium, needle
+    def __init__(self, medium: MediumRecord, insertions: Sequence[Insertion]) -> None:
+        self._medium = medium
         self._places: list[tuple[_Simulation, int]] = []  # of each insertion, and the number of its bevel
         found: dict[tuple[int, ...], _Simulation] = {}
         for one in share_simulations(insertions, medium.constraint_spacing_mm):
@@ -205,10 +206,7 @@ class PreparedModel:
         # the same arrays serve all insertions that meet the same layers: the mechanics pack them once
         different = {one.layers: one for one in self._simulations}
         stacked = {key: one.stack_sets(table, self._medium) for key, one in different.items()}
-        return [
-            one.make_batch(sets[0], stacked[one.layers], self._medium, self._needle)
-            for one in self._simulations
-        ]
+        return [one.make_batch(sets[0], stacked[one.layers], self._medium) for one in self._simulations]
 
     def _read(
         self,
@@ -261,12 +259,10 @@ class _Simulation:
         stacked = stack_values(values, medium, self.insertion.sequence)
         return stacked if guide is None else stacked | {"guide_x": -guide}
 
-    def make_batch(
-        self, first: Mapping[str, float], sets: dict[str, Any], medium: MediumRecord, needle: Needle
-    ) -> Batch:
+    def make_batch(self, first: Mapping[str, float], sets: dict[str, Any], medium: MediumRecord) -> Batch:
         """Return the batch of what `stack_sets` gave; `first` are the values of one set."""
         if self._batch is None:
-            self._batch = Batch(*make_simulation_inputs(first, medium, needle, self.insertion), **sets)
+            self._batch = Batch(*make_simulation_inputs(first, medium, self.insertion), **sets)
             return self._batch
         return self._batch.with_sets(**sets)
 

@@ -14,7 +14,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.forward_model import predict
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 
@@ -26,7 +25,7 @@ MAX_DRAWN_LAYERS = 32  #: errors drawn for an insertion, so that what a draw is 
 
 
 def with_planned_layers(
-    insertion: Insertion, values: Mapping[str, float], medium: MediumRecord, needle: Needle
+    insertion: Insertion, values: Mapping[str, float], medium: MediumRecord
 ) -> Insertion | None:
     """Return an insertion with the layers that `values` (Pa, mm) predict, not the measured ones.
 
@@ -37,7 +36,7 @@ def with_planned_layers(
         return insertion
     found = planned_layers(
         insertion,
-        lambda boundaries, sequence: predict(values, medium, needle, insertion, boundaries, sequence),
+        lambda boundaries, sequence: predict(values, medium, insertion, boundaries, sequence),
     )
     if found is None or max(found[1]) > medium.layers:
         return None

@@ -29,7 +29,6 @@ from needlefit.inference.parameter_names import (
     NOISE_SCALE_BOUNDS,
 )
 from needlefit.inference.parameters import Parameters, Values
-from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 
 #: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
@@ -44,7 +43,6 @@ class PosteriorDensity:
 
     parameters: Parameters  #: Theta's; with their prior
     medium: MediumRecord
-    needle: Needle
     observations: tuple[Observation, ...]  #: one of each insertion
     #: what the deviations of the points' noise are multiplied by, where it is no parameter
     scale: float = 1.0
@@ -185,7 +183,7 @@ class PosteriorDensity:
 
     def _model_nodes(self, nodes: tuple[Nodes, ...]) -> "_ModelledNodes":
         every = [insertion for some in nodes for insertion in some.insertions]
-        model = PreparedModel(self.medium, self.needle, every)
+        model = PreparedModel(self.medium, every)
         return _ModelledNodes(nodes, model, group_nodes(nodes, self.centred_bevels))
 
     @property

@@ -39,7 +39,7 @@ GUIDE_DISTANCE = "guide_distance_mm"
 class Problem:
     """Some insertions of one dataset, the model of a medium, and the parameters that are searched."""
 
-    dataset: Dataset  #: for its needle, its noise and how its shapes are compared
+    dataset: Dataset  #: for its noise and how its shapes are compared
     insertions: tuple[Insertion, ...]  #: the ones fitted to
     medium: MediumRecord
     parameters: Parameters
@@ -93,7 +93,7 @@ class Problem:
         """Return the simulated and the measured points (K, 3) compared in each insertion, mm."""
         values, found = self.values(theta), []
         for one, goal in zip(self.insertions, self.compared_points, strict=True):
-            shape = predict(values, self.medium, self.dataset.needle, one)
+            shape = predict(values, self.medium, one)
             found.append(align_points(goal, SimulatedCurve(shape, one)))
         return tuple(found)
 
@@ -146,7 +146,7 @@ class Problem:
 
     @cached_property
     def _model(self) -> PreparedModel:
-        return PreparedModel(self.medium, self.dataset.needle, self.insertions)
+        return PreparedModel(self.medium, self.insertions)
 
     def compute_misfits(self, theta: Theta) -> Floats:
         """Return those of the residuals (R,) that are of the insertions."""
@@ -234,8 +234,7 @@ class Problem:
             pairs = zip(known, bevels, strict=True)
             known = [replace(one, nodes=one.nodes.share_bevel(bevel)) for one, bevel in pairs]
         scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
-        needle, centred = self.dataset.needle, self.centred_bevels
-        return PosteriorDensity(self.parameters, self.medium, needle, tuple(known), scale, centred)
+        return PosteriorDensity(self.parameters, self.medium, tuple(known), scale, self.centred_bevels)
 
     @property
     def bevels_differ(self) -> bool:
@@ -316,7 +315,7 @@ def find_outside_validity(problem: Problem, thetas: Sequence[Theta] | Floats) ->
     if not len(thetas):
         return found
     sets = [problem.values(theta) for theta in thetas]
-    model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
+    model = PreparedModel(problem.medium, problem.insertions)
     for shapes in model.simulate(sets):
         found |= shapes.converged & ~shapes.validity.ok
     return found

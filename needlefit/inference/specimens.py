@@ -152,7 +152,7 @@ def differentiate_log_tip(problem: Problem, theta: Floats) -> Floats:
 
     Of a parameter to which others are tied they are of all together; 0 where no insertion has a solution.
     """
-    model = PreparedModel(problem.medium, problem.dataset.needle, problem.insertions)
+    model = PreparedModel(problem.medium, problem.insertions)
     tips = [np.array([one.depth]) for one in problem.insertions]
     pairs = model.differentiate([problem.values(theta)], problem.parameters, tips)
     points, moves = zip(*pairs, strict=True)

@@ -47,6 +47,8 @@ class Needle:
 
     length: float  #: from base to tip, mm
     flexural_rigidity: float  #: EI, N mm^2
+    outer_diameter: float | None = None  #: mm, where it is known: to draw the needle
+    name: str = ""  #: by which tables name it
 
     def __post_init__(self) -> None:
         for name in ("length", "flexural_rigidity"):
@@ -66,13 +68,14 @@ class Needle:
         if is_bounded(youngs_modulus) and youngs_modulus < MIN_MODULUS_MPA:
             what = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
             raise ModelError(what, expected=f"{MIN_MODULUS_MPA:g} or more; 200 GPa are 2e5 MPa")
-        return cls(length, compute_rigidity(outer_diameter, youngs_modulus, inner_diameter))
+        rigidity = compute_rigidity(outer_diameter, youngs_modulus, inner_diameter)
+        return cls(length, rigidity, outer_diameter)
 
     @classmethod
     def from_record(cls, record: NeedleRecord) -> Self:
         """Return the needle that a validated record describes."""
-        if record.flexural_rigidity_nmm2 is not None:
-            return cls(record.length_mm, record.flexural_rigidity_nmm2)
-        assert record.outer_diameter_mm is not None and record.youngs_modulus_gpa is not None
-        outer, inner = record.outer_diameter_mm, record.inner_diameter_mm
-        return cls(record.length_mm, compute_rigidity(outer, record.youngs_modulus_gpa * 1e3, inner))
+        outer, rigidity = record.outer_diameter_mm, record.flexural_rigidity_nmm2
+        if rigidity is None:
+            assert outer is not None and record.youngs_modulus_gpa is not None
+            rigidity = compute_rigidity(outer, record.youngs_modulus_gpa * 1e3, record.inner_diameter_mm)
+        return cls(record.length_mm, rigidity, outer, record.name)

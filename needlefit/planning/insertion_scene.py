@@ -46,9 +46,9 @@ def make_scene_record(
         torsional_friction_n=medium.torsional_friction_n,
         needle=NeedleRecord(  # by its rigidity, whatever that was stated by
             name=f"needle of {dataset.name}",
-            length_mm=dataset.needle.length,
-            outer_diameter_mm=dataset.outer_diameter,
-            flexural_rigidity_nmm2=dataset.needle.flexural_rigidity,
+            length_mm=insertion.needle.length,
+            outer_diameter_mm=insertion.needle.outer_diameter,
+            flexural_rigidity_nmm2=insertion.needle.flexural_rigidity,
         ),
         layers=tuple(layers),
         bevel=BevelRecord.model_validate(bevel),

@@ -71,9 +71,9 @@ def warn(doubts: Iterable[Doubt], where: FormatPlace) -> Iterator[ResultWarning]
     return starmap(lambda key, what, fix: ResultWarning("units", what, where(key), fix), doubts)
 
 
-def needle_warnings(needle: NeedleRecord, where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning for each value of a needle that is hard to believe."""
-    return warn(_doubt_needle(needle), where)
+def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
+    """Yield a warning for each value of a needle, the table `key` of its file, that is hard to believe."""
+    return warn(_doubt_needle(needle, key), where)
 
 
 def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -106,21 +106,21 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
 # ---- needles
 
 
-def _doubt_needle(needle: NeedleRecord) -> Iterator[Doubt]:
+def _doubt_needle(needle: NeedleRecord, key: str) -> Iterator[Doubt]:
     outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
     if outer is not None:
-        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, "needle.outer_diameter_mm", "mm")
+        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, f"{key}.outer_diameter_mm", "mm")
         if _is_within(outer, DIAMETER_MM):
             lengths = (LENGTH_TO_DIAMETER[0] * outer, LENGTH_TO_DIAMETER[1] * outer)
-            yield from doubt_range(length, lengths, LENGTH_UNITS, "needle.length_mm", "mm")
+            yield from doubt_range(length, lengths, LENGTH_UNITS, f"{key}.length_mm", "mm")
         if inner:
             bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
-            yield from doubt_range(inner, bores, LENGTH_UNITS, "needle.inner_diameter_mm", "mm")
+            yield from doubt_range(inner, bores, LENGTH_UNITS, f"{key}.inner_diameter_mm", "mm")
     if (modulus := needle.youngs_modulus_gpa) is not None:
-        yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, "needle.youngs_modulus_gpa", "GPa")
+        yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, f"{key}.youngs_modulus_gpa", "GPa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
-        key = "needle.flexural_rigidity_nmm2"
-        yield from doubt_range(rigidity, RIGIDITY_NMM2, {"N m^2": 1e6}, key, "N mm^2")
+        units, stated = {"N m^2": 1e6}, f"{key}.flexural_rigidity_nmm2"
+        yield from doubt_range(rigidity, RIGIDITY_NMM2, units, stated, "N mm^2")
 
 
 def _is_within(value: float, plausible: tuple[float, float]) -> bool:

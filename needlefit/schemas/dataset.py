@@ -1,5 +1,6 @@
 """Datasets: the files and columns of measured needle shapes or of tip tracks."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Literal, Self
 
@@ -219,7 +220,7 @@ class DatasetMediumRecord(Record):
     surfaces: tuple[SurfaceRecord, ...] = ()
     """Boundaries between the layers, as surfaces."""
     boundaries_mm: tuple[float, ...] | None = Field(default=None, max_length=MAX_LAYERS - 1)
-    """Depths of the boundaries along the needle, the same for every insertion."""
+    """Depths of the boundaries along the needle, of every insertion whose row states none of its own."""
     note: str = ""
     """Free text."""
 
@@ -228,9 +229,16 @@ class DatasetMediumRecord(Record):
         depths = self.boundaries_mm
         if depths is not None and self.surfaces:
             raise ValueError("give either surfaces or boundaries_mm, not both")
-        if depths and (depths[0] <= 0 or any(b <= a for a, b in pairwise(depths))):
-            raise ValueError(f"boundaries_mm must be positive and increase, got {list(depths)}")
+        if depths is not None and (fault := boundaries_fault(depths)):
+            raise ValueError(f"boundaries_mm {fault}")
         return self
+
+
+def boundaries_fault(depths: Sequence[float]) -> str:
+    """Return why depths, mm, cannot be those of boundaries; empty if they can."""
+    if all(a < b for a, b in pairwise((0.0, *depths))):
+        return ""
+    return f"must be positive and increase, got {list(depths)}"
 
 
 ImportSource = Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
@@ -286,13 +294,18 @@ class SourceRecord(FileRecord):
     """Free text."""
 
 
+NeedleName = Annotated[Name, Field(min_length=1)]
+
+
 class DatasetRecord(SourceRecord):
     """`data/<name>/dataset.toml` of measured needle shapes."""
 
     frame: FrameRecord = FrameRecord()
     """Coordinates."""
     needle: NeedleRecord
-    """The needle that was inserted."""
+    """The needle of every insertion whose cell of column `needle` is empty."""
+    needles: dict[NeedleName, NeedleRecord] = {}
+    """Further needles, by the name in column `needle`."""
     noise: NoiseRecord = NoiseRecord()
     """Measurement errors."""
     insertions: InsertionsRecord
@@ -357,8 +370,8 @@ class TrackMediumRecord(Record):
                 f"{len(self.layers)} layers have {len(self.layers) - 1} boundaries between them, "
                 f"got boundaries_mm = {list(self.boundaries_mm)}"
             )
-        if any(b <= a for a, b in pairwise((0.0, *self.boundaries_mm))):
-            raise ValueError(f"boundaries_mm must be positive and increase, got {list(self.boundaries_mm)}")
+        if fault := boundaries_fault(self.boundaries_mm):
+            raise ValueError(f"boundaries_mm {fault}")
         return self
 
 
@@ -366,7 +379,9 @@ class TrackDatasetRecord(SourceRecord):
     """`data/<name>/dataset.toml` of tracked tips."""
 
     needle: NeedleRecord
-    """The needle that was inserted."""
+    """The needle of every insertion whose cell of column `needle` is empty."""
+    needles: dict[NeedleName, NeedleRecord] = {}
+    """Further needles, by the name in column `needle`."""
     noise: NoiseRecord = NoiseRecord()
     """Measurement errors."""
     tip_tracks: TipTracksRecord
@@ -377,3 +392,20 @@ class TrackDatasetRecord(SourceRecord):
     """Decisions of `needlefit import`."""
     checksums: dict[str, str] = {}
     """SHA-256 of files, by path; `needlefit check` compares them."""
+
+
+def list_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, NeedleRecord]:
+    """Return the needles of a dataset by what a cell of column `needle` holds; of an empty one `[needle]`.
+
+    Tables that state no name of their own name a needle by its key.
+    """
+    named = {
+        key: one if "name" in one.model_fields_set else one.model_copy(update={"name": key})
+        for key, one in record.needles.items()
+    }
+    return {"": record.needle, **named}
+
+
+def needle_key(name: str) -> str:
+    """Return the key of a needle in `dataset.toml`, by what a cell of column `needle` holds."""
+    return f"needles.{name}" if name else "needle"

@@ -65,13 +65,22 @@ class StoredInsertion:
     specimen: str
     sequence: tuple[int, ...]
     boundaries: Floats
+    needle: Needle
     turns: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def read(cls, run: Mapping[str, Any], name: str) -> Self:
         layers = run["layers"][name]
         sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
-        return cls(**run[INSERTIONS_KEY][name], sequence=sequence, boundaries=tops)
+        needle = _read_needle(run["dataset"], name)
+        return cls(**run[INSERTIONS_KEY][name], sequence=sequence, boundaries=tops, needle=needle)
+
+
+def _read_needle(dataset: Mapping[str, Any], insertion: str) -> Needle:
+    if "needle" in dataset:  # of all insertions
+        return Needle(**dataset["needle"])
+    stated = next(one for one in dataset["needles"] if insertion in one["insertions"])
+    return Needle(**{key: value for key, value in stated.items() if key != "insertions"})
 
 
 def describe_insertions(job: "Job") -> dict[str, Any]:
@@ -177,12 +186,11 @@ def _encode_needle(
     from needlefit.inference.forward_model import make_simulation_inputs
 
     run, name = results.run, row["insertion"]
-    needle = Needle(**run["dataset"]["needle"])
     stored = StoredInsertion.read(run, name)
     known = results.frames["parameters"]
     known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
-    needle, tissue, steps, rules = make_simulation_inputs(values, medium, needle, stored)
+    needle, tissue, steps, rules = make_simulation_inputs(values, medium, stored)
     names = tuple(f"layer {layer}" for layer in stored.sequence)
     scene = Scene(needle, tissue, steps, rules, layer_names=names)
     lattice = make_lattice(steps, rules)
@@ -191,7 +199,7 @@ def _encode_needle(
         "title": f"{name} · {results.dataset_title}",
         "target": name,
         "synthetic": results.synthetic,
-        "diameter_mm": DEFAULT_DIAMETER_MM,
+        "diameter_mm": needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": measured,
         "draws": None,
     }

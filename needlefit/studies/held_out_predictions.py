@@ -240,8 +240,7 @@ class _Predictor:
     ) -> PlannedInsertion:
         """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
         deep, wrong = draw_depth_errors(insertion, len(sets), rng)
-        medium, needle = self.known.job.medium, self.known.job.dataset.needle
-        return PlannedInsertion(sets, medium, needle, insertion, s, deep, wrong, self.jobs)
+        return PlannedInsertion(sets, self.known.job.medium, insertion, s, deep, wrong, self.jobs)
 
     def _estimate_after_one(
         self,

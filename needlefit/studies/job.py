@@ -439,12 +439,13 @@ def check_reach(job: Job) -> None:
     for insertion in job.insertions:
         stated = job.parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
         _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))
-        if insertion.depth + guide >= job.dataset.needle.length:
+        length = insertion.needle.length
+        if insertion.depth + guide >= length:
             raise ConfigError(
                 f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
-                f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
+                f"the tissue the needle of {length:g} mm is too short",
                 where=job.place_in_medium(f"parameters.{_GUIDE_PARAMETER}"),
-                expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
+                expected=f"below {length - insertion.depth:g} mm",
                 fix="lessen the guide's distance or its upper bound",
             )
 

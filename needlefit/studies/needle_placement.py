@@ -44,7 +44,6 @@ def place_needles(
     `predicted` are the rows of the table "bands". Tip tracks were never in a scan: of them there is none.
     """
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
-    dataset = problem.dataset
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in insertions:
             if isinstance(insertion, TipTrack):
@@ -61,7 +60,7 @@ def place_needles(
                 role,
                 measured=insertion.patient.to_local(insertion.centerline),
                 toward=placement.across,
-                diameter=dataset.outer_diameter or DEFAULT_DIAMETER_MM,
+                diameter=insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
                 fitted=None if points is None else placement.to_patient(points),
                 band=band,
             )
@@ -70,7 +69,7 @@ def place_needles(
 def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> Floats | None:
     """Return the needle (K, 2) in C, on the measured one where the pose is free; None without a solution."""
     values = problem.parameters.values(theta)
-    shape = predict(values, problem.medium, problem.dataset.needle, insertion)
+    shape = predict(values, problem.medium, insertion)
     if not shape.converged:
         return None
     s = _choose_places(problem, insertion)
@@ -119,7 +118,7 @@ def _place_band_of_draws(
 ) -> Band | None:
     """Return the band over the needles of draws, at the fitted needle's x (K,); None where none is solved."""
     sets = [problem.parameters.values(theta) for theta in thetas]
-    (shapes,) = PreparedModel(problem.medium, problem.dataset.needle, [insertion]).simulate(sets, jobs)
+    (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
     s = _choose_places(problem, insertion)
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
     if not len(needles):

@@ -27,7 +27,6 @@ from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, 
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
 from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
@@ -124,14 +123,13 @@ class PlannedInsertion:
         self,
         sets: Sets,
         medium: MediumRecord,
-        needle: Needle,
         insertion: Insertion,
         s: Floats,
         deep: Floats,
         wrong: Floats,
         jobs: int = 1,
     ) -> None:
-        self._sets, self._medium, self._needle, self._insertion = sets, medium, needle, insertion
+        self._sets, self._medium, self._insertion = sets, medium, insertion
         self._s, self._deep, self._wrong, self._jobs = s, deep, wrong, jobs
         self._table: _SurfaceTable | None = None
         self._draws: _InterpolatedDraws | None = None  # None where each draw is simulated by itself
@@ -171,9 +169,7 @@ class PlannedInsertion:
 
     def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
-        shapes = PreparedModel(self._medium, self._needle, [one for one, _ in nodes]).simulate(
-            which, self._jobs
-        )
+        shapes = PreparedModel(self._medium, [one for one, _ in nodes]).simulate(which, self._jobs)
         found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
         return np.array(found), shapes[0].valid
 
@@ -205,7 +201,7 @@ class PlannedInsertion:
         found: list[tuple[Floats, bool]] = []
         for row in rows:
             values, entry = self._sets[row], float(self._deep[row])
-            met = with_planned_layers(self._insertion, values, self._medium, self._needle)
+            met = with_planned_layers(self._insertion, values, self._medium)
             if met is None:
                 found.append((np.full((len(self._s), 2), np.nan), False))
             else:
@@ -215,7 +211,7 @@ class PlannedInsertion:
 
     def _simulate_one(self, row: int, insertion: Insertion, at: Floats) -> tuple[Floats, bool]:
         """Return the points (K, 2 or 3) of the needle of a set at beam coordinates (K,), and its validity."""
-        shape = predict(self._sets[row], self._medium, self._needle, insertion)
+        shape = predict(self._sets[row], self._medium, insertion)
         return read_points(insertion, shape, at), shape.valid
 
     def _join(self, needles: Sequence[tuple[Floats, bool]]) -> PlannedNeedles:

@@ -2,7 +2,6 @@
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
@@ -27,7 +26,7 @@ def describe_configuration(job: Job) -> dict[str, Any]:
     return {
         "name": job.name,
         "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        "dataset": describe_dataset(job.dataset) | {"needle": asdict(job.dataset.needle)},
+        "dataset": describe_dataset(job.dataset) | describe_needles(job.dataset),
         "study": job.record.model_dump(mode="json", by_alias=True),
         "medium": job.medium.model_dump(mode="json", by_alias=True),
         "recipe": job.recipe.model_dump(mode="json", by_alias=True),
@@ -52,6 +51,26 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
         "notes": list(dataset.notes),
         "measurement": stated | {"description": describe_measurement(dataset)},
         "boundary_shared_sd_mm": sorted(shared - {0.0}),
+    }
+
+
+def describe_needles(dataset: Dataset) -> dict[str, Any]:
+    """Return the needle of all insertions or, where they differ, each needle and its insertions."""
+    each = {
+        one: {"length": one.length, "flexural_rigidity": one.flexural_rigidity} for one in dataset.needles
+    }
+    if len(each) == 1:
+        return {"needle": each.popitem()[1]}
+    return {
+        "needles": [
+            {
+                "name": one.name,
+                "outer_diameter": one.outer_diameter,
+                **stated,
+                "insertions": [insertion.id for insertion in dataset.insertions if insertion.needle == one],
+            }
+            for one, stated in each.items()
+        ]
     }
 
 

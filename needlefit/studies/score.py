@@ -41,7 +41,7 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
 
     def curves(insertion: Insertion) -> dict[str, Curve | None]:
         def at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
-            return predict(values, medium, dataset.needle, insertion, boundaries, sequence)
+            return predict(values, medium, insertion, boundaries, sequence)
 
         shapes: dict[str, NeedleShape | None] = {"measured": at(None, None)}
         if insertion.surfaces:

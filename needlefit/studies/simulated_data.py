@@ -74,7 +74,7 @@ def simulate_measurement(
     """
     errors = {} if shared is None else shared
     scale = values.get(NOISE_SCALE, 1.0)
-    known = select_sections(insertion, dataset.needle) if dataset.pose == "known" else None
+    known = select_sections(insertion) if dataset.pose == "known" else None
     # where the points of an insertion lie on the needle, (K,) mm
     if known is not None:
         s = known.s
@@ -88,7 +88,7 @@ def simulate_measurement(
     deviation = errors.setdefault((specimen, nodes.BEVEL, number), float(rng.standard_normal()))
     factor = float(find_bevel_factors(values.get(BEVEL_SPREAD, 0.0), deviation))
     true, at = nodes.shift_depths(replace(insertion, bevel_factor=factor), s, deep + wrong, deep)
-    shape = predict(values, medium, dataset.needle, true)
+    shape = predict(values, medium, true)
     if not shape.converged:
         return None
     if insertion.curvature is not None:
@@ -194,7 +194,6 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
         name=name,
         title=record.title,
         origin="synthetic",
-        needle=Needle.from_record(record.needle),
         insertions=(),
         media=(DATASET_MEDIUM,),
         noise=make_noise(record.noise),
@@ -202,7 +201,6 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
         drop_proximal=0.0,
         path=Path(),
         digest=hashlib.sha256(text.encode()).hexdigest(),
-        outer_diameter=record.needle.outer_diameter_mm,
     )
     measurements = []
     for number, stated in enumerate(record.insertions, start=1):
@@ -228,6 +226,7 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
         id=f"made-{number:02d}",
         medium=DATASET_MEDIUM,
         specimen=f"made-{number:02d}",
+        needle=Needle.from_record(record.needle),
         layers=1,
         layers_alternative=1,
         depth=one.depth_mm,
@@ -274,10 +273,10 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
     Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
     poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
     """
-    needle, made = job.dataset.needle, list[Insertion]()
+    made = list[Insertion]()
     for one in fold.tune:
-        met = with_planned_layers(one, values, job.medium, needle)
-        shape = None if met is None else predict(values, job.medium, needle, met)
+        met = with_planned_layers(one, values, job.medium)
+        shape = None if met is None else predict(values, job.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
         if isinstance(one, TipTrack):

@@ -32,7 +32,6 @@ from needlefit.geometry.frames import align_rigid, differentiate_align_rigid, ma
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices, make_knots
 from needlefit.inference.compared_points import pad_planes, rotate_to_entry_axes
 from needlefit.inference.likelihood.nodes import FRAME, GROUP_GAIN, GROUP_SLOPE, ErrorAxis, Nodes, make_nodes
-from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, TrackErrorsRecord
@@ -58,13 +57,13 @@ class SectionData:
     stored: SplineSections  #: as stored; those left out are not in it
 
 
-def select_sections(insertion: Insertion, needle: Needle) -> SectionData | None:
+def select_sections(insertion: Insertion) -> SectionData | None:
     """Return the cross-sections of an insertion between base (or guide) and tip; None where it has none."""
     stored = insertion.sections
     if stored is None:
         return None
     s = np.minimum(insertion.depth, stored.s * (insertion.depth / stored.s[-1]))
-    base = insertion.depth - needle.length + DEPTH_ERRORS_KEPT * insertion.depth_sd
+    base = insertion.depth - insertion.needle.length + DEPTH_ERRORS_KEPT * insertion.depth_sd
     first = base if insertion.guide_distance is None else max(base, -insertion.guide_distance)
     kept = s >= first
     s, stored = s[kept], stored.select(kept)
@@ -257,7 +256,7 @@ def make_observation(
         if likelihood.measurement == "points":
             stated = replace(stated, heading_sd=0.0, slope_sd=0.0)
         return _observe_track(dataset, insertion, stated, likelihood, model_error)
-    known = select_sections(insertion, dataset.needle) if smoothed and dataset.pose == "known" else None
+    known = select_sections(insertion) if smoothed and dataset.pose == "known" else None
     if known is not None:
         return _observe_sections(dataset, insertion, known, likelihood, model_error)
     measurement = dataset.measurement if smoothed else DEFAULT_MEASUREMENT

@@ -131,9 +131,8 @@ def compute_ranked(problem: Problem, directions: Floats, thetas: Floats) -> dict
     found = dict(zip(problem.names, thetas.T, strict=True))
     if thetas.shape[1] > 1:
         found |= {DESIGN: thetas @ directions[0], FIT: thetas @ directions[1]}
-    medium, needle = problem.medium, problem.dataset.needle
     tip = max(problem.insertions, key=lambda one: one.depth)
-    (tips,) = PreparedModel(medium, needle, [tip]).read_points(sets, [np.array([tip.depth])])
+    (tips,) = PreparedModel(problem.medium, [tip]).read_points(sets, [np.array([tip.depth])])
     prior = [problem.parameters.prior.log_density(values) for values in sets]
     return {**found, TIP: tips[:, 0, 1], LIKELIHOOD: problem.log_posteriors(thetas) - prior}
 

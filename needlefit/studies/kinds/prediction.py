@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, split_boundary_sd
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import pad_planes, turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
@@ -198,7 +198,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     """
     job, draws = known.job, known.draws_in(into)
     thetas = draws.thetas if len(draws.thetas) else known.draws.thetas
-    _check(scene, job.medium, job.dataset)
+    _check(scene, job)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
     sets = vary_bevels([job.parameters.values(theta) for theta in thetas], known.bevel_sd_in(into), rng)
@@ -221,18 +221,20 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     return Forecast(s, x, points[:, :, 1:], len(thetas) - len(points), outside)
 
 
-def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
-    if scene.tissue.layers > medium.layers:
+def _check(scene: Scene, job: Job) -> None:
+    if scene.tissue.layers > job.medium.layers:
         raise ConfigError(
-            f"the scene has {scene.tissue.layers} layers, the fitted medium {medium.layers}",
+            f"the scene has {scene.tissue.layers} layers, the fitted medium {job.medium.layers}",
             expected="at most as many: layer n of the scene is layer n of the medium",
             fix="name a scene of the fitted medium, or fit a medium with more layers",
         )
-    ours, fitted = scene.needle.flexural_rigidity, dataset.needle.flexural_rigidity
-    if abs(ours - fitted) > RIGIDITY_TOLERANCE * fitted:
+    ours = scene.needle.flexural_rigidity
+    fitted = dict.fromkeys(one.needle.flexural_rigidity for one in job.insertions)
+    if all(abs(ours - one) > RIGIDITY_TOLERANCE * one for one in fitted):
+        stated = " or ".join(f"{one:.4g}" for one in fitted)
         raise ConfigError(
-            f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {fitted:.4g}",
-            expected="the needle that the parameters were fitted with: mu and b depend on it",
+            f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {stated}",
+            expected="a needle that the parameters were fitted with: mu and b depend on it",
             fix="correct [needle] of the scene",
         )
 

@@ -271,7 +271,7 @@ def simulate_runs(
     def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
         pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
         every, depths = [run for run, _ in pairs], [at for _, at in pairs]
-        points = PreparedModel(job.medium, job.dataset.needle, every).read_points(sets, depths, jobs)
+        points = PreparedModel(job.medium, every).read_points(sets, depths, jobs)
         for one in some:
             yield np.stack([one.stack(next(points)) for _ in one.nodes.s], axis=1)  # (B, m, n or 2 n)
 
