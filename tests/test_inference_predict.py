@@ -1,5 +1,7 @@
 """What a prediction takes from the medium's record, the needle's and the scene's: every number arrives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, insertion, medium
@@ -27,7 +29,7 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes():
     assert met.thickness.tolist() == [3.0, 3.0, 3.0]
     assert met.law == "neo_hookean"
     planned = insertion(31.3, (12.0,), (1, 2), -1)
-    got = predict(TRUTH, unusual, NEEDLE, planned)
+    got = predict(TRUTH, unusual, planned)
     met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
     options = ModelOptions(2.0, 1.0, MAX_TOLERANCE_MM)
     meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), options)
@@ -40,7 +42,8 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes():
     found = Needle.from_record(tube)
     assert found.length == 150.0
     assert found.flexural_rigidity == pytest.approx(19973.7, rel=1e-5)
-    assert Needle.from_tube(150.0, 1.27, 193e3, 0.838) == found
+    assert (found.outer_diameter, found.name) == (1.27, "needle")
+    assert replace(Needle.from_tube(150.0, 1.27, 193e3, 0.838), name="needle") == found
 
 
 # ---- predictive mixtures against closed forms and integrals

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import NEEDLE, TRUTH, insertion, measure, medium, problem, recipe, two_layers
+from inference_cases import TRUTH, insertion, measure, medium, problem, recipe, two_layers
 from refusals import refusal
 
 from needlefit.datasets.insertion import find_free_reach

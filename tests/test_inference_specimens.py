@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from inference_cases import NEEDLE, TRUTH, insertion, measure, medium, problem
+from inference_cases import TRUTH, insertion, measure, medium, problem
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, truncnorm
 

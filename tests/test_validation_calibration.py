@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from inference_cases import NEEDLE, insertion, measure, medium
+from inference_cases import insertion, measure, medium
 from track_cases import GUIDE, track
 
 from needlefit.datasets.insertion import Dataset, Noise

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import NEEDLE, TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
+from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes

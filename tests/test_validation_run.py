@@ -9,7 +9,7 @@ import needles
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
+from inference_cases import TRUTH, dataset, insertion, medium, two_layers
 from light_runs import predict_by_few_draws
 from scipy.optimize import brentq
 from world import PROJECT
