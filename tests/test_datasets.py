@@ -89,7 +89,7 @@ def test_a_written_dataset_is_read_back(tmp_path):
     a, b, c = dataset.insertions
     found = dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean
     assert found == ("block", "synthetic", "known", 0.19)
-    assert dataset.needles[0].flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
+    assert dataset.insertions[0].needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
     assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
     assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
     np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)

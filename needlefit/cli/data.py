@@ -225,6 +225,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
+    from needlefit.datasets.needles import describe_needles, tabulate_needles
     from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
@@ -232,6 +233,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
 
     found = inspect(path)
     faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()
+    needles = {} if dataset is None else tabulate_needles(dataset)
     if dataset is not None:
         planes, measured = measure_out_of_plane(dataset), describe_measurement(dataset)
         holes = name_holes(dataset)
@@ -241,6 +243,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "dataset": str(path),
                 "ok": not faults,
                 "measurement": measured,
+                "needles": needles,
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
                 "faults": [asdict(fault) for fault in faults],
@@ -257,6 +260,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     if dataset is not None and not invocation.json:
         origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
         screen.print_text(f"{origin}: {dataset.title}. Measurement: {measured}.")
+        screen.print_text(describe_needles(needles))
         table = dataset.to_frame().assign(hole=list(holes.values()))
         table["holes by"] = [find_hole_source(dataset, one) for one in table["medium"]]
         groups = table.groupby(["medium", "layers", "holes by"], sort=False)

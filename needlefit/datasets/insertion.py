@@ -212,9 +212,9 @@ class Dataset:
     remarks: tuple[str, ...] = field(default=(), repr=False)
 
     @property
-    def needles(self) -> tuple[Needle, ...]:
-        """The needles, in the order of their first insertions."""
-        return tuple(dict.fromkeys(one.needle for one in self.insertions))
+    def needles(self) -> dict[str, Needle]:
+        """The needles that were inserted, by their names."""
+        return {one.needle.name: one.needle for one in self.insertions}
 
     def to_frame(self) -> "pd.DataFrame":
         """Return one row per insertion: what it went into, its depth and measured tip deflection (mm)."""

@@ -35,14 +35,9 @@ from needlefit.datasets.columns import (
 )
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
+from needlefit.datasets.needles import find_unknown_needle
 from needlefit.geometry.frames import Frame
-from needlefit.schemas.dataset import (
-    DatasetRecord,
-    TrackDatasetRecord,
-    boundaries_fault,
-    list_needles,
-    needle_key,
-)
+from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, list_needles, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -271,19 +266,10 @@ def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord)
     yield Fault(where, what, "either surfaces or depths of the boundaries", fix)
 
 
-def find_needle_fault(name: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
-    """Yield the fault of a needle, named in a cell, that `dataset.toml` does not describe."""
-    if name not in list_needles(record):
-        listed = ", ".join(record.needles) or "(none)"
-        fix = "correct it, or add a table [needles.NAME] to dataset.toml"
-        expected = f"one of {listed}, or an empty cell: [needle]"
-        yield Fault(where, f"needle {name!r:.60} is unknown", expected, fix)
-
-
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     needles = list_needles(record)
     if row.needle not in needles:
-        yield from find_needle_fault(row.needle, where, record)
+        yield from find_unknown_needle(row.needle, where, record)
         return
     length, guide = needles[row.needle].length_mm, row.guide_distance
     depth_mm = describe_column(record.insertions.columns, "depth_mm")

@@ -39,7 +39,7 @@ from needlefit.datasets.insertion import (
     find_free_reach,
     make_track,
 )
-from needlefit.datasets.insertion_table import add_curvature, add_turns, find_needle_fault, parse_rows
+from needlefit.datasets.insertion_table import add_curvature, add_turns, parse_rows
 from needlefit.datasets.layers import (
     ListedInsertion,
     SharedSurfaces,
@@ -50,28 +50,20 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
+from needlefit.datasets.needles import find_needle_faults, find_unknown_needle, make_needles
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
-from needlefit.mechanics.needle import Needle
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load, locate_key
 from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import (
-    MIN_SD_MM,
-    DatasetRecord,
-    NoiseRecord,
-    TrackDatasetRecord,
-    list_needles,
-    needle_key,
-)
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord, list_needles
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
-MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 # Columns that may be absent or have empty cells, with their default values.
@@ -149,11 +141,6 @@ def inspect(path: Path) -> Inspection:
     return Inspection(dataset, (), dataset.warnings)
 
 
-def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
-    """Return the needles of a dataset by what a cell of column `needle` holds."""
-    return {name: Needle.from_record(one) for name, one in list_needles(record).items()}
-
-
 def make_noise(record: NoiseRecord) -> Noise:
     """Return the measurement errors that a dataset states."""
     return Noise(
@@ -169,11 +156,7 @@ def make_noise(record: NoiseRecord) -> Noise:
 def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with a `dataset.toml` by itself."""
     shapes = isinstance(record, DatasetRecord)
-    for name, needle in list_needles(record).items():
-        if (modulus := needle.youngs_modulus_gpa or 0.0) > MAX_MODULUS_GPA:
-            key = f"{needle_key(name)}.youngs_modulus_gpa"
-            expected = "GPa: about 200 for steel, 40 to 80 for nitinol"
-            yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
+    yield from find_needle_faults(record, file)
     if not shapes and record.noise.point_sd_mm <= 0:  # every fit of tip tracks samples a posterior
         key, what = "noise.point_sd_mm", "no noise of the readings is stated"
         yield Fault(locate_key(file, key), what, "a standard deviation above 0, mm", f"write {key}")
@@ -457,7 +440,7 @@ def _find_run_faults(
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
     needles = values[NEEDLE_COLUMN]
-    yield from find_needle_fault(str(needles[0]), first, record)
+    yield from find_unknown_needle(str(needles[0]), first, record)
     for n in np.flatnonzero(needles != needles[0])[:1]:
         what = f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}"
         yield Fault(places[n], what, "one needle for all of a run", "correct the cells")

@@ -399,8 +399,9 @@ def list_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle
 
     Tables that state no name of their own name a needle by its key.
     """
+    default = NeedleRecord.model_fields["name"].default
     named = {
-        key: one if "name" in one.model_fields_set else one.model_copy(update={"name": key})
+        key: one.model_copy(update={"name": key}) if one.name == default else one
         for key, one in record.needles.items()
     }
     return {"": record.needle, **named}

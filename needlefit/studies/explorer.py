@@ -72,15 +72,15 @@ class StoredInsertion:
     def read(cls, run: Mapping[str, Any], name: str) -> Self:
         layers = run["layers"][name]
         sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
-        needle = _read_needle(run["dataset"], name)
-        return cls(**run[INSERTIONS_KEY][name], sequence=sequence, boundaries=tops, needle=needle)
+        stored = dict(run[INSERTIONS_KEY][name])
+        stored["needle"] = _read_needle(run["dataset"], stored.get("needle", ""))
+        return cls(**stored, sequence=sequence, boundaries=tops)
 
 
-def _read_needle(dataset: Mapping[str, Any], insertion: str) -> Needle:
-    if "needle" in dataset:  # of all insertions
-        return Needle(**dataset["needle"])
-    stated = next(one for one in dataset["needles"] if insertion in one["insertions"])
-    return Needle(**{key: value for key, value in stated.items() if key != "insertions"})
+def _read_needle(dataset: Mapping[str, Any], name: str) -> Needle:
+    """Return the needle of all insertions or, where they differ, the one of this name."""
+    stated = dataset["needles"][name] if "needles" in dataset else dataset["needle"]
+    return Needle(**{key: value for key, value in stated.items() if key != "insertions"}, name=name)
 
 
 def describe_insertions(job: "Job") -> dict[str, Any]:
@@ -93,6 +93,7 @@ def describe_insertions(job: "Job") -> dict[str, Any]:
                 "guide_distance": one.guide_distance, "base_moved": one.base_moved,
                 "compared": None if drop is None else find_free_reach(drop, one), "specimen": one.specimen,
                 **({"turns": one.turns} if one.turns else {}),
+                **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
             }
             for one in job.insertions
             if not isinstance(one, TipTrack)

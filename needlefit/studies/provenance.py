@@ -7,6 +7,7 @@ from typing import Any
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
+from needlefit.datasets.needles import tabulate_needles
 from needlefit.datasets.sections import describe_measurement
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
@@ -26,7 +27,7 @@ def describe_configuration(job: Job) -> dict[str, Any]:
     return {
         "name": job.name,
         "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        "dataset": describe_dataset(job.dataset) | describe_needles(job.dataset),
+        "dataset": describe_dataset(job.dataset) | record_needles(job.dataset),
         "study": job.record.model_dump(mode="json", by_alias=True),
         "medium": job.medium.model_dump(mode="json", by_alias=True),
         "recipe": job.recipe.model_dump(mode="json", by_alias=True),
@@ -54,24 +55,12 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
     }
 
 
-def describe_needles(dataset: Dataset) -> dict[str, Any]:
-    """Return the needle of all insertions or, where they differ, each needle and its insertions."""
-    each = {
-        one: {"length": one.length, "flexural_rigidity": one.flexural_rigidity} for one in dataset.needles
-    }
-    if len(each) == 1:
-        return {"needle": each.popitem()[1]}
-    return {
-        "needles": [
-            {
-                "name": one.name,
-                "outer_diameter": one.outer_diameter,
-                **stated,
-                "insertions": [insertion.id for insertion in dataset.insertions if insertion.needle == one],
-            }
-            for one, stated in each.items()
-        ]
-    }
+def record_needles(dataset: Dataset) -> dict[str, Any]:
+    """Return the needle of all insertions or, where they differ, every needle by its name."""
+    if len(dataset.needles) > 1:
+        return {"needles": tabulate_needles(dataset)}
+    (one,) = dataset.needles.values()
+    return {"needle": {"length": one.length, "flexural_rigidity": one.flexural_rigidity}}
 
 
 def package_versions(packages: Sequence[str]) -> dict[str, str]:

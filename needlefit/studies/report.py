@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
+from needlefit.datasets.needles import describe_needles
 from needlefit.project.folders import listed_files, replace_folder
 from needlefit.project.help_pages import read_sections
 from needlefit.project.input_files import convert_stored_errors
@@ -312,6 +313,13 @@ def _run_blocks(result: Run) -> list[Block]:
     table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
     words = filter(None, (result.question, result.note))
     return [*map(document.text, words), document.table(table)]
+
+
+def list_data_notes(run: Mapping[str, Any]) -> list[str]:
+    """Return the needles of the data, where there are several, and what its makers want known."""
+    data = run.get("dataset", {})
+    needles = [describe_needles(data["needles"])] if "needles" in data else []
+    return [*needles, *map(str, data.get("notes", ()))]
 
 
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report

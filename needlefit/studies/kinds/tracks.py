@@ -46,7 +46,7 @@ from needlefit.studies.judge import CLOSER, STATUS, check_data, check_intervals,
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.report import StudyReport
+from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 
@@ -346,7 +346,7 @@ def describe(results: Run) -> dict[str, Any]:
         "fits": results.frames["runs"]["fit"].nunique(),
         "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
         "runs": results.frames["runs"]["run"].nunique(),
-        "notes": results.run["dataset"]["notes"],
+        "notes": list_data_notes(results.run),
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
         "name": results.name,

@@ -26,7 +26,7 @@ from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, list_checks
-from needlefit.studies.report import StudyReport
+from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, once_per_run
 
 __all__ = ["FRAMES", "REPORT"]
@@ -72,7 +72,7 @@ def collect_values(results: Run) -> dict[str, Any]:
         "failed": int(starts["failed_solves"].sum()),
         "population": fit_tables.list_spreads(results),
         "chains": fit_tables.tabulate_percentiles(results),
-        "notes": list(map(str, run.get("dataset", {}).get("notes", ()))),
+        "notes": list_data_notes(run),
     }
 
 

@@ -1,0 +1,66 @@
+"""The needles of a dataset: read them from its records, find their faults, describe them."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.insertion import Dataset
+from needlefit.mechanics.needle import Needle
+from needlefit.project.toml import locate_key
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, list_needles, needle_key
+
+MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
+
+
+def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
+    """Return the needles of a dataset by what a cell of column `needle` holds."""
+    return {cell: Needle.from_record(one) for cell, one in list_needles(record).items()}
+
+
+def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
+    """Yield what is wrong with the needles of a `dataset.toml`."""
+    keys = dict[str, str]()
+    for cell, needle in list_needles(record).items():
+        table = needle_key(cell)
+        if (modulus := needle.youngs_modulus_gpa or 0.0) > MAX_MODULUS_GPA:
+            key, expected = f"{table}.youngs_modulus_gpa", "GPa: about 200 for steel, 40 to 80 for nitinol"
+            yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
+        if (other := keys.setdefault(needle.name, table)) != table:
+            key, what = f"{table}.name", f"{table} and {other} are both named {needle.name}"
+            yield Fault(locate_key(file, key), what, "a name of its own for each needle", "rename one")
+
+
+def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
+    """Yield the fault of a cell of column `needle` whose needle `dataset.toml` does not describe."""
+    if cell not in list_needles(record):
+        expected = f"one of {', '.join(record.needles) or '(none)'}, or an empty cell: [needle]"
+        fix = f"correct it, or add a table [{needle_key('NAME')}] to dataset.toml"
+        yield Fault(where, f"needle {cell!r:.60} is unknown", expected, fix)
+
+
+def tabulate_needles(dataset: Dataset) -> dict[str, dict[str, Any]]:
+    """Return the numbers of each needle (mm, N mm^2) and how many insertions it has, by its name."""
+    names = [one.needle.name for one in dataset.insertions]
+    return {
+        name: {
+            "outer_diameter": one.outer_diameter,
+            "flexural_rigidity": one.flexural_rigidity,
+            "length": one.length,
+            "insertions": names.count(name),
+        }
+        for name, one in dataset.needles.items()
+    }
+
+
+def describe_needles(needles: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what `tabulate_needles` found, for people; of a single needle without its name."""
+    described = []
+    for name, one in needles.items():
+        outer = f"diameter {one['outer_diameter']:g} mm, " if one["outer_diameter"] is not None else ""
+        rigidity = float(f"{one['flexural_rigidity']:.4g}")
+        numbers = f"{outer}EI {rigidity:g} N mm², {one['length']:g} mm long"
+        count = one["insertions"]
+        counted = f"{name}: {numbers}, {count} insertion{'s' * (count != 1)}"
+        described.append(counted if len(needles) > 1 else numbers)
+    return f"Needle{'s' * (len(needles) > 1)}: {'; '.join(described)}."
