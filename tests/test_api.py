@@ -158,7 +158,8 @@ def test_wrong_input_is_a_config_error(call):
 def test_a_changed_dataset_is_refused(dataset):
     one, *others = dataset.insertions
     moved = replace(dataset, insertions=(one.with_planar(one.planar + 1.0), *others))
-    for changed in (moved, replace(dataset, insertions=(one,))):
+    thin = replace(dataset, insertions=(replace(one, needle=needlefit.Needle(150.0, 2e3)), *others))
+    for changed in (moved, thin, replace(dataset, insertions=(one,))):
         with pytest.raises(ConfigError, match="not what its files hold"):
             needlefit.fit(changed, "chicken", tune=TUNE, recipe=RECIPE)
 

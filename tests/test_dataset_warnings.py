@@ -203,6 +203,16 @@ def test_boundaries_that_no_tissue_has_are_named_with_their_place(tmp_path, boun
     assert all(f"{boundaries[-1]:g}" in one.what for one in warnings)
 
 
+def test_own_boundaries_that_no_tissue_has_are_named_once_with_their_row(tmp_path):
+    rows = [into_gel("a", layers=2, boundaries=(20.0,)), into_gel("b", layers=1, boundaries=())]
+    rows += [into_gel(name, layers=2, boundaries=(0.025,)) for name in "cd"]
+    curves = {one.id: CURVE * [1, 1 + 0.2 * n, 1] for n, one in enumerate(rows)}
+    file = write_rows(tmp_path, *rows, curves=curves)
+    (found,) = inspect(file).warnings
+    assert (found.kind, found.where) == ("units", f"{tmp_path / 'insertions.csv'}:4")
+    assert "`boundaries_mm` is 0.025" in found.what and "2 of 4 rows" in found.what
+
+
 def test_data_without_any_error_or_point_are_a_fault(tmp_path):
     assert kinds(gel(tmp_path, noise={})) == ["no_noise"]
     edit(tmp_path / "dataset.toml", "^correlation_length", "correlation_length_mm = 1e9")

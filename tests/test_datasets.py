@@ -17,6 +17,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
+from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord
@@ -131,6 +132,37 @@ def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     )
     found = read(file).insertions[0].patient
     np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
+
+
+def test_each_insertion_has_its_needle_and_its_boundaries(tmp_path):
+    thin = {"length_mm": 120.0, "flexural_rigidity_nmm2": 2e3, "note": "bent"}
+    sheets = [{"file": f"layers/{n}.stl", "kind": "sheet", "into": n} for n in (2, 3)]
+    media = {"sheets": {"surfaces": sheets}, "given": {"boundaries_mm": [20.0, 70.0]}}
+    rows = [
+        row("a", "sheets", layers=3),
+        row("b", "given", layers=3, boundaries=(18.0, 36.25), needle="22G"),
+        row("c", "given", layers=1, boundaries=(), needle="22G"),
+        row("d", "given", layers=2),
+    ]
+    surfaces = {
+        f"layers/{n}.stl": make_sheet(str(n), (x, 0, 0), (1, 0, 0), 120, into=n)
+        for n, x in ((2, 18.0), (3, 36.25))
+    }
+    tables = record(media=media, needles={"22G": thin})
+    dataset = read(write_dataset(tmp_path, tables, rows, dict.fromkeys("abcd", CURVE), surfaces))
+    a, b, c, d = dataset.insertions
+    assert a.boundaries == pytest.approx(b.boundaries, abs=1e-4) and a.sequence == b.sequence == (1, 2, 3)
+    assert (c.sequence, c.boundaries.tolist()) == ((1,), [])
+    assert (d.sequence, d.boundaries.tolist()) == ((1, 2), [20.0])
+    assert b.needle == c.needle == Needle(120.0, 2e3, name="22G")
+    assert a.needle == d.needle == dataset.needles["needle"]
+    assert (a.needle.outer_diameter, a.needle.length) == (1.27, 150.0)
+    assert list(dataset.needles) == ["needle", "22G"] and dataset.notes == ("Needle 22G: bent",)
+    cells = (tmp_path / "insertions.csv").read_text().splitlines()
+    assert cells[0].endswith(",needle,boundaries_mm") and cells[1].endswith(",,")
+    assert cells[2].endswith(",22G,18.0000;36.2500") and cells[3].endswith(",22G,none")
+    block(tmp_path / "plain")
+    assert "needle" not in (tmp_path / "plain" / "insertions.csv").read_text()
 
 
 def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_ignored(tmp_path):

@@ -134,6 +134,27 @@ def scan(value):
     return change
 
 
+def own(line, **values):
+    """Add columns to the table of insertions, empty but for one line."""
+
+    def change(folder):
+        add_columns(ROWS, **dict.fromkeys(values, ""))(folder)
+        cell(ROWS, line, **values)(folder)
+
+    return change
+
+
+THIN = "[needles.22G]\nlength_mm = 40.0\nflexural_rigidity_nmm2 = 2e3\n"
+
+
+def with_thin(change):
+    def add(folder):
+        (folder / TOML).write_text(f"{(folder / TOML).read_text()}\n{THIN}")
+        change(folder)
+
+    return add
+
+
 NO_COUNT = dict.fromkeys(("layers", "layers_alternative"))
 FAULTS = [
     # cells of a row
@@ -160,6 +181,18 @@ FAULTS = [
     (f"{ROWS}:4", "line 2", "", cell(ROWS, 4, id="a")),
     *((f"{ROWS}:2", "a meets 4 layers (1 > 2 > 3 > 2", "write 4", row(**dict.fromkeys(NO_COUNT, layers)))
       for layers in "35"),
+    # needles and boundaries of single insertions
+    (f"{ROWS}:2", "needle '25G' is unknown", "[needles.NAME]", own(2, needle="25G")),
+    (f"{ROWS}:2", "needle '25G' is unknown", "one of 22G", with_thin(own(2, needle="25G"))),
+    (f"{ROWS}:2", "needle is only 40 mm", "needles.22G.length_mm", with_thin(own(2, needle="22G"))),
+    (None, "needles.22G and needle are both named 22G", "rename",
+     with_thin(text(TOML, 'name = "needle"', 'name = "22G"'))),
+    *((f"{ROWS}:3", f"boundaries_mm {words}", "such as 18;36", own(3, boundaries_mm=value))
+      for value, words in (
+        ("deep", "is 'deep'"), ("18;", "is '18;'"), ("18;inf", "is '18;inf'"), ("None", "is 'None'"),
+        ("-3", "must be positive"), ("36;18", "must be positive and increase, got [36.0, 18.0]"))),
+    (f"{ROWS}:2", "medium block has surfaces", "leave the cell empty", own(2, boundaries_mm="18")),
+    (f"{ROWS}:3", "b meets 4 layers", "correct boundaries_mm", own(3, boundaries_mm="18; 36;40")),
     (f"{ROWS}:1", "`depth_mm`", "columns", text(ROWS, "depth_mm", "depth")),
     (f"{ROWS}:3", "scan_", "", scan("12")),
     (f"{ROWS}:3", "scan_ry_deg is 'east'", "", scan("east")),

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from refusals import refusal
 from test_datasets import block, without_checksums
-from test_datasets_faults import cell
+from test_datasets_faults import add_columns, cell
 from track_cases import DEPTH, GUIDE, HEAD, TOML, measured, track, written
 
 from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.read import check, inspect, read, read_shapes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, DataError
+from needlefit.mechanics.needle import Needle
 from needlefit.schemas.study import SelectionRecord
 
 SECRET = [
@@ -103,6 +104,21 @@ def test_missing_columns_unknown_names_and_few_readings_are_refused(tmp_path, ru
     lines = table(folder).read_text().splitlines()
     table(folder).write_text("\n".join(lines[:5]) + "\n")
     refusal(DataError, r"run rest .*4 readings", read, folder)
+
+
+def test_each_run_has_its_needle(tmp_path, runs):
+    thin = "[needles.22G]\nlength_mm = 150.0\nflexural_rigidity_nmm2 = 2e3\n"
+    folder = written(tmp_path, runs, f"{TOML}\n{thin}")
+    add_columns("steps.csv", needle="")(folder)
+    for line in range(2, 15):
+        cell("steps.csv", line, needle="22G")(folder)
+    rest, moved = read(folder).insertions
+    assert rest.needle == Needle(150.0, 2e3, name="22G")
+    assert moved.needle == Needle(200.0, 2.5e4, name="needle")
+    cell("steps.csv", 4, needle="")(folder)
+    refusal(DataError, "steps.csv:4: .*run rest .*'22G' to ''", read, folder)
+    cell("steps.csv", 2, needle="25G")(folder)
+    assert "steps.csv:2: needle '25G' is unknown" in "\n".join(map(str, check(folder)))
 
 
 def test_selections_and_layers_of_tracks(tmp_path, runs):

@@ -3,14 +3,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, insertion, measure, medium, problem, recipe, two_layers
+from inference_cases import NEEDLE, TRUTH, insertion, measure, medium, problem, recipe, two_layers
 from refusals import refusal
 
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.compared_points import align_points, select_points
-from needlefit.inference.forward_model import make_options, predict
+from needlefit.inference.forward_model import PreparedModel, make_options, predict
 from needlefit.inference.optimize import minimize
+from needlefit.mechanics.needle import Needle
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -50,6 +51,23 @@ def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_s
     fit = minimize(p, recipe(starts=6), rng())
     assert fit.failures > 0  # 55 mm + 95 mm or more leave nothing of 150 mm
     assert fit.values["guide_distance_mm"] == pytest.approx(15.0, rel=0.05)
+
+
+def test_needles_that_differ_are_fitted_together():
+    record, thin = medium(1), Needle(NEEDLE.length, NEEDLE.flexural_rigidity / 10)
+    planned = [insertion(depth) for depth in (30.0, 36.0, 42.0, 48.0)]
+    planned = [replace(one, needle=(NEEDLE, thin)[n % 2]) for n, one in enumerate(planned)]
+    p = problem(record, [measure(TRUTH, record, one) for one in planned])
+    for one, lanes in zip(p.insertions, PreparedModel(record, p.insertions).simulate([TRUTH]), strict=True):
+        np.testing.assert_array_equal(lanes[0].u, predict(TRUTH, record, one).u)
+    fit = minimize(p, recipe(starts=4), rng())
+    assert [fit.values[name] for name in p.names] == pytest.approx(
+        [TRUTH[name] for name in p.names], rel=0.01
+    )
+    for needle in (NEEDLE, thin):
+        wrong = problem(record, [replace(one, needle=needle) for one in p.insertions])
+        values = minimize(wrong, recipe(starts=4), rng()).values
+        assert abs(math.log(values["mu1_pa"] / TRUTH["mu1_pa"])) > math.log(1.5)
 
 
 def test_planned_boundaries_meshes_and_what_cannot_be_compared():

@@ -36,6 +36,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
@@ -144,6 +145,8 @@ def test_runs_under_a_resting_guide_are_one_insertion():
     tracks = [track("a", REST), track("b", REST, 0.9 * DEPTH), track("c", GUIDE)]
     sources = share_simulations(tracks, 1.0)
     assert [one.id for one in sources] == ["a", "a", "c"]
+    thin = replace(tracks[1], needle=Needle(200.0, 2.5e3))
+    assert [one.id for one in share_simulations([tracks[0], thin], 1.0)] == ["a", "b"]
     assert find_end(track("d", REST, 0.997 * DEPTH), 1.0) == 60.0
     together = simulate_tips(tracks)
     alone = [simulate_tips([one])[0] for one in tracks]

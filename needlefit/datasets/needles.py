@@ -49,7 +49,7 @@ def tabulate_needles(dataset: Dataset) -> dict[str, dict[str, Any]]:
             "length": one.length,
             "insertions": names.count(name),
         }
-        for name, one in dataset.needles.items()
+        for name, one in sorted(dataset.needles.items())
     }
 
 

@@ -439,9 +439,9 @@ def _find_run_faults(
 ) -> Iterator[Fault]:
     """Say what is wrong with one run; `places` are those of its readings."""
     first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
-    needles = values[NEEDLE_COLUMN]
-    yield from find_unknown_needle(str(needles[0]), first, record)
-    for n in np.flatnonzero(needles != needles[0])[:1]:
+    needles = values[NEEDLE_COLUMN].tolist()
+    yield from find_unknown_needle(needles[0], first, record)
+    for n in [n for n, name in enumerate(needles) if name != needles[0]][:1]:
         what = f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}"
         yield Fault(places[n], what, "one needle for all of a run", "correct the cells")
     if not id_:
