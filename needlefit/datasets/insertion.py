@@ -225,6 +225,7 @@ class Dataset:
                 "insertion": one.id,
                 "medium": one.medium,
                 "specimen": one.specimen,
+                "needle": one.needle.name,
                 "layers": one.layers,
                 "layers_alternative": one.layers_alternative,
                 "depth_mm": one.depth,

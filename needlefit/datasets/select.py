@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.errors import ConfigError
+from needlefit.mechanics.needle import Needle
 from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.study import LayerCountRule, SelectionRecord
@@ -42,6 +43,15 @@ def select_insertions(
         expected = f"a selection that leaves some of its {len(known)} insertions"
         raise ConfigError(what, expected=expected, fix="widen or correct the selection", key=key)
     return chosen
+
+
+_I = TypeVar("_I", bound=Insertion)
+
+
+def select_same_needle(insertions: Sequence[_I], needle: Needle, least: int = 1) -> tuple[_I, ...]:
+    """Return the insertions of a needle, or, where fewer than `least` are, all: curves differ by needle."""
+    same = tuple(one for one in insertions if one.needle == needle)
+    return same if len(same) >= least else tuple(insertions)
 
 
 def count_layers(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,16 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.datasets.select import count_layers, name_holes
+from needlefit.datasets.select import count_layers, name_holes, select_same_needle
 from needlefit.geometry.curves import compare_curves
-from needlefit.inference.baseline_fit import fit_baselines
+from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
+from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, SimulatedCurve, align_points, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.metrics import METRICS, compute_metrics
 from needlefit.schemas.medium import MediumRecord
@@ -72,8 +74,22 @@ def make_predictors(
         for name in MODEL_METHODS
         if name in values
     }
-    baselines = fit_baselines(dataset.pose, dataset.drop_proximal, problem.insertions, dataset.planes)
-    return {**models, **{name: curve_predictor(baseline.curve) for name, baseline in baselines.items()}}
+    return {**models, **_fit_curves(problem)}
+
+
+def _fit_curves(problem: Problem) -> dict[str, Predictor]:
+    """Return the baseline curves. Each is fitted for every needle by itself, as needles bend differently."""
+    dataset = problem.dataset
+
+    @cache
+    def fit(needle: Needle) -> Mapping[str, FittedBaseline]:
+        alike = select_same_needle(problem.insertions, needle)
+        return fit_baselines(dataset.pose, dataset.drop_proximal, alike, dataset.planes)
+
+    def make(name: str) -> Predictor:
+        return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
+
+    return {one.name: make(one.name) for one in list_baselines()}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.datasets.read import read
-from needlefit.datasets.select import select_insertions
+from needlefit.datasets.select import select_insertions, select_same_needle
 from needlefit.errors import ConfigError
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
@@ -26,7 +26,7 @@ from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.track_predictions import predict_by_curve, predict_runs
+from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_curve, predict_runs
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -233,13 +233,13 @@ def _predict_runs(
     )
     for method in ("fitted", *(one.name for one in list_baselines("tracks"))):
         if method in BASELINES:
-            pairs, seen = zip(held, placed, strict=True), [*zip(*tuned, strict=True)]
-            ahead = [
-                np.concatenate(
-                    [predict_by_curve(BASELINES[method], *of, count) for of in zip(seen, one, strict=True)]
-                )[None]
-                for one, count in pairs
-            ]
+            ahead = []
+            for run, observed, count in zip(fold.validate, held, placed, strict=True):
+                alike = select_same_needle(fold.tune, run.needle, MIN_TUNED_RUNS)
+                kept = [own for one, own in zip(fold.tune, tuned, strict=True) if one in alike]
+                pairs = zip(zip(*kept, strict=True), observed, strict=True)  # direction by direction
+                parts = [predict_by_curve(BASELINES[method], *pair, count) for pair in pairs]
+                ahead.append(np.concatenate(parts)[None])
         else:
             rng = random_stream(job.recipe.seed, name, job.name, method)
             ahead = predict_runs(*simulate_runs(job, draws, jobs, rng), placed, rng)
