@@ -14,7 +14,7 @@ from test_viewer_placement import fitted
 
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
-from needlefit.studies.explorer import INSERTIONS_KEY
+from needlefit.studies.explorer import INSERTIONS_KEY, collect_explorer
 from needlefit.studies.report import compose_run_report
 
 pytestmark = pytest.mark.skipif(
@@ -71,6 +71,24 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
         assert len(draws["mu"]) == layers * draws["sets"] and len(draws["strength"]) == draws["sets"] <= 200
     assert len(text) < MOST_BYTES and HOSTILE not in text
     assert not re.search(r"(src|href)=\"https?:", re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL))
+
+
+def test_each_insertion_of_the_page_has_its_needle(result) -> None:
+    about, thin = dict(result.run), {"length": 140.0, "flexural_rigidity": 2e3, "outer_diameter": 0.7}
+    thin["insertions"] = 1
+    data = dict(about["dataset"])
+    thick = data.pop("needle") | {"outer_diameter": None, "insertions": 1}
+    about["dataset"] = data | {"needles": {"18G": thick, "22G": thin}}
+    about[INSERTIONS_KEY] = {
+        name: stored | {"needle": "22G" if HOSTILE in name else "18G"}
+        for name, stored in about[INSERTIONS_KEY].items()
+    }
+    page = collect_explorer(replace(result, run=about))
+    found = {
+        (HOSTILE in scene["target"], scene["model"]["rigidity"], scene["length_mm"], scene["diameter_mm"])
+        for scene in (one["scene"] for one in page.needles)
+    }
+    assert found == {(False, thick["flexural_rigidity"], 150.0, 1.27), (True, 2e3, 140.0, 0.7)}
 
 
 @pytest.mark.sweep

@@ -3,13 +3,14 @@
 import dataclasses
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import needles
 import numpy as np
 import pandas as pd
 import pytest
-from inference_cases import TRUTH, dataset, insertion, medium, two_layers
+from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, problem, two_layers
 from light_runs import predict_by_few_draws
 from scipy.optimize import brentq
 from world import PROJECT
@@ -17,17 +18,20 @@ from world import PROJECT
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
+from needlefit.datasets.select import select_same_needle
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.job import make_folds
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
-from needlefit.studies.score import Scorer, curve_predictor, model_predictor
+from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import list_outside
 
 MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
@@ -233,6 +237,20 @@ def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged
         {}, straight(bend, side), curve_predictor(along_x)
     )
     assert row["edp_flagged"] is False
+
+
+def test_each_needle_has_baseline_curves_of_its_own() -> None:
+    s, thin = np.linspace(0.0, 40.0, 41), Needle(150.0, 1e3, name="thin")
+    bent = [
+        replace(insertion(40.0).with_planar(integrate_curvature(40.0, [kappa], s)), needle=needle)
+        for kappa, needle in ((1e-3, NEEDLE), (4e-3, thin), (1e-3, NEEDLE))
+    ]
+    methods = make_predictors(problem(medium(1), bent[:2]), {}, None)
+    for one in bent:
+        curve = methods["constant_curvature"](one)["measured"]
+        np.testing.assert_allclose(curve(s)[-1], one.planar[-1], atol=1e-3)
+    assert select_same_needle(bent, thin) == (bent[1],)
+    assert select_same_needle(bent, thin, least=2) == select_same_needle(bent, Needle(1.0, 1.0)) == (*bent,)
 
 
 def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:
