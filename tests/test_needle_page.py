@@ -85,7 +85,12 @@ def test_each_insertion_of_the_page_has_its_needle(result) -> None:
     }
     page = collect_explorer(replace(result, run=about))
     found = {
-        (HOSTILE in scene["target"], scene["model"]["rigidity"], scene["length_mm"], scene["diameter_mm"])
+        (
+            HOSTILE in scene["target"],
+            scene["simulation"]["model"]["rigidity"],
+            scene["length_mm"],
+            scene["diameter_mm"],
+        )
         for scene in (one["scene"] for one in page.needles)
     }
     assert found == {(False, thick["flexural_rigidity"], 150.0, 1.27), (True, 2e3, 140.0, 0.7)}
