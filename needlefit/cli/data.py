@@ -107,9 +107,8 @@ def import_data(
     """
     from needlefit.datasets.first_study import SCENE_FILE
     from needlefit.datasets.importing.answers import Answers
-    from needlefit.datasets.importing.files import read_content
+    from needlefit.datasets.importing.files import read_asking
     from needlefit.datasets.importing.planning import Planner
-    from needlefit.datasets.importing.tables import UnclearColumnsError
     from needlefit.datasets.read import inspect
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
@@ -130,12 +129,7 @@ def import_data(
     if unknown := [name for name in stated if name not in QUESTIONS]:
         raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup")
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
-    try:
-        content = read_content(files, columns)
-    except UnclearColumnsError as error:
-        if not asks or columns:
-            raise
-        content = read_content(files, _ask("columns", "", f"{error.where}: {error.what}"))
+    content = read_asking(files, columns, options.get("layout", ""), _ask if asks else None)
     answers = Answers({what: text for what, text in options.items() if text}, _ask if asks else None)
     plan = Planner(content, answers).make_plan()
     dataset = write_import(out, content, plan, answers)
@@ -161,7 +155,7 @@ def _ask(what: str, guess: str, reason: str) -> str:
     if reason:
         screen.print_note(f"  ({reason})")
     columns = "Headers or numbers of x, y and z, or MEANING=HEADER,..."
-    text = QUESTIONS[what].text if what in QUESTIONS else columns
+    text = QUESTIONS[what].text if what in QUESTIONS else columns if what == "columns" else what
     answer: str = typer.prompt(text, default=guess, err=True)
     return "" if answer == guess else answer
 

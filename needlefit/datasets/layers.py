@@ -253,7 +253,7 @@ def find_curve_faults(
         where = points.where(int(repeated[0]) + 1)
         what = f"repeats the point before it{_describe_more(len(repeated))}"
         yield Fault(where, what, "points that differ", "remove the repeated points")
-    back = _find_backward_points(points.values)
+    back = find_backward_points(points.values)
     if len(back):
         what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
         fix = "sort the points along the needle, and remove branches and loops"
@@ -268,7 +268,7 @@ def find_curve_faults(
         yield from _find_entry_faults(points, row.entry, row.direction)
 
 
-def _find_backward_points(curve: Floats) -> np.ndarray:
+def find_backward_points(curve: Floats) -> np.ndarray:
     """Return the points that lie behind an earlier one, along the chord or along the step before."""
     chord = curve[-1] - curve[0]
     along = curve @ (chord / max(float(np.linalg.norm(chord)), SAME_POINT_MM))

@@ -14,7 +14,8 @@ from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.first_study import SCENE_FILE, write_scene, write_starter_study
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.planning import ImportPlan, snap_to_axis
+from needlefit.datasets.importing.directions import snap_to_axis
+from needlefit.datasets.importing.planning import ImportPlan
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read

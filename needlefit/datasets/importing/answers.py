@@ -4,13 +4,15 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
-from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
 from needlefit.errors import DataError
+from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import ImportDecisionRecord, ImportSource
 
 MAX_ANSWER_CHARS, MAX_NUMBER = 500, 1e6
@@ -31,10 +33,18 @@ class Stated:
         """
         value, own = read_quantity(self.text) or (-1.0, "")
         own = own or self.unit or usual or unit
-        factor = UNITS_MM.get(own, 0.0) if unit == "mm" else float(own == unit)
+        known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
+        factor = known.get(own, 0.0)
         if not 0 <= value * factor <= MAX_NUMBER or not factor or (is_above and not value):
             raise self.error(what, f"a number {'above 0' if is_above else 'of 0 or more'}, {unit}")
         return value * factor
+
+    def to_place(self, what: str, usual: str = "mm") -> Floats:
+        """Return the point (3,), mm, in a text such as `0,0,1`; DataError if it is none."""
+        unit = self.unit or usual
+        if unit not in UNITS_MM:
+            raise self.error(what, f"three numbers in one of {', '.join(UNITS_MM)}")
+        return UNITS_MM[unit] * self.to_vector(what, is_direction=False)
 
     def to_vector(self, what: str, is_direction: bool = True) -> Floats:
         """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
@@ -131,7 +141,8 @@ class Answers:
             reason = "" if source == "option" else found.where.rpartition("/")[2]
         elif self.prompt is not None and source != "file":
             found = Stated(self.prompt(what, guess, reason).strip()[:MAX_ANSWER_CHARS], "", "the answer")
-            source, reason = ("answer", "") if found.text else ("confirmed", reason)
+            # a default that is taken as it is offered stays what it was: nobody has measured it
+            source, reason = ("answer", "") if found.text else (source, reason)
         if not found.text and not guess:
             fix = f"state it with {name_option(what)}"
             raise DataError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
@@ -140,6 +151,31 @@ class Answers:
             raise found.error(what, expected)
         self.keep(what, found.text, reason, source)
         return found
+
+    def settle_each(
+        self,
+        what: str,
+        own: Mapping[str, Mapping[str, Stated]],
+        **options: Any,  # noqa: ANN401 - those of `settle`
+    ) -> dict[str, Stated]:
+        """Return the answer of each needle; `own`: what files state of each, by its name.
+
+        What files state of a needle is its own; an option or the sheet `setup` is of those that state
+        nothing, and an option of all if none does. `options`: of `settle`, where nothing states it of any.
+
+        DataError if it is stated of some needles only.
+        """
+        found = {name: stated[what] for name, stated in own.items() if what in stated}
+        missing = [name for name in own if name not in found]
+        if not found:
+            return dict.fromkeys(own, self.settle(what, **options))
+        if missing or what in self.options:
+            reason = f"not stated of {join_names(missing, 5)}"
+            answer = self.settle(what, "", reason)
+            return {name: answer if not missing or name in missing else found[name] for name in own}
+        texts = dict.fromkeys(f"{one.text} {one.unit}".strip() for one in found.values())
+        self.keep(what, ", ".join(texts), "a column or a label" if len(texts) == 1 else "each needle its own")
+        return {name: found[name] for name in own}
 
     def keep(self, what: str, value: str, reason: str = "", source: ImportSource = "file") -> None:
         """Keep a decision that was made elsewhere."""

@@ -1,7 +1,7 @@
 """Read all curves and surfaces, and what is stated of them, in the files and folders that an import names."""
 
 import itertools
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,45 +10,54 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.mat import NAMED_FIELDS
 from needlefit.datasets.importing.answers import Stated, add_stated
-from needlefit.datasets.importing.curves import (
-    ATTRIBUTES,
-    ImportContent,
-    ImportedCurve,
-    parse_columns,
-    read_table,
-)
-from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.importing.synonyms import find_meaning, read_header, split_unit
+from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, parse_columns
+from needlefit.datasets.importing.questions import QUESTIONS, name_option
+from needlefit.datasets.importing.synonyms import find_meaning, list_meanings, read_header, split_unit
+from needlefit.datasets.importing.table_curves import read_table
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
     CellTable,
+    UnclearLayoutError,
+    UnclearTableError,
     read_sheets,
     read_text_cells,
 )
-from needlefit.errors import DataError
+from needlefit.datasets.points import MIN_POINTS
+from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
 from needlefit.project.input_files import is_dir, is_file, path_exists
+from needlefit.project.locate import join_names
 
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAX_FILES, MAX_CURVES, MAX_NAME_CHARS = 2000, 2000, 60
+LAYOUTS = ("rows", "columns")
 
 
-def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
+def read_content(
+    paths: Sequence[Path], columns: str | Mapping[str, str] = "", layout: str = ""
+) -> ImportContent:
     """Read every file that is named, and the readable files of every folder that is named.
 
-    `columns`: as `--columns` states them.
+    `columns`: as `--columns` states them, or meanings by header or number; `layout`: `rows` or `columns`,
+    where a table may be read as both.
 
-    UnclearColumnsError if no header names coordinates. DataError if the files hold no curve, or a bad one.
+    UnclearTableError if no header names coordinates, or a needle may stand in a row. DataError if the files
+    hold no curve, or a bad one.
     """
-    content = ImportContent(parse_columns(columns))
+    if layout not in ("", *LAYOUTS):
+        what, fix = f"layout is {layout[:60]!r}", f"correct {name_option('layout')}"
+        raise DataError(what, expected=" or ".join(LAYOUTS), fix=fix)
+    named = parse_columns(columns) if isinstance(columns, str) else columns
+    content = ImportContent(named, layout)
     for path in itertools.islice(_list_files(paths, content), MAX_FILES):
         _read_file(path, content)
     if not content.curves and content.unclear:
         raise content.unclear[0]
+    _refuse_without_points(content, paths[0])
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
@@ -57,23 +66,80 @@ def read_content(paths: Sequence[Path], columns: str = "") -> ImportContent:
         )
     if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
-    for meaning in content.columns.keys() - content.columns_found:
-        what = f"no table has a column {content.columns[meaning]!r}"
+    for name in content.columns.keys() - content.columns_found:
+        what = f"no table has a column {name!r}"
         raise DataError(what, where=str(paths[0]), expected="a header or a number", fix="correct --columns")
     curves: dict[str, ImportedCurve] = {}
     for one in content.curves:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
     by_name = {name.lower(): one for name, one in curves.items()}
-    for name, stated, turns, sensors in content.needles:
-        if (own := by_name.get(make_id(name, name)[:MAX_NAME_CHARS].lower())) is None:
-            content.unused.append((f"row of needle {name}", "no curve has its name"))
+    for row in content.needles:
+        if (own := by_name.get(make_id(row.needle, row.needle)[:MAX_NAME_CHARS].lower())) is None:
+            content.unused.append((f"row of needle {row.needle}", "no curve has its name"))
         else:
-            add_stated(own.stated, stated)
-            own.turns += turns
-            own.sensors += sensors
+            add_stated(own.stated, row.stated)
+            own.turns += row.turns
+            own.sensors += row.sensors
+            own.are_sensors_from_base = row.are_sensors_from_base or own.are_sensors_from_base
     content.curves = [*curves.values()]
     return content
+
+
+def read_asking(
+    paths: Sequence[Path],
+    columns: str,
+    layout: str,
+    ask: Callable[[str, str, str], str] | None,
+) -> ImportContent:
+    """Return what files hold; `ask` is asked what tables mean that may mean several things.
+
+    It takes a question, an answer to take by default, and the reason. UnclearTableError if nobody is asked.
+    """
+    try:
+        content = read_content(paths, columns, layout)
+    except UnclearTableError as error:
+        which = "layout" if isinstance(error, UnclearLayoutError) else "columns"
+        if ask is None or {"columns": columns, "layout": layout}[which]:
+            raise
+        stated = {"columns": columns, "layout": layout} | {
+            which: ask(which, "", f"{error.where}: {error.what}")
+        }
+        return read_asking(paths, stated["columns"], stated["layout"], ask)
+    if ask is None or not content.unknown:
+        return content
+    named = dict(content.columns)
+    for what, where in dict.fromkeys(content.unknown):
+        header = what.removeprefix("column ")
+        question = f"What `{header}` is: {', '.join(ATTRIBUTES)}, or unrelated"
+        meaning = ask(question, "unrelated", f"{where}: numbers under a header that is not known")
+        named[header] = meaning or "unrelated"
+    if unknown := {*named.values()} - {"x", "y", "z", *list_meanings()}:
+        expected = ", ".join(list_meanings())
+        raise ConfigError(
+            f"a column is {min(unknown)[:60]!r}", expected=expected, fix="answer with one of these"
+        )
+    return read_content(paths, named, layout)
+
+
+def _refuse_without_points(content: ImportContent, path: Path) -> None:
+    """DataError if the files hold tips alone, or curvatures alone, which are no shapes."""
+    tips = [one for one in content.curves if len(one.points.values) == 1]
+    if tips and len(tips) == len(content.curves):
+        names = join_names([one.name for one in tips], 3)
+        raise DataError(
+            f"holds one point of each of {len(tips)} needles, as of tips: {names}",
+            where=tips[0].points.where(),
+            expected=f"at least {MIN_POINTS} points along each needle, or readings of its tip on the way",
+            fix="export the shapes, or the tip at several depths; tips alone cannot be fitted yet",
+        )
+    if not content.curves and any(row.sensors for row in content.needles):
+        raise DataError(
+            "holds curvatures of needles, and no points of them",
+            where=str(path),
+            expected="points along each needle beside its curvatures; curvatures alone cannot be fitted yet",
+            fix="name the file of the reconstructed shapes, too",
+        )
 
 
 def _make_unique(name: str, taken: Container[str]) -> str:

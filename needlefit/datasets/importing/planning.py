@@ -1,21 +1,26 @@
 """Make insertions or tip tracks of imported curves: settle unit, frame, entry, pose, layers and bevel."""
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers, Stated
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.tracks import make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
     SAME_POINT_MM,
+    find_backward_points,
     find_hole,
     find_length_tolerance,
     find_surface_faults,
@@ -33,13 +38,11 @@ from needlefit.schemas.dataset import ImportSource
 from needlefit.schemas.scene import NeedleRecord
 
 # Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
-ASSUMED_MM, STATED_MM = (20.0, 1000.0), (1.0, 2000.0)
+ASSUMED_MM, STATED_MM = (20.0, 300.0), (1.0, 2000.0)
 MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
-MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coordinates are all in space
-MIN_SAME_SIDE = 0.9  # length of the mean of unit deflections from which on they have one direction
-SAME_AXIS_DEG = 10.0  # within which a proposed direction is a world axis
+LENGTHS = {"depth", "boundaries", "needle length", "entry point"}  # stated in the unit of the coordinates
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,11 @@ class ImportPlan:
     rows: tuple[InsertionRow, ...]
     pose: str  # "known", "free", or "tracker" of tip tracks
     surfaces: tuple[Surface, ...]  # between the layers
-    depths_mm: tuple[float, ...]  # of the boundaries between them, where there are no surfaces
-    needle: NeedleRecord
+    # By medium: depths of the boundaries between its layers, mm, where there are no surfaces.
+    boundaries_mm: Mapping[str, tuple[float, ...]]
+    needle: NeedleRecord  # of the rows that name none
     point_sd_mm: float
+    needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
 
 
 class Planner:
@@ -69,48 +74,80 @@ class Planner:
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
         for what, where in self.content.unused:
-            self.keep("not used", what, where)
+            if (what, where) in self.content.unknown:
+                column = what.removeprefix("column ")
+                reason = f"numbers under an unknown header: --columns MEANING={column}, or unrelated={column}"
+                self.keep("not used", f"{what} of {where}", reason, "assumption")
+            else:
+                self.keep("not used", what, where)
+        if self.content.layout:
+            self.keep("layout", self.content.layout, "", "option")
         for axes in dict.fromkeys(one.axes for one in self.curves):
             self.keep("axes", axes, "", "assumption" if "columns" in axes else "file")
         is_track = self.settle_observable() == "tracks"
         self.convert_units()
         sd = self.settle("point sd").to_number("point sd", is_above=True)
         if is_track:
-            pose, depths, rows = "tracker", self.settle_layers(), self.make_tracks()
+            pose, depths, rows = "tracker", self.settle_layers(), make_tracks(self)
         else:
+            self.settle_order()
             self.settle_frame()
-            direction = self.settle_pose()
-            pose = "free" if direction.text == "free" else "known"
-            entry = self.settle_entry_point(direction)
+            poses = self.settle_pose()
+            pose = "free" if poses[0].text == "free" else "known"
+            entries = self.settle_entry_points(poses)
             depths = self.settle_layers()
-            rows = self.make_rows(direction, entry, sd, depths)
-        if depths or self.surfaces:
-            boundary_sd = self.settle("boundary sd").to_number("boundary sd")
-            rows = [replace(row, boundary_sd=boundary_sd) for row in rows]
-        deepest = max(row.depth for row in rows)
-        ends = [*depths[1:], deepest][: len(depths)]
-        if narrow := [depth for depth, end in zip(depths, ends, strict=True) if 10 * depth <= end]:
-            reason = f"in cm, {join_names([f'{one:g} would be {10 * one:g} mm' for one in narrow])}"
-            self.keep("boundary unit", "mm", reason, "assumption")
+            rows = self.make_rows(poses, entries, sd, depths)
+        if any(depths) or self.surfaces:
+            sds = [one.to_number("boundary sd") for one in self.each("boundary sd")]
+            rows = [replace(row, boundary_sd=own) for row, own in zip(rows, sds, strict=True)]
+        self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
-        needle = self.settle_needle(deepest)
+        needles = self.settle_needles(max(row.depth for row in rows))
         self.answers.keep_unused()
-        return ImportPlan(tuple(rows), pose, tuple(self.surfaces), depths, needle, sd)
+        return self.assemble(rows, pose, sd, depths, needles)
+
+    def each(self, what: str, **options: Any) -> list[Stated]:  # noqa: ANN401 - those of `Answers.settle`
+        """Return the answer of each needle to a question, in their order."""
+        own = {one.name: one.stated for one in self.curves}
+        return [*self.answers.settle_each(what, own, **options).values()]
+
+    def assemble(
+        self,
+        rows: Sequence[InsertionRow],
+        pose: str,
+        sd: float,
+        depths: Sequence[tuple[float, ...]],
+        needles: Sequence[NeedleRecord],
+    ) -> ImportPlan:
+        """Return the plan: what all needles share is stated once, what differs with each."""
+        media: dict[str, tuple[float, ...]] = {}
+        for medium in dict.fromkeys(row.medium for row in rows):
+            of_all = {own for row, own in zip(rows, depths, strict=True) if row.medium == medium}
+            media[medium] = next(iter(of_all)) if len(of_all) == 1 else ()
+        kinds = [one for n, one in enumerate(needles) if one not in needles[:n]]
+        names = [f"needle{kinds.index(one) + 1}" if len(kinds) > 1 else "" for one in needles]
+        placed = tuple(
+            replace(row, needle=name, boundaries=None if own == media[row.medium] else own,
+                    curvature=count_from_tip(one, row.curvature, needle.length_mm))
+            for row, own, name, needle, one in zip(rows, depths, names, needles, self.curves, strict=True)
+        )  # fmt: skip
+        named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
+        return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
 
     # ---- what the points are
 
     def settle_observable(self) -> str:
-        """Return `shapes`, or `tracks` where each row of a table has a depth of its own."""
+        """Return `shapes`, or `tracks` where each row of a table has a depth, a time or a direction."""
         readings = [one.readings for one in self.curves if one.readings is not None]
-        if not readings:
+        if not readings and "observable" not in self.answers.stated:
             return "shapes"
         bare = [one.name for one in self.curves if one.readings is None or not len(one.readings.depth)]
         guess = "tracks" if not bare and all(one.is_log or one.is_deflection for one in readings) else ""
         reason = "rows have a time, a direction or a depth of their own, as readings of a tip have"
-        answer = self.settle("observable", guess, reason, "guess", ("shapes", "tracks"))
-        if answer.text == "tracks" and bare:
-            raise answer.error("observable", f"a depth in each row of {bare[0]}: --columns depth=HEADER")
-        return answer.text
+        answer = self.settle("observable", guess, reason, "guess", ("shapes", "tracks")).text
+        for one in self.curves if answer == "tracks" else ():
+            one.readings = one.readings or Readings(np.empty(0), "", is_log=False, is_deflection=False)
+        return answer
 
     def convert_units(self) -> None:
         """Turn the curves to mm; a unit that no header states must give the length of a needle."""
@@ -118,21 +155,64 @@ class Planner:
         unknown = [one for one in self.curves if one.unit not in UNITS_MM]
         changed = [one for one in self.curves if one.system is None] if is_stated else unknown
         if changed:
-            wrong = max((one.unit for one in unknown), default="")
-            reason = f"a header states {wrong[:20]!r}" if wrong else ""
-            answer = self.settle("units", "" if wrong else None, reason, choices=tuple(UNITS_MM)).text
+            reason = "; ".join(self.doubt_millimetres(unknown))
+            answer = self.settle("units", "" if reason else None, reason)
+            number, unit = read_quantity(answer.text) or (1.0, find_meaning("unit", answer.text))
+            if unit not in UNITS_MM or number <= 0:
+                raise answer.error("units", ", ".join(UNITS_MM) + ", or the length of a step: 0.07 mm")
             for one in changed:
-                one.unit = answer
+                # a depth without a unit has that of the coordinates, but is no number of pixels
+                one.unit, factor = (unit if number == 1.0 else "mm"), number * UNITS_MM[unit]
+                one.points = one.points.scale(factor)
         else:
             self.keep("units", ", ".join(sorted({one.unit for one in self.curves})), "header or format")
         for one in self.curves:
-            one.points = one.points.scale(UNITS_MM[one.unit])
-        low, high = ASSUMED_MM if unknown and not is_stated else STATED_MM
+            if not any(one is other for other in changed):
+                one.points = one.points.scale(UNITS_MM[one.unit])
+            for what in LENGTHS & one.stated.keys():  # without a unit they have that of the coordinates
+                one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or one.unit)
+        low, high = STATED_MM
         if not low <= (longest := max(one.length for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
             where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
             raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
+
+    @staticmethod
+    def doubt_millimetres(unknown: Sequence[ImportedCurve]) -> Iterator[str]:
+        """Yield why coordinates that state no unit may not be in mm."""
+        if wrong := max((one.unit for one in unknown), default=""):
+            yield f"a header states {wrong[:20]!r}"
+        if unknown and all((one.line == np.round(one.line)).all() for one in unknown):
+            yield "all coordinates are whole numbers, as of pixels or voxels"
+        longest = max((one.length for one in unknown), default=ASSUMED_MM[0])
+        if not ASSUMED_MM[0] <= longest <= ASSUMED_MM[1] and not wrong:
+            likely = [name for name, mm in UNITS_MM.items() if ASSUMED_MM[0] <= mm * longest <= ASSUMED_MM[1]]
+            other = f", in {' or '.join(likely)} that of a needle" if likely else ""
+            yield f"in mm the longest needle would be {longest:,.3g} mm long{other}"
+
+    def settle_order(self) -> None:
+        """Sort the points of curves that go back, where that is stated.
+
+        DataError naming the first such point if nothing states it.
+        """
+        back = {one.name: found for one in self.curves if len(found := find_backward_points(one.line))}
+        if not back:
+            return
+        one = next(one for one in self.curves if one.name in back)
+        place, is_table = one.points.where(int(back[one.name][0])), one.points.lines is not None
+        if self.answers.prompt is None and "order" not in self.answers.stated:
+            several = "; of several needles: --columns needle=HEADER" if is_table else ""
+            raise DataError(
+                f"curve {one.name} goes back: the centreline is unsorted or folded here",
+                where=place,
+                expected="points in order from the entry to the tip",
+                fix=f"if the points of one needle are unsorted: --setup order=nearest{several}",
+            )
+        reason = f"{join_names([*back], 5)}: points go back, first at {place}"
+        if self.settle("order", "file", reason, choices=("file", "nearest")).text == "nearest":
+            for one in self.curves:
+                one.points = one.points.part(sort_by_nearest(one.line))
 
     def settle_frame(self) -> None:
         """Take coordinates as they are, LPS where any file states its system, and put the entry first."""
@@ -157,28 +237,32 @@ class Planner:
 
     # ---- entry and pose
 
-    def settle_pose(self) -> Stated:
-        """Return the answer `free`, `shaft` or a direction; the hint is the one in which the needles run."""
-        chord = np.sum([one.line[-1] - one.line[0] for one in self.curves], axis=0)
+    def settle_pose(self) -> list[Stated]:
+        """Return for each needle `free`, `shaft` or a direction; the hint is the one in which they run."""
+        chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
+        chord = chords.sum(axis=0)
         along = format_direction(snap_to_axis(normalize(chord))) if chord.any() else "X,Y,Z"
         reason = f"not stated; --pose {along} if a stage pushed the needles as they run"
         is_posed = bool(self.surfaces) or any(one.turns or one.sensors for one in self.curves)
-        pose = self.settle("pose", "" if is_posed else "free", reason)
-        if pose.text == "free" and is_posed:
-            raise pose.error("pose", f"{along} or shaft, of surfaces, turns and curvatures")
-        if pose.text not in ("free", "shaft"):
-            cosine = normalize(pose.to_vector("pose")) @ chord / (np.linalg.norm(chord) or 1.0)
+        poses = self.each("pose", guess="" if is_posed else "free", reason=reason)
+        kinds = {one.text if one.text in ("free", "shaft") else "direction" for one in poses}
+        if len(kinds) > 1:
+            raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
+        if kinds == {"free"} and is_posed:
+            raise poses[0].error("pose", f"{along} or shaft, of surfaces, turns and curvatures")
+        for pose, own in zip(poses, chords, strict=True) if kinds == {"direction"} else ():
+            run = chord if len({one.text for one in poses}) == 1 else own  # one direction is that of the mean
+            cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
             if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
                 which = {"first": "last", "last": "first"}[self.entry]
                 fix = f"state --entry {which}: the needles run against it" if cosine <= -least else ""
                 raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
-        return pose
+        return poses
 
-    def settle_entry_point(self, pose: Stated) -> Floats | None:
-        """Return where all tips first touched the tissue, None: at the first point; cut the curves there."""
+    def settle_entry_points(self, poses: Sequence[Stated]) -> list[Floats | None]:
+        """Return where each tip first touched the tissue, None: at the first point; cut the curves there."""
         stated = {one.name: one.stated["depth"] for one in self.curves if "depth" in one.stated}
-        depths = {one.name: stated[one.name].to_number("depth", "mm", one.unit)
-                  for one in self.curves if one.name in stated}  # fmt: skip
+        depths = {name: one.to_number("depth") for name, one in stated.items()}
         surfaces = {one.name: one for one in self.surfaces}
         longer = [
             one
@@ -187,38 +271,41 @@ class Planner:
         ]
         guess, reason = "first", "the first point of each needle, with its error"
         if longer:
-            guess = "depth" if pose.text == "shaft" else ""
+            guess = "depth" if poses[0].text == "shaft" else ""
             place = f"its depth {depths[longer[0].name]:g} mm in {stated[longer[0].name].where}"
             reason = f"{longer[0].name} is {longer[0].length:.1f} mm long, and {place}"
-        elif pose.text == "shaft" or surfaces:
+        elif poses[0].text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
-        answer = self.settle("entry point", guess, reason, "file" if guess == "depth" else "assumption")
-        entry = None
-        if answer.text not in ("first", "depth", *surfaces):
-            entry = answer.to_vector("entry point", is_direction=False)
-        cut, missed = list[float](), list[str]()
-        for one in self.curves if answer.text != "first" else ():
+        source: ImportSource = "file" if guess == "depth" else "assumption"
+        answers = self.each("entry point", guess=guess, reason=reason, source=source)
+        entries, cut, missed = list[Floats | None](), list[float](), list[str]()
+        for one, answer in zip(self.curves, answers, strict=True):
+            is_place = answer.text not in ("first", "depth", *surfaces)
+            entries.append(entry := answer.to_place("entry point") if is_place else None)
+            arc = 0.0
             if answer.text in surfaces:
                 hits = find_surface_hits(one.line, surfaces[answer.text])
                 arc = min(hits, default=0.0)
                 missed += [] if len(hits) else [one.name]
-            elif entry is None:
+            elif answer.text == "depth":
                 if one.name not in depths:
                     raise answer.error("entry point", f"X,Y,Z, or a depth of {one.name}, too")
                 arc = one.length - depths[one.name]
-            else:
+            elif entry is not None:
                 along = np.arange(0.0, one.length, STEP_MM)
                 gaps = np.linalg.norm(interpolate_at_arc(one.line, along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
             if arc > MIN_CUT_MM:
                 cut_shaft(one, arc)
                 cut.append(arc)
-        if answer.text in surfaces and (missed or not cut):
+        used = {one.text: one for one in answers if one.text in surfaces}
+        if used and (missed or not cut):
             which = f"needles cross on their way in ({missed[0]} does not)" if missed else "needles cross"
-            raise answer.error("entry point", f"a surface that {which}; is there a hole where they enter?")
+            expected = f"a surface that {which}; is there a hole where they enter?"
+            raise next(iter(used.values())).error("entry point", expected)
         if cut:
             self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm cut off", "before the entry point")
-        self.surfaces = [one for one in self.surfaces if one.name != answer.text]
+        self.surfaces = [one for one in self.surfaces if one.name not in used]
         for one in self.curves:
             depth = depths.get(one.name, one.length)
             if abs(depth - one.length) > find_length_tolerance(depth):
@@ -226,41 +313,51 @@ class Planner:
                     f"the length of {one.name}, {one.length:.1f} mm; or --entry-point, to cut its shaft"
                 )
                 raise stated[one.name].error("depth", expected)
-        return entry
+        return entries
 
     def make_rows(
-        self, pose: Stated, entry: Floats | None, point_sd: float, depths: tuple[float, ...]
+        self,
+        poses: Sequence[Stated],
+        entries: Sequence[Floats | None],
+        point_sd: float,
+        depths: Sequence[tuple[float, ...]],
     ) -> list[InsertionRow]:
         """Return the rows with entry poses and bevels, without medium and specimen."""
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
-        reached = [len(select_layers(np.array(depths), one.length)[1]) for one in self.curves]
+        reached = [
+            len(select_layers(np.array(own), one.length)[1])
+            for one, own in zip(self.curves, depths, strict=True)
+        ]
         rows = [
             InsertionRow(one.name, "", layers, one.length, side=side)
             for one, layers, side in zip(self.curves, reached, sides, strict=True)
         ]
-        if pose.text == "free":
+        if poses[0].text == "free":
             source: ImportSource = "guess" if angles else "assumption"
             self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
             return rows
-        source = "guess" if entry is None else "assumption"  # the entry is a measured point
-        shift = self.settle("pose shift sd", f"{point_sd:g}", "", source).to_number("pose shift sd")
-        if pose.text == "shaft":
-            lines = [fit_shaft(one, pose) for one in self.curves]
+        is_measured = any(one is None for one in entries)  # the entry is a point of the needle
+        source = "guess" if is_measured else "assumption"
+        shifts = self.each("pose shift sd", guess=f"{point_sd:g}", source=source)
+        if poses[0].text == "shaft":
+            lines = [fit_shaft(one, poses[0]) for one in self.curves]
             ways = np.array([way for way, _ in lines])
             sds = [point_sd / length for _, length in lines]
             reason = f"error of a point over each shaft: at most {np.degrees(max(sds)):.2g} degrees"
-            answer = self.settle("pose angle sd", "shaft", reason, "file")
+            answers = self.each("pose angle sd", guess="shaft", reason=reason, source="file")
         else:
-            ways = np.array([normalize(pose.to_vector("pose"))] * len(rows))
-            answer = self.settle("pose angle sd")
-        if answer.text != "shaft":
-            sds = [float(np.radians(answer.to_number("pose angle sd", "deg")))] * len(rows)
-        entries = [one.line[0] if entry is None else entry for one in self.curves]
-        bends = np.array([one.line[-1] - start for one, start in zip(self.curves, entries, strict=True)])
+            ways = np.array([normalize(one.to_vector("pose")) for one in poses])
+            answers = self.each("pose angle sd")
+        if answers[0].text != "shaft":
+            sds = [float(np.radians(one.to_number("pose angle sd", "deg"))) for one in answers]
+        first = [
+            one.line[0] if entry is None else entry for one, entry in zip(self.curves, entries, strict=True)
+        ]
+        bends = np.array([one.line[-1] - start for one, start in zip(self.curves, first, strict=True)])
         before = [
             interpolate_at_arc(one.line, [min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
-            for one, start in zip(self.curves, entries, strict=True)
+            for one, start in zip(self.curves, first, strict=True)
         ]
         bevels = self.settle_bevel(np.array(before), ways, angles)
         for what, ones in (("turns", "turns"), ("curvatures", "sensors")):
@@ -276,29 +373,45 @@ class Planner:
             read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
                 rows[n],
-                layers=len(crossed or select_layers(np.array(depths), float(bends[n] @ ways[n]))[1]),
-                entry=entries[n],
+                layers=len(crossed or select_layers(np.array(depths[n]), float(bends[n] @ ways[n]))[1]),
+                entry=first[n],
                 direction=ways[n],
                 bevel=bevels[n],
-                pose_source="shaft" if pose.text == "shaft" else "stage",
-                pose_shift_sd=shift,
+                pose_source="shaft" if poses[n].text == "shaft" else "stage",
+                pose_shift_sd=shifts[n].to_number("pose shift sd"),
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if one.sensors else None,
             )
         return rows
 
-    def settle_layers(self) -> tuple[float, ...]:
-        """Return the depths of the boundaries of layers along the needles, mm; none where surfaces part them.
+    # ---- layers
 
-        Surfaces are numbered in the order in which their files are named.
+    def settle_layers(self) -> list[tuple[float, ...]]:
+        """Return of each needle the depths of the boundaries of layers along it, mm.
+
+        There are none where surfaces part the layers. Surfaces are numbered in the order in which their files
+        are named.
         """
         for n, one in enumerate(self.surfaces):
             self.surfaces[n] = replace(one, into=n + 2)
             self.keep(f"surface {one.name}", f"{one.kind}, into layer {n + 2}", "order of the files", "guess")
-        if self.surfaces or (answer := self.settle("boundaries", "none", "one layer")).text == "none":
-            return ()
-        return answer.to_depths("boundaries")
+        if self.surfaces:
+            for what in {one.stated["boundaries"].text for one in self.curves if "boundaries" in one.stated}:
+                self.keep("not used", f"boundaries = {what}", "surfaces part the layers")
+            return [() for _ in self.curves]
+        return [() if one.text == "none" else one.to_depths("boundaries") for one in self.each("boundaries")]
+
+    def doubt_boundaries(self, depths: Sequence[tuple[float, ...]], inserted: Sequence[float]) -> None:
+        """Keep the unit of boundaries as an assumption where it may be cm."""
+        narrow = dict[float, None]()
+        for own in dict.fromkeys(depths):
+            deepest = max(depth for depth, other in zip(inserted, depths, strict=True) if other == own)
+            ends = [*own[1:], deepest][: len(own)]
+            narrow |= dict.fromkeys(a for a, b in zip(own, ends, strict=True) if 10 * a <= b)
+        if narrow:
+            reason = f"in cm, {join_names([f'{one:g} would be {10 * one:g} mm' for one in narrow])}"
+            self.keep("boundary unit", "mm", reason, "assumption")
 
     # ---- bevel
 
@@ -307,17 +420,28 @@ class Planner:
 
         DataError if a cell is not understood.
         """
-        cells = {one.name: one.stated["bevel side"] for one in self.curves if "bevel side" in one.stated}
-        missing = [one.name for one in self.curves if one.name not in cells]
-        if "bevel side" in self.answers.stated or (cells and missing):
-            answer = self.settle("bevel side", "", f"not stated of {join_names(missing, 5)}")
-            cells |= dict.fromkeys(missing or cells, answer)
-        elif missing:
+        self.settle_bevel_angle()
+        if "bevel side" not in self.answers.stated and not any(
+            "bevel side" in one.stated for one in self.curves
+        ):
             return None
-        else:
-            texts = dict.fromkeys(f"{cell.text} {cell.unit}".strip() for cell in cells.values())
-            self.keep("bevel side", ", ".join(texts), "degrees and clock positions: clockwise from up")
-        return [cells[one.name].to_angle() for one in self.curves]
+        return [cell.to_angle() for cell in self.each("bevel side")]
+
+    def settle_bevel_angle(self) -> None:
+        """Take bevel angles as rolls, or leave them out: papers call the angle of the cut so, too."""
+        angles = {one.name: one.stated["bevel angle"] for one in self.curves if "bevel angle" in one.stated}
+        if not angles:
+            return
+        texts = ", ".join(dict.fromkeys(one.text for one in angles.values()))
+        has_side = "bevel side" in self.answers.stated or any(
+            "bevel side" in one.stated for one in self.curves
+        )
+        if has_side and "bevel angle" not in self.answers.stated:
+            self.keep("bevel angle", "cut", f"{texts}: where the bevel faces is stated beside it")
+        elif self.settle("bevel angle", "", f"it is {texts}", choices=("roll", "cut")).text == "roll":
+            for one in self.curves:
+                if cell := angles.get(one.name):
+                    one.stated["bevel side"] = replace(cell, unit=cell.unit or "deg")
 
     def settle_bevel(
         self, bends: Floats, along: Floats, angles: Sequence[float] | None
@@ -356,83 +480,66 @@ class Planner:
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
         found = {}
         for what in ("medium", "specimen"):
-            cells = {one.name: one.stated[what].text for one in self.curves if what in one.stated}
-            if missing := [one.name for one in self.curves if one.name not in cells]:
-                reason = f"not stated of {join_names(missing, 5)}" if cells else ""
-                source: ImportSource = "guess" if what == "medium" else "assumption"
-                answer = self.settle(what, None, reason, source).text
-                cells |= {name: name if answer == "each" else answer for name in missing}
-            else:
-                self.keep(what, ", ".join(dict.fromkeys(cells.values())), "a column or a label")
-            found[what] = {name: re.sub(r'[,"]', " ", text) for name, text in cells.items()}
+            source: ImportSource = "guess" if what == "medium" else "assumption"
+            cells = zip(self.curves, self.each(what, source=source), strict=True)
+            texts = {one.name: one.name if cell.text == "each" else cell.text for one, cell in cells}
+            found[what] = {name: re.sub(r'[,"]', " ", text) for name, text in texts.items()}
         media, specimens = found["medium"], found["specimen"]
         if is_track and len({*specimens.values()}) > 1:
             media = {name: f"{medium} {specimens[name]}" for name, medium in media.items()}
         return [replace(row, medium=media[row.id], specimen=specimens[row.id]) for row in rows]
 
-    def settle_needle(self, deepest: float) -> NeedleRecord:
-        """Return the needle; `deepest` is the greatest depth, mm."""
+    def settle_needles(self, deepest: float) -> list[NeedleRecord]:
+        """Return the needle of each insertion; `deepest` is the greatest depth, mm."""
         least = f"{max(MIN_NEEDLE_MM, float(np.ceil(deepest + BEYOND_DEPTH_MM))):g}"
-        length, outer = self.settle("needle length", least), self.settle("diameter")
-        inner, modulus = self.settle("inner diameter"), self.settle("modulus")
-        number, unit = read_quantity(outer.text) or (0.0, "")
-        if unit == "G":
-            if number not in GAUGES_MM:
-                raise outer.error("diameter", f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
-            outer = replace(outer, text=f"{GAUGES_MM[int(number)]}")
-        diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner diameter")
-        if bore >= diameter:
-            raise inner.error("inner diameter", f"less than {diameter:g} mm")
-        material = find_meaning("value", modulus.text)
-        modulus = replace(modulus, text=material) if material.endswith("GPa") else modulus
-        return NeedleRecord(
-            length_mm=length.to_number("needle length", is_above=True),
-            outer_diameter_mm=diameter,
-            inner_diameter_mm=bore,
-            youngs_modulus_gpa=modulus.to_number("modulus", "GPa", is_above=True),
-        )
-
-    # ---- tip tracks
-
-    def make_tracks(self) -> list[InsertionRow]:
-        """Return the runs; their readings are then in mm, and their points the deflections along y and z."""
-        angles = self.settle_sides()
-        if angles is None:
-            self.keep("bevel side", "1", "not stated", "assumption")
-        sides, turns = to_sides(angles or [0.0] * len(self.curves))
-        if any(turns) or any(one.turns or one.sensors for one in self.curves):
-            what = "bevels of tip tracks are at right angles, turned, or beside curvatures"
-            fix = "import the runs of each plane; state bevel_roll_deg in tracks.csv"
-            raise DataError(what, where=self.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
-        self.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
-        bends, rows = list[Floats](), list[InsertionRow]()
-        for one, side in zip(self.curves, sides, strict=True):
-            assert one.readings is not None, "a track has readings"
-            depth = UNITS_MM[one.readings.unit or one.unit] * one.readings.depth
-            one.readings = replace(one.readings, depth=depth)
-            if len(depth) > 2:
-                bend, slope, _ = np.polyfit(depth - depth[0], one.line, 2)
-                if np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
-                    along = snap_to_axis(normalize(slope))  # at the entry
-                    bend -= (bend @ along) * along
-                bends.append(side * np.ptp(depth) ** 2 * bend)
-            rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
-        bevel = np.array([0.0, 1.0, 0.0])
-        if not all(one.readings and one.readings.is_deflection for one in self.curves):
-            mean = np.mean([normalize(one) for one in bends if one.any()] or [np.zeros(3)], axis=0)
-            guess, reason = "bend", "the mean direction in which the tips bend from their sides"
-            if np.linalg.norm(mean) <= MIN_SAME_SIDE:
-                guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
-            answer = self.settle("bevel", guess, reason)
-            bevel = normalize(np.sum(bends, axis=0) if answer.text == guess else answer.to_vector("bevel"))
-        across = np.cross(sum(one.line[-1] - one.line[0] for one in self.curves), bevel)
-        across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
-        for one in self.curves:
-            one.points = replace(one.points, values=one.line @ np.column_stack([bevel, across, np.zeros(3)]))
-        return rows
+        answers = (self.each("needle length", guess=least), self.each("diameter"),
+                   self.each("inner diameter"), self.each("modulus"))  # fmt: skip
+        return [read_needle(*own) for own in zip(*answers, strict=True)]
 
 
-# ---- shafts, bevels and directions
+# ---- needles, points and shafts
+
+
+def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
+    """Return a needle; DataError if an answer is not understood."""
+    number, unit = read_quantity(outer.text) or (0.0, "")
+    if (unit or outer.unit) == "G":
+        if number not in GAUGES_MM:
+            raise outer.error("diameter", f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
+        outer = replace(outer, text=f"{GAUGES_MM[int(number)]}", unit="mm")
+    diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner diameter")
+    if bore >= diameter:
+        raise inner.error("inner diameter", f"less than {diameter:g} mm")
+    material = find_meaning("value", modulus.text)
+    modulus = replace(modulus, text=material) if material.endswith("GPa") else modulus
+    return NeedleRecord(
+        length_mm=length.to_number("needle length", is_above=True),
+        outer_diameter_mm=diameter,
+        inner_diameter_mm=bore,
+        youngs_modulus_gpa=modulus.to_number("modulus", "GPa", is_above=True),
+    )
+
+
+def count_from_tip(curve: ImportedCurve, curvature: Floats | None, length: float) -> Floats | None:
+    """Return curvatures (n, 4) with the places of their sensors from the tip of a needle of a length, mm."""
+    if curvature is None or not curve.are_sensors_from_base:
+        return curvature
+    return np.column_stack([length - curvature[:, 0], curvature[:, 1:]])
+
+
+def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
+    """Return the order of points (N, 3) in which each is followed by the nearest one that is left.
+
+    It begins at that end of the curve whose point stands first in the file.
+    """
+    one = int(np.argmax(np.linalg.norm(line - line.mean(axis=0), axis=1)))
+    other = int(np.argmax(np.linalg.norm(line - line[one], axis=1)))
+    order, left = [min(one, other)], np.ones(len(line), dtype=bool)
+    while left[order[-1]] and np.count_nonzero(left) > 1:
+        left[order[-1]] = False
+        gaps = np.where(left, np.linalg.norm(line - line[order[-1]], axis=1), np.inf)
+        order.append(int(np.argmin(gaps)))
+    return np.array(order, dtype=np.int64)
 
 
 def cut_shaft(curve: ImportedCurve, arc: float) -> None:
@@ -455,26 +562,3 @@ def fit_shaft(curve: ImportedCurve, pose: Stated) -> tuple[Floats, float]:
     centred = curve.shaft - curve.shaft.mean(axis=0)
     axis = np.linalg.svd(centred, full_matrices=False)[2][0]
     return axis * np.sign(axis @ centred[-1]), float(np.linalg.norm(centred))
-
-
-def to_sides(angles: Sequence[float]) -> tuple[list[int], list[float]]:
-    """Return the sides of bevels, and by how much each is turned about its needle, rad.
-
-    Bevels that differ by half turns are 1 and -1, all turned alike; others are sides 1, turned.
-    """
-    if len({angle % 180.0 for angle in angles}) == 1:
-        turn = float(np.radians(angles[0] % 180.0))
-        return [1 if angle % 360.0 < 180.0 else -1 for angle in angles], [turn for _ in angles]
-    return [1 for _ in angles], [float(np.radians(angle % 360.0)) for angle in angles]
-
-
-def snap_to_axis(direction: Floats) -> Floats:
-    """Return a unit direction, or the world axis that is near."""
-    axis, nearest = np.zeros(3), int(np.argmax(np.abs(direction)))
-    axis[nearest] = np.sign(direction[nearest])
-    return axis if axis @ direction >= np.cos(np.radians(SAME_AXIS_DEG)) else direction
-
-
-def format_direction(direction: Floats) -> str:
-    """Return a direction as options state it."""
-    return ",".join(f"{value:z.3g}" for value in direction.round(3))

@@ -10,12 +10,14 @@ from pathlib import Path
 
 FILE = Path(__file__).with_name("synonyms.csv")
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1e3, "um": 1e-3, "in": 25.4}
+UNITS_GPA = {"GPa": 1.0, "MPa": 1e-3, "kPa": 1e-6, "Pa": 1e-9}
 
 # What a word beside an axis may mean without being the name of a needle: `needle x`, `depth x`.
 _POINT_WORDS = ("needle", "tip", "depth", "deflection")
 _TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
 _ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|°)$")
 _QUANTITY = re.compile(r"([-+]?\d+(?:[.,]\d*)?)\s*(\D*)")
@@ -40,10 +42,19 @@ def _load() -> dict[tuple[str, str], tuple[str, str]]:
     return {
         (kind, "".join(_split(word))): (meaning, unit)
         for kind, meaning, unit, *languages in rows
+        if kind != "axes"
         for words in languages
         for word in words.split(";")
         if word
     }
+
+
+@cache
+def load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Return the headers that are axes only together: their system, usual unit, and names of x, y and z."""
+    with FILE.open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.reader(file) if row[0] == "axes"]
+    return tuple((system, unit, tuple(names.split(";"))) for _, system, unit, names, *_ in rows)
 
 
 def list_meanings() -> tuple[str, ...]:
@@ -72,6 +83,7 @@ def find_meaning(kind: str, text: str) -> str:
 
 def split_unit(text: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
+    text = _INDEX.sub(r" \1 ", text)
     bracket, ending = _BRACKET.search(text), _ENDING.search(text)
     inside = bracket[1] if bracket is not None else ""
     is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))
@@ -88,6 +100,9 @@ def read_header(text: str) -> Header:
     plain, unit = split_unit(text)
     words = _split(plain)
     meaning, usual = _look_up("column", words)
+    if not meaning and len(words) > 1 and words[-1].isdecimal():
+        numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several
+        meaning = "boundaries" if numbered == "boundaries" else ""
     if meaning:  # lengths without a unit have that of the coordinates
         known = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known or ("" if usual in UNITS_MM else usual))

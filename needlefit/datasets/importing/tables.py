@@ -36,7 +36,15 @@ _LAYOUTS = (  # separators and decimal signs, in the order in which equally good
 )
 
 
-class UnclearColumnsError(DataError):
+class UnclearTableError(DataError):
+    """A table may be read in more than one way."""
+
+
+class UnclearLayoutError(UnclearTableError):
+    """Each row may be a needle, or hold a point of each."""
+
+
+class UnclearColumnsError(UnclearTableError):
     """No columns of a table are known to be coordinates: it may hold something else."""
 
 

@@ -47,8 +47,12 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
     else:
         surfaces = {f"layers/{re.sub(r'[^A-Za-z0-9_-]+', '_', one.name)}.stl": one for one in plan.surfaces}
         parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
-        medium = {"surfaces": parts} if parts else {"boundaries_mm": [*plan.depths_mm]}
-        draft["media"] = {row.medium: medium for row in plan.rows}
+        draft["media"] = {
+            medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
+            for medium, depths in plan.boundaries_mm.items()
+        }
+        if plan.needles:
+            draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
         beside = {"turns": "turns.csv"} if any(row.turns for row in plan.rows) else {}
         if any(row.curvature is not None for row in plan.rows):
             beside["curvature"] = "curvature.csv"
@@ -73,9 +77,10 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
     flat = not any(curve.line[:, 1].any() for curve in content.curves)
     head, media = "id,medium,depth_mm,tip_mm,bevel_side", dict[str, object]()
     lines = [f"{head}\n" if flat else f"{head},tip_z_mm\n"]
-    medium = {"layers": [*range(1, len(plan.depths_mm) + 2)], "boundaries_mm": [*plan.depths_mm]}
     for row, curve in zip(plan.rows, content.curves, strict=True):
-        media[row.medium] = medium | {"specimen": row.specimen}
+        depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
+        layers = [*range(1, len(depths) + 2)]
+        media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
         assert curve.readings is not None, "a track has readings"
         for depth, (tip, across, _) in zip(curve.readings.depth, curve.line, strict=True):
             line = f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}"

@@ -1,0 +1,113 @@
+"""Make tip tracks of imported curves: settle depths, the guide and the bevel."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.synonyms import UNITS_MM
+from needlefit.errors import DataError
+from needlefit.geometry.frames import normalize
+from needlefit.project.locate import join_names
+
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.planning import Planner
+
+MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coordinates are all in space
+
+
+def make_tracks(planner: "Planner") -> list[InsertionRow]:
+    """Return the runs; their readings are then in mm, and their points the deflections along y and z."""
+    settle_guide(planner)
+    for n, one in enumerate(planner.curves):
+        assert one.readings is not None, "a track has readings"
+        if len(one.readings.depth):
+            if (unit := one.readings.unit or one.unit) not in UNITS_MM:
+                what, where = f"the unit of the depths is {unit!r}", one.points.where()
+                raise DataError(what, where=where, expected=", ".join(UNITS_MM), fix="correct the header")
+            depth = UNITS_MM[unit] * one.readings.depth
+            planner.curves[n].readings = replace(one.readings, depth=depth)
+    if any(not len(one.readings.depth) for one in planner.curves if one.readings is not None):
+        measure_depths(planner)
+    angles = planner.settle_sides()
+    if angles is None:
+        planner.keep("bevel side", "1", "not stated", "assumption")
+    sides, turns = to_sides(angles or [0.0] * len(planner.curves))
+    if any(turns) or any(one.turns or one.sensors for one in planner.curves):
+        what = "bevels of tip tracks are at right angles, turned, or beside curvatures"
+        fix = "import the runs of each plane; state bevel_roll_deg in tracks.csv"
+        raise DataError(what, where=planner.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
+    bends, rows = list[Floats](), list[InsertionRow]()
+    for one, side in zip(planner.curves, sides, strict=True):
+        assert one.readings is not None, "a track has readings"
+        depth = one.readings.depth
+        if len(depth) > 2:
+            bend, slope, _ = np.polyfit(depth - depth[0], one.line, 2)
+            if np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
+                along = snap_to_axis(normalize(slope))  # at the entry
+                bend -= (bend @ along) * along
+            bends.append(side * np.ptp(depth) ** 2 * bend)
+        rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
+    bevel = np.array([0.0, 1.0, 0.0])
+    if not all(one.readings and one.readings.is_deflection for one in planner.curves):
+        mean = np.mean([normalize(one) for one in bends if one.any()] or [np.zeros(3)], axis=0)
+        guess, reason = "bend", "the mean direction in which the tips bend from their sides"
+        if np.linalg.norm(mean) <= MIN_SAME_SIDE:
+            guess, reason = "", "tips bend to several sides, which a column `bevel side` should state"
+        answer = planner.settle("bevel", guess, reason)
+        bevel = normalize(np.sum(bends, axis=0) if answer.text == guess else answer.to_vector("bevel"))
+    across = np.cross(sum(one.line[-1] - one.line[0] for one in planner.curves), bevel)
+    across = across / (np.linalg.norm(across) or 1.0)  # 0 of deflections
+    planes = np.column_stack([bevel, across, np.zeros(3)])
+    for one in planner.curves:
+        one.points = replace(one.points, values=one.line @ planes)
+        if one.guide is not None:
+            one.guide = (one.guide - one.guide[0]) @ planes
+    return rows
+
+
+def settle_guide(planner: "Planner") -> None:
+    """Take one of the tools that were tracked together as the guide, if that is stated.
+
+    DataError if nothing states which of them is the tip.
+    """
+    curves, together = planner.curves, dict[tuple[object, ...], list[int]]()
+    for n, one in enumerate(curves):
+        lines = () if one.points.lines is None else tuple(one.points.lines.tolist())
+        together.setdefault((one.points.path, lines or n), []).append(n)
+    pairs = [ones for ones in together.values() if len(ones) > 1]
+    if not pairs:
+        planner.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
+        return
+    names = join_names([curves[n].name for n in pairs[0]], 5)
+    answer = planner.settle("guide", "", f"{names} were tracked together")
+    if answer.text == "none":
+        return
+    guides = {n for ones in pairs for n in ones if f"-{curves[n].name}".endswith(f"-{answer.text}")}
+    if any(len(guides & {*ones}) != 1 or len(ones) != 2 for ones in pairs):
+        raise answer.error("guide", f"none, or one of {names}; two tools, of which one is the tip")
+    for tip, guide in pairs:
+        tip, guide = (guide, tip) if tip in guides else (tip, guide)
+        curves[tip].guide = curves[guide].line
+    curves[:] = [one for n, one in enumerate(curves) if n not in guides]
+
+
+def measure_depths(planner: "Planner") -> None:
+    """Take the path of each tip along the stage axis as its depth, from the first reading or the entry on."""
+    chord = sum(one.line[-1] - one.line[0] for one in planner.curves)
+    guess = format_direction(snap_to_axis(normalize(chord)))
+    pose = planner.settle("pose", guess, "the direction in which the tips run", "guess")
+    axis, entry = normalize(pose.to_vector("pose")), None
+    if "entry point" in planner.answers.stated:
+        entry = planner.settle("entry point").to_place("entry point")
+    for one in planner.curves:
+        assert one.readings is not None, "a track has readings"
+        depth = (one.line - (one.line[0] if entry is None else entry)) @ axis
+        kept = np.flatnonzero(depth >= 0)
+        one.points, one.readings = one.points.part(kept), replace(one.readings, depth=depth[kept], unit="mm")
+        one.guide = None if one.guide is None else one.guide[kept]
+    start = "the first reading" if entry is None else "the entry point"
+    planner.keep("depth", f"along {pose.text}", f"the path of the tip from {start} on", "assumption")
