@@ -103,7 +103,7 @@ def test_numbers_are_read_by_their_decimal_sign(text, decimal, value):
         ),
         *(("insertion_depth", "depth"), ("Tiefe [cm]", "depth"), ("profondeur", "depth"), ("深度", "depth")),
         *(("Probe", "specimen"), ("échantillon", "specimen"), ("muestra", "specimen"), ("样本", "specimen")),
-        *(("No.", "point number"), ("Kraft", ""), ("Schliff oben", "")),
+        *(("No.", "point number"), ("Zugversuch", ""), ("Schliff oben", "")),
     ],
 )
 def test_headers_are_known_in_five_languages(text, meaning):
@@ -332,7 +332,7 @@ def test_layouts_of_sheets_lose_nothing(tmp_path, layout):
     assert list(found) == list(SIDES)
     assert_same(found)
     assert {what for what, _ in content.unused} == LEFT_OUT[layout]
-    plan, made = planned([file], pose="1,0,0", bevel="0,1,0")
+    plan, made = planned([file], pose="1,0,0", bevel="0,1,0", bevel_angle="roll")
     assert [row.side for row in plan.rows] == [1, -1, 1]
     assert made["bevel side"][1] == "file" and made["units"] == ("mm", "file")
 
@@ -588,7 +588,7 @@ def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_pa
 def test_boundaries_are_stated_as_depths(tmp_path):
     file = write_long(tmp_path, NEEDLES)
     plan, _ = planned([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
-    assert plan.depths_mm == (15.5, 52.0)
+    assert plan.boundaries_mm == {"medium1": (15.5, 52.0)}
     assert [row.layers for row in plan.rows] == [3, 3, 2]
     assert {row.boundary_sd for row in plan.rows} == {0.3}
     assert planned([file], boundaries="15,52")[1]["boundary sd"] == ("0.5", "assumption")
@@ -786,7 +786,7 @@ def test_a_log_without_depth_or_a_depth_in_each_row_alone_is_asked_about(tmp_pat
         assert planned([tmp_path], observable="shapes")[0].pose == "free"
     assert planned([tmp_path], observable="tracks")[0].pose == "tracker"
     (tmp_path / "a.csv").write_text("\n".join(["time,x [mm],y [mm],z [mm]", *rows]))
-    assert "--columns" in refusal(DataError, "", planned, [tmp_path], observable="tracks").expected
+    assert planned([tmp_path], observable="tracks")[1]["depth"] == ("along 1,0,0", "assumption")
     assert planned([tmp_path], "depth=x [mm]", observable="tracks")[0].pose == "tracker"
 
 
@@ -865,14 +865,14 @@ def test_a_unit_may_stand_in_the_name_of_an_answer(tmp_path):
     setup = [["name", "value", "unit"], ["boundaries [cm]", "2; 4"], ["Needle_length (m)", 0.2, "m"]]
     file = write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)
     plan, made = planned([file])
-    assert plan.depths_mm == (20.0, 40.0) and plan.needle.length_mm == pytest.approx(200.0)
+    assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.length_mm == pytest.approx(200.0)
     assert "not used" not in made
     rows = ["boundaries [cm];2;4", "Nadeldurchmesser: 0,9 mm", "x [mm];y [mm];z [mm]"]
     rows += [";".join(f"{one:.3f}".replace(".", ",") for one in point) for point in CURVES[0]]
     (tmp_path / "above.csv").write_text("\n".join(rows))
     plan, made = planned([tmp_path / "above.csv"])
-    assert plan.depths_mm == (20.0, 40.0) and plan.needle.outer_diameter_mm == 0.9
-    assert made["boundaries"] == ("2; 4", "file") and "not used" not in made
+    assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.outer_diameter_mm == 0.9
+    assert made["boundaries"] == ("2; 4 cm", "file") and "not used" not in made
     file = write_sheets(tmp_path / "b.xlsx", points=points, setup=[*setup, ["point sd [mm]", 1, "cm"]])
     assert refusal(DataError, "one unit", planned, [file]).where.endswith("row 4, column 2")
 
@@ -905,15 +905,13 @@ def test_questions_are_asked_with_a_guess_and_faults_named_at_their_place(tmp_pa
     assert asked["modulus"] == "steel" and not {"inner diameter", "title"} & asked.keys()
     assert (plan.needle.youngs_modulus_gpa, plan.needle.outer_diameter_mm) == (200.0, 0.908)
     sources = {one.what: one.source for one in answers.made}
-    assert (sources["medium"], sources["point sd"]) == ("answer", "confirmed")
+    assert (sources["medium"], sources["point sd"]) == ("answer", "assumption")
     folded = NEEDLES[0].copy()
     folded[[6, 9]] = folded[[9, 6]]
     file = write_long(tmp_path, [folded])
-    answers = Answers()
-    content, plan = plan_import([file], answers)
-    (tmp_path / "made").mkdir()
-    error = refusal(DataError, "", write_plan, tmp_path / "made", content, plan, answers)
-    assert error.where == f"{file}:9"
+    error = refusal(DataError, "", planned, [file])
+    assert error.where == f"{file}:9" and "order=nearest" in error.fix
+    assert points_of([file], order="nearest")[0].lines[[6, 9]].tolist() == [11, 8]
 
 
 # ---- several files

@@ -23,6 +23,7 @@ from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.folders import replace_folder
+from needlefit.project.locate import join_names
 from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
 from needlefit.reporting.labels import GREY, INK
 
@@ -31,6 +32,7 @@ PICTURE_FILE = "import.png"
 MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
+MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists
 
 _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
@@ -80,13 +82,27 @@ def _format_point(point: Floats) -> str:
 
 
 def tabulate_decisions(answers: Answers) -> pd.DataFrame:
-    """Return one row for each decision: what, value, where it comes from, why."""
-    return pd.DataFrame(
-        [
-            {"decision": one.what, "value": one.value, "from": one.source, "why": one.reason}
-            for one in answers.made
-        ]
-    )
+    """Return one row for each decision: what, value, where it comes from, why.
+
+    What is not used of one kind has one row: all columns, and all rows of cells.
+    """
+    rows, unused = list[dict[str, str]](), dict[tuple[str, str], list[str]]()
+    for one in answers.made:
+        kind, _, name = one.value.partition(" ")
+        if one.what == "not used" and one.source == "file" and kind in ("column", "row"):
+            place = one.reason.rpartition(":")[0] or one.reason
+            names = unused.setdefault((kind, place), [])
+            if not names:
+                rows.append({"decision": one.what, "value": kind, "from": one.source, "why": place})
+            names += [name] if name not in names else []
+        else:
+            rows.append({"decision": one.what, "value": one.value, "from": one.source, "why": one.reason})
+    for row in rows:
+        if names := unused.get((row["value"], row["why"]), []) if row["decision"] == "not used" else []:
+            kind = row["value"] + "s" * (len(names) > 1)
+            count = f"{len(names)} " if row["value"] == "row" and len(names) > 1 else ""
+            row["value"] = f"{count}{kind} {join_names(names, MAX_LISTED_UNUSED)}"
+    return pd.DataFrame(rows)
 
 
 # ---- the picture

@@ -26,6 +26,12 @@ class Stated:
     unit: str = ""
     where: str = ""
 
+    @property
+    def shown(self) -> str:
+        """The text with the unit of its header, where it has none of its own."""
+        quantity = read_quantity(self.text)
+        return f"{self.text} {self.unit}".strip() if quantity and not quantity[1] else self.text
+
     def to_number(self, what: str, unit: str = "mm", usual: str = "", is_above: bool = False) -> float:
         """Return the number of at least 0, or above 0, in a unit; `usual`: of lengths without one.
 
@@ -144,7 +150,7 @@ class Answers:
             # a default that is taken as it is offered stays what it was: nobody has measured it
             source, reason = ("answer", "") if found.text else (source, reason)
         if not found.text and not guess:
-            fix = f"state it with {name_option(what)}"
+            fix = f"state {' or '.join(name_option(what, one) for one in choices or ('',))}"
             raise DataError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
         found = found if found.text else Stated(guess)
         if choices and found.text not in choices:
@@ -169,12 +175,15 @@ class Answers:
         missing = [name for name in own if name not in found]
         if not found:
             return dict.fromkeys(own, self.settle(what, **options))
-        if missing or what in self.options:
-            reason = f"not stated of {join_names(missing, 5)}"
-            answer = self.settle(what, "", reason)
-            return {name: answer if not missing or name in missing else found[name] for name in own}
-        texts = dict.fromkeys(f"{one.text} {one.unit}".strip() for one in found.values())
-        self.keep(what, ", ".join(texts), "a column or a label" if len(texts) == 1 else "each needle its own")
+        if not missing and what in self.options:
+            return dict.fromkeys(own, self.settle(what))
+        texts = ", ".join(dict.fromkeys(one.shown for one in found.values()))
+        self.keep(what, texts, f"stated of {'each needle' if not missing else join_names([*found], 5)}")
+        if missing:
+            answer = self.settle(what, "", f"not stated of {join_names(missing, 5)}")
+            return {name: found.get(name, answer) for name in own}
+        if what in self.setup and self.setup[what].shown != texts:
+            self.keep("not used", f"{what} = {self.setup[what].shown}", "each needle states its own")
         return {name: found[name] for name in own}
 
     def keep(self, what: str, value: str, reason: str = "", source: ImportSource = "file") -> None:

@@ -89,6 +89,8 @@ QUESTIONS = MappingProxyType(
 OPTIONS = (*[*QUESTIONS][:8], "point sd")  # with an option of their own; `--setup` states the others
 
 
-def name_option(what: str) -> str:
-    """Return the option that states something."""
-    return f"--{what.replace(' ', '-')}" if what in OPTIONS else f'--setup "{what}=VALUE"'
+def name_option(what: str, value: str = "") -> str:
+    """Return the option that states something, with a value if there is one."""
+    if what in OPTIONS:
+        return f"--{what.replace(' ', '-')} {value}".strip()
+    return f'--setup "{what}={value or "VALUE"}"'

@@ -17,7 +17,7 @@ _POINT_WORDS = ("needle", "tip", "depth", "deflection")
 _TRACKER_AXES = {"tx": "x", "ty": "y", "tz": "z"}  # as logs of trackers call them
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+", re.IGNORECASE)  # Latin and Chinese words part without a blank
 _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
-_INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
+INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
 _ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|°)$")
 _QUANTITY = re.compile(r"([-+]?\d+(?:[.,]\d*)?)\s*(\D*)")
@@ -83,7 +83,7 @@ def find_meaning(kind: str, text: str) -> str:
 
 def split_unit(text: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
-    text = _INDEX.sub(r" \1 ", text)
+    text = INDEX.sub(r" \1 ", text)
     bracket, ending = _BRACKET.search(text), _ENDING.search(text)
     inside = bracket[1] if bracket is not None else ""
     is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))

@@ -12,7 +12,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import TURN_COLUMNS
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, NeedleRow, Readings
+from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.datasets.importing.synonyms import (
+    INDEX,
     UNITS_MM,
     Header,
     find_meaning,
@@ -72,6 +74,7 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
     may stand in a row or in columns. DataError if a cell of a known column is not understood.
     """
     reader = _TableReader(cells, content)
+    curves = list(reader.read_curves())
     try:
         if not reader.heads and not reader.read_shared():
             reader.read_needles()
@@ -81,7 +84,6 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
         )
         content.unclear.append(error)
         return
-    curves = list(reader.read_curves())
     stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
     for one in curves:
         one.name = one.name or (f"{stem}-{next(unnamed)}" if len(curves) > 1 else stem)
@@ -110,7 +112,8 @@ class _TableReader:
         self.cells, self.content = cells, content
         self.heads: dict[int, list[_Group]] = {}  # the curves below each row of headers
         for n in range(len(cells.rows)):
-            if len(cells.filled(n)) > 1 and not cells.count_numbers(n):
+            is_units = all(find_meaning("unit", text.strip("[]() ")) for text in cells.rows[n] if text)
+            if len(cells.filled(n)) > 1 and not cells.count_numbers(n) and not is_units:
                 self.add_head(n)
         if not self.heads:  # --columns may number the columns of a table without headers
             self.add_head(-1)
@@ -256,7 +259,12 @@ class _TableReader:
             what = (
                 f"each row holds {len(names)} places: {names[0] or 'x, y, z'}, {names[1] or 'x, y, z'}, ..."
             )
-            raise UnclearLayoutError(what, where=self.cells.where(max(arrays[0], 0)))
+            raise UnclearLayoutError(
+                what,
+                where=self.cells.where(max(arrays[0], 0)),
+                expected=QUESTIONS["layout"].text,
+                fix="state --setup layout=rows or --setup layout=columns",
+            )
         if arrays and self.content.layout == "rows":
             for n in self.heads:
                 yield from self.read_rows(n)
@@ -270,10 +278,12 @@ class _TableReader:
         They stand beside times or names of needles, or their headers have indices in brackets.
         """
         groups = self.heads[n]
+        if len(groups) < MIN_POINTS:
+            return False
         stems = {re.sub(r"\d+", "#", one.name) for one in groups}
         beside = groups[0].find("time", "needle")
-        is_indexed = n >= 0 and "[" in split_unit(self.cells.cell(n, groups[0].columns[0]))[0]
-        return len(groups) >= MIN_POINTS and len(stems) == 1 and bool(beside or is_indexed)
+        is_indexed = INDEX.search(groups[0].headers[groups[0].columns[0]].text)
+        return len(stems) == 1 and bool(beside or is_indexed)
 
     def read_rows(self, head: int) -> Iterator[ImportedCurve]:
         """Yield the curves below a row of headers, each row of which holds all points of one needle."""
@@ -393,7 +403,8 @@ class _TableReader:
         for n in rows:
             filled = self.cells.filled(n)
             meanings = [one.meaning for _, one, _ in self.find_pairs(n, filled)]
-            is_of_all = {*meanings} <= {*SHARED_ANSWERS} and len({*meanings}) == len(meanings)
+            is_of_all = bool(meanings) and {*meanings} <= {*SHARED_ANSWERS}
+            is_of_all = is_of_all and len({*meanings}) == len(meanings)
             own = filled if is_of_all else [m for m in filled if m in group.span]
             for places, header, text in self.find_pairs(n, own):
                 stated[header.meaning] = Stated(text, header.unit, self.cells.where(n, places[-1]))
