@@ -23,7 +23,6 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_text_cells,
 )
-from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError

@@ -29,8 +29,7 @@ class Stated:
     @property
     def shown(self) -> str:
         """The text with the unit of its header, where it has none of its own."""
-        quantity = read_quantity(self.text)
-        return f"{self.text} {self.unit}".strip() if quantity and not quantity[1] else self.text
+        return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
 
     def to_number(self, what: str, unit: str = "mm", usual: str = "", is_above: bool = False) -> float:
         """Return the number of at least 0, or above 0, in a unit; `usual`: of lengths without one.

@@ -86,7 +86,12 @@ class Planner:
             self.keep("axes", axes, "", "assumption" if "columns" in axes else "file")
         is_track = self.settle_observable() == "tracks"
         self.convert_units()
-        sd = self.settle("point sd").to_number("point sd", is_above=True)
+        sds = self.each("point sd")
+        if other := next((one for one in sds if one.shown != sds[0].shown), None):
+            raise other.error(
+                "point sd", f"one value for all needles ({sds[0].shown}), or a column sd of points"
+            )
+        sd = sds[0].to_number("point sd", is_above=True)
         if is_track:
             pose, depths, rows = "tracker", self.settle_layers(), make_tracks(self)
         else:

@@ -48,7 +48,7 @@ QUESTIONS = MappingProxyType(
             "Standard deviation of the depths of the boundaries, mm", "mm", "0.5", "a ruler's", is_own=True
         ),
         "point sd": Question(
-            "Standard deviation of a point across the needle, mm", "mm", "0.1", "of a CT scan"
+            "Standard deviation of a point across the needle, mm", "mm", "0.1", "of a CT scan", is_own=True
         ),
         "pose shift sd": Question(
             "Standard deviation of the entry point per axis, mm", "mm", "", "that of a point", is_own=True

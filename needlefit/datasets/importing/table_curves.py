@@ -3,7 +3,7 @@
 import re
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count, product
+from itertools import count, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -224,7 +224,7 @@ class _TableReader:
         title such as `Needle 3`.
         """
         texts = {m: self.cells.rows[n][m].strip("#% ") for m in filled}
-        title = texts[filled[0]] if len(filled) == 1 else ""
+        title = texts[filled[0]] if len(filled) == 1 and not re.search("[:=：]", texts[filled[0]]) else ""
         if 1 < len(title.split()) <= MAX_TITLE_WORDS and find_meaning("column", title.split()[0]) == "needle":
             return [(list(filled), Header(title, "needle"), title)]
         head, *others = texts.values() or ("",)
@@ -458,10 +458,10 @@ class _TableReader:
     def read_sd(self, group: _Group, rows: Sequence[int]) -> Floats | None:
         """Return the standard deviation of each point (N,), in the unit of the coordinates.
 
-        None if the table states none.
+        None if the table states one value, or none.
         """
         columns = group.find("point sd")[:1]
-        if not columns or not any(self.cells.cell(n, columns[0]) for n in rows):
+        if len({self.cells.cell(n, m) for n in rows for m in columns}) < 2:
             return None
         unit, own = (group.headers[m].unit for m in (group.columns[0], columns[0]))
         if own not in ("", unit):
@@ -481,7 +481,7 @@ class _TableReader:
                 cells = {n: text for n in found.rows if (text := self.cells.cell(n, m))}
                 first = next(iter(cells), 0)
                 other = next((n for n, text in cells.items() if text != cells[first]), None)
-                if other is not None and meaning != "depth":  # which is then that of each reading
+                if other is not None and meaning not in ("depth", "point sd"):  # those of each reading
                     where = self.cells.where(other, m)
                     what = f"{meaning} is {cells[first][:40]!r} and {cells[other][:40]!r}"
                     fix = f"correct the cell; if other columns distinguish the needles, {COLUMNS_FIX}"
@@ -566,7 +566,8 @@ class _TableReader:
         for m in range(n + 1 + bool(units), len(self.cells.rows)):
             if name := self.cells.cell(m, keys[0]):
                 self.use(m, keys[0])
-                stated = self.read_attributes(_Found(group, (name,), rows=[m]))
+                others = replace(group, columns=tuple(sensor))
+                stated = self.read_attributes(_Found(others, (name,), rows=[m]))
                 sensors = [self.read_lengths(group, m, sensor)] if sensor else []
                 turns = [float(one) for one in self.read_lengths(group, m, depth)]
                 rolls = [stated.pop("bevel side", Stated("", "", self.cells.where(m))) for _ in turns]
@@ -609,7 +610,7 @@ class _TableReader:
         A column of numbers under a header that no language knows may hold something that matters.
         """
         cells, starts, content = self.cells, sorted(self.heads), self.content
-        for n, end in zip(starts, [*starts[1:], len(cells.rows)], strict=True):
+        for n, end in pairwise([*starts, len(cells.rows)]):
             for m, header in enumerate(self.heads[n][0].headers):
                 texts = {(k, m): cells.cell(k, m) for k in range(n + 1, end) if cells.cell(k, m)}
                 if not texts or texts.keys() & cells.used:

@@ -106,7 +106,9 @@ def read_text_cells(path: Path) -> CellTable:
     lines = _decode(read_bytes(path, MAX_TABLE_BYTES), path).splitlines()
     check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
     sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
-    scores = {layout: _score(sample, *layout) for layout in _LAYOUTS}
+    # a blank may stand in any text: it separates cells where no tab does
+    has_tabs = 2 * sum("\t" in line for line in sample) > len(sample)
+    scores = {one: _score(sample, *one) for one in _LAYOUTS if one[0] != " " or not has_tabs}
     separator, decimal = max(scores, key=lambda layout: scores[layout])
     rows = [_split(line, separator) for line in lines]
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
