@@ -88,12 +88,12 @@ class Planner:
         self.convert_units()
         sds = self.each("point sd")
         if other := next((one for one in sds if one.shown != sds[0].shown), None):
-            raise other.error(
-                "point sd", f"one value for all needles ({sds[0].shown}), or a column sd of points"
-            )
+            expected = f"{sds[0].shown}, as of the others, or a column sd beside the points"
+            raise other.error("point sd", expected)
         sd = sds[0].to_number("point sd", is_above=True)
         if is_track:
-            pose, depths, rows = "tracker", self.settle_layers(), make_tracks(self)
+            pose, rows = "tracker", make_tracks(self)
+            depths = self.settle_layers()
         else:
             self.settle_order()
             self.settle_frame()
@@ -103,8 +103,8 @@ class Planner:
             depths = self.settle_layers()
             rows = self.make_rows(poses, entries, sd, depths)
         if any(depths) or self.surfaces:
-            sds = [one.to_number("boundary sd") for one in self.each("boundary sd")]
-            rows = [replace(row, boundary_sd=own) for row, own in zip(rows, sds, strict=True)]
+            errors = [one.to_number("boundary sd") for one in self.each("boundary sd")]
+            rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
         needles = self.settle_needles(max(row.depth for row in rows))

@@ -181,12 +181,14 @@ class _TableReader:
         if len(with_x) == 1 and lacking and all("y" in axes for axes in lacking):
             for axes in lacking:
                 axes["x"] = found[with_x[0]]["x"]
+            if len(found[with_x[0]]) == 1:
+                del found[with_x[0]]
         tips = [m for what in ("depth", "deflection") for m, one in enumerate(headers) if one.meaning == what]
         if not found and len(tips) == 2:
             found[0, ""] = dict(zip("xy", tips, strict=True))
         alone = [headers[m].text for axes in found.values() if len(axes) == 1 for m in axes.values()]
         found = {key: axes for key, axes in found.items() if len(axes) > 1}
-        named = [headers[m].text for key, axes in found.items() for m in axes.values() if key not in with_x]
+        named = [headers[m].text for axes in found.values() for m in axes.values()]
         if twice := [text for text in alone if text in named]:
             what = f"two columns are called {twice[0]!r}, and only one of them has a partner"
             raise DataError(what, where=self.cells.where(max(n, 0)), expected="each once", fix=COLUMNS_FIX)

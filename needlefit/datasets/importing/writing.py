@@ -4,6 +4,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers
@@ -74,21 +76,31 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
     """Write a dataset of tip tracks."""
-    flat = not any(curve.line[:, 1].any() for curve in content.curves)
-    head, media = "id,medium,depth_mm,tip_mm,bevel_side", dict[str, object]()
-    lines = [f"{head}\n" if flat else f"{head},tip_z_mm\n"]
-    for row, curve in zip(plan.rows, content.curves, strict=True):
+    curves, media = content.curves, dict[str, object]()
+    flat = not any(curve.line[:, 1].any() for curve in curves)
+    is_guided = any(curve.guide is not None for curve in curves)
+    columns = ["id", "medium", "bevel_side", "depth_mm", "tip_mm", *["tip_z_mm"] * (not flat)]
+    columns += ["guide_mm", "guide_z_mm"][: 2 - flat] if is_guided else []
+    lines = [columns]
+    for row, curve in zip(plan.rows, curves, strict=True):
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
         layers = [*range(1, len(depths) + 2)]
         media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
         assert curve.readings is not None, "a track has readings"
-        for depth, (tip, across, _) in zip(curve.readings.depth, curve.line, strict=True):
-            line = f"{row.id},{row.medium},{depth:.4f},{tip:.4f},{row.side}"
-            lines.append(f"{line}\n" if flat else f"{line},{across:.4f}\n")
-    source = {"file": TRACKS_FILE, "constants": {"guide_mm": 0.0}}  # at rest
+        places = curve.line[:, : 2 - flat]
+        if is_guided:
+            guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
+            places = np.column_stack([places, guide[:, : 2 - flat]])
+        for depth, place in zip(curve.readings.depth, places, strict=True):
+            numbers = [f"{value:.4f}" for value in (depth, *place)]
+            lines.append([row.id, row.medium, f"{row.side}", *numbers])
+    source: dict[str, object] = {"file": TRACKS_FILE}
+    if not is_guided:
+        source["constants"] = {"guide_mm": 0.0}  # at rest
     tables = {"tip_tracks": source, "media": media}
     record = check_record(draft | tables, TrackDatasetRecord, folder)
-    (folder / TRACKS_FILE).write_bytes("".join(lines).encode("utf-8"))
+    text = "".join(f"{','.join(line)}\n" for line in lines)
+    (folder / TRACKS_FILE).write_bytes(text.encode("utf-8"))
     file = folder / "dataset.toml"
     file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))
     return file

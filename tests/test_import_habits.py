@@ -1,0 +1,319 @@
+"""Tables as laboratories write them: each is read as meant, asked about, or refused with what to write."""
+
+import numpy as np
+import pytest
+from import_cases import needle, plan_import
+from refusals import refusal
+from test_import import write_long, write_sheets
+
+from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.tables import UnclearLayoutError
+from needlefit.datasets.read import read
+from needlefit.errors import DataError
+from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.reporting.dataset_import import write_import
+
+NEEDLES = [needle(n, 16) for n in range(3)]
+
+
+def planned(paths, columns="", layout="", **options):
+    """Return what files hold, the plan, and the decisions by name: (value, source)."""
+    answers = Answers({key.replace("_", " "): value for key, value in options.items()})
+    from needlefit.datasets.importing.planning import Planner
+
+    content = read_content(paths, columns, layout)
+    plan = Planner(content, answers).make_plan()
+    return content, plan, {one.what: (one.value, one.source) for one in answers.made}
+
+
+def write_rows(path, rows):
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+    return path
+
+
+# ---- what is stated of needles in columns
+
+
+@pytest.mark.parametrize(
+    ("head", "cell", "what", "value"),
+    [
+        ("gauge", "22G", "outer_diameter_mm", GAUGES_MM[22]),
+        ("Außendurchmesser [mm]", "0.7", "outer_diameter_mm", 0.7),
+        ("calibre", "22", "outer_diameter_mm", GAUGES_MM[22]),
+        ("diámetro (mm)", "0.7", "outer_diameter_mm", 0.7),
+        ("直径 (mm)", "0.7", "outer_diameter_mm", 0.7),
+        ("inner diameter [mm]", "0.3", "inner_diameter_mm", 0.3),
+        ("Nadellänge [cm]", "20", "length_mm", 200.0),
+        ("longueur d'aiguille (mm)", "200", "length_mm", 200.0),
+        ("modulus (GPa)", "60", "youngs_modulus_gpa", 60.0),
+        ("E-Modul [MPa]", "60000", "youngs_modulus_gpa", 60.0),
+        ("needle material", "nitinol", "youngs_modulus_gpa", 60.0),
+        ("弹性模量 (GPa)", "60", "youngs_modulus_gpa", 60.0),
+    ],
+)
+def test_a_needle_is_stated_in_a_column(tmp_path, head, cell, what, value):
+    content, plan, made = planned([write_long(tmp_path, NEEDLES, head=[head], cells=[[cell]] * 3)])
+    assert getattr(plan.needle, what) == pytest.approx(value) and not plan.needles
+    assert not content.unused and "file" in {source for _, source in made.values()}
+
+
+def test_needles_that_differ_are_each_their_own(tmp_path):
+    cells = [["22G", "", "60"], ["18G", "", "60"], ["22G", "", "60"]]
+    file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
+    _, plan, made = planned([file], inner_diameter="0.2")
+    assert [row.needle for row in plan.rows] == ["needle1", "needle2", "needle1"]
+    diameters = {name: one.outer_diameter_mm for name, one in plan.needles.items()}
+    assert diameters == {"needle1": GAUGES_MM[22], "needle2": GAUGES_MM[18]}
+    assert {one.inner_diameter_mm for one in plan.needles.values()} == {0.2}
+    assert made["diameter"] == ("22G, 18G", "file") and made["inner diameter"][1] == "option"
+    answers = Answers()
+    write_import(tmp_path / "gel", *plan_import([file], answers), answers)
+    found = {one.id: one.needle.flexural_rigidity for one in read(tmp_path / "gel").insertions}
+    assert found["n2"] / found["n1"] == pytest.approx((GAUGES_MM[18] / GAUGES_MM[22]) ** 4)
+    cells[1][0] = ""
+    file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
+    assert "n2" in refusal(DataError, "diameter=", planned, [file]).what
+    assert planned([file], diameter="20G")[1].rows[1].needle == "needle2"
+
+
+@pytest.mark.parametrize("by", ["sheets", "columns", "two columns"])
+def test_a_boundary_may_differ_from_needle_to_needle(tmp_path, by):
+    depths = ["18", "19", "18"]
+    if by == "sheets":
+        sheets = {
+            f"n{n}": [["boundaries (mm)", float(depth)], ["x", "y", "z"], *curve.tolist()]
+            for n, (depth, curve) in enumerate(zip(depths, NEEDLES, strict=True))
+        }
+        file = write_sheets(tmp_path / "a.xlsx", **sheets)
+    elif by == "columns":
+        file = write_long(tmp_path, NEEDLES, head=["Grenztiefe"], cells=[[depth] for depth in depths])
+    else:
+        head, cells = ["boundary 1 [mm]", "boundary 2 [mm]"], [[depth, "40"] for depth in depths]
+        file = write_long(tmp_path, NEEDLES, head=head, cells=cells)
+    second = (40.0,) if by == "two columns" else ()
+    _, plan, made = planned([file])
+    assert [row.boundaries for row in plan.rows] == [(float(one), *second) for one in depths]
+    assert made["boundaries"][1] == "file" and plan.boundaries_mm == {"medium1": ()}
+    assert {row.layers for row in plan.rows} == {2 + len(second)}
+    answers = Answers()
+    write_import(tmp_path / "gel", *plan_import([file], answers), answers)
+    found = [one.boundaries.tolist() for one in read(tmp_path / "gel").insertions]
+    np.testing.assert_allclose(found, [[float(one), *second] for one in depths], atol=0.01)
+
+
+def test_boundaries_that_are_those_of_each_medium_are_stated_once(tmp_path):
+    cells = [["gel", "18"], ["fat", "20"], ["gel", "18"]]
+    _, plan, _ = planned([write_long(tmp_path, NEEDLES, head=["medium", "boundary"], cells=cells)])
+    assert plan.boundaries_mm == {"gel": (18.0,), "fat": (20.0,)}
+    assert {row.boundaries for row in plan.rows} == {None}
+
+
+def test_an_entry_and_a_direction_may_be_columns_of_each_needle(tmp_path):
+    head = [f"{what} {axis}" for what in ("entry", "direction") for axis in "xyz"]
+    cells = [["0", f"{3 * n}", "0", "1", "0", f"{0.01 * n}"] for n in range(3)]
+    content, plan, _ = planned([write_long(tmp_path, NEEDLES, head=head, cells=cells)], bevel="0,1,0")
+    assert [row.entry.tolist() for row in plan.rows] == [[0.0, 3.0 * n, 0.0] for n in range(3)]
+    assert plan.rows[2].direction[2] == pytest.approx(0.02, abs=1e-5) and not content.unused
+
+
+def test_a_column_of_deviations_is_that_of_each_point(tmp_path):
+    rows = [["needle", "x", "y", "z", "sd"]]
+    rows += [["a", *point, 0.1 + 0.01 * n] for n, point in enumerate(NEEDLES[0])]
+    content, _, made = planned([write_rows(tmp_path / "a.csv", rows)])
+    np.testing.assert_allclose(content.curves[0].points.sd, 0.1 + 0.01 * np.arange(16))
+    assert made["point sd"][1] == "assumption"
+    rows = [row[:-1] + [0.07] if n else row for n, row in enumerate(rows)]
+    content, plan, made = planned([write_rows(tmp_path / "a.csv", rows)])
+    assert content.curves[0].points.sd is None and plan.point_sd_mm == 0.07
+    assert made["point sd"] == ("0.07", "file")
+
+
+def test_a_column_of_numbers_that_no_language_knows_is_an_assumption_and_is_asked_about(tmp_path):
+    from needlefit.datasets.importing.files import read_asking
+
+    file = write_long(tmp_path, NEEDLES, head=["dicke", "wer"], cells=[["0.7", "me"]] * 3)
+    content, plan, made = planned([file])
+    assert [what for what, _ in content.unknown] == ["column dicke"]
+    assert made["not used"][0] == "column wer" and plan.needle.outer_diameter_mm == GAUGES_MM[18]
+    asked = []
+
+    def answer(question, guess, reason):
+        asked.append((guess, reason))
+        return "diameter"
+
+    content = read_asking([file], "", "", answer)
+    assert len(asked) == 1 and not content.unknown
+    assert {one.stated["diameter"].text for one in content.curves} == {"0.7"}
+    content, plan, made = planned([file], "diameter=dicke")
+    assert plan.needle.outer_diameter_mm == 0.7
+    assert not planned([file], "unrelated=dicke")[0].unknown
+
+
+# ---- bevel angles, pixels, order
+
+
+def test_a_bevel_angle_is_asked_about_unless_a_side_stands_beside_it(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["bevel angle (deg)"], cells=[["20"]] * 3)
+    fix = refusal(DataError, "bevel angle", planned, [file]).fix
+    assert "bevel angle=roll" in fix and "bevel angle=cut" in fix
+    assert "bevel side" not in planned([file], bevel_angle="cut")[2]
+    assert planned([file], bevel_angle="roll")[2]["bevel side"] == ("20 deg", "file")
+    head, cells = ["Schliffseite", "Schliffwinkel"], [["1", "20"], ["-1", "20"], ["1", "20"]]
+    file = write_long(tmp_path, NEEDLES, head=head, cells=cells)
+    _, plan, made = planned([file])
+    assert [row.side for row in plan.rows] == [1, -1, 1] and made["bevel angle"] == ("cut", "file")
+
+
+@pytest.mark.parametrize(
+    ("axes", "scale", "decimals"),
+    [("x y", 14.2, 1), ("u v", 4.0, 1), ("x[px] y[px]", 4.0, 1), ("x y", 4.0, 0)],
+)
+def test_pixels_are_no_millimetres(tmp_path, axes, scale, decimals):
+    points = (NEEDLES[0][:, :2] * scale).round(decimals)
+    file = write_rows(tmp_path / "a.csv", [["", *axes.split()], *([n, *p] for n, p in enumerate(points, 1))])
+    assert "--units" in refusal(DataError, "units", planned, [file]).fix
+    content, plan, made = planned([file], units=f"{1 / scale} mm")
+    assert plan.rows[0].depth == pytest.approx(60.02, abs=0.5) and made["units"][1] == "option"
+    assert content.unused == [("column 1", "a.csv:1")] and not content.unknown
+
+
+def test_points_out_of_order_are_sorted_where_that_is_stated(tmp_path):
+    order = np.random.default_rng(1).permutation(16)
+    order = np.concatenate([[0], order[order != 0]])
+    file = write_long(tmp_path, [NEEDLES[0][order], NEEDLES[1]])
+    fix = refusal(DataError, "goes back", planned, [file]).fix
+    assert "order=nearest" in fix and "--columns needle=" in fix
+    content, _, _ = planned([file], order="nearest")
+    for one, wanted in zip(content.curves, NEEDLES, strict=False):
+        np.testing.assert_allclose(one.line, wanted, atol=1e-6)
+
+
+# ---- layouts
+
+
+def test_a_table_of_slicer_is_in_ras_and_its_labels_name_needles_and_points(tmp_path):
+    rows = [["label", "r", "a", "s", "defined", "selected", "visible"]]
+    for n, one in enumerate(NEEDLES, 1):
+        rows += [[f"N{n}-{k}", -x, -y, z, 1, 1, 1] for k, (x, y, z) in enumerate(one, 1)]
+    content, plan, made = planned([write_rows(tmp_path / "a.csv", rows)])
+    assert [one.name for one in content.curves] == ["N1", "N2", "N3"] and made["frame"][0] == "LPS"
+    for one, wanted in zip(content.curves, NEEDLES, strict=True):
+        np.testing.assert_allclose(one.line, wanted)
+    rows = [rows[0], *([f"F-{n}", *row[1:]] for n, row in enumerate(rows[1:17], 1))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert '"point number=label"' in refusal(DataError, "", planned, [file]).fix
+    assert len(planned([file], "point number=label")[0].curves) == 1
+
+
+@pytest.mark.parametrize("head", [["x", "y1", "y2", "y3"], ["x [mm]", "y n1 [mm]", "y n2 [mm]", "y n3 [mm]"]])
+def test_needles_may_share_a_column_x(tmp_path, head):
+    ends = [16, 13, 10]
+    rows = [
+        [x, *(f"{one[n, 1]}" if n < end else "" for one, end in zip(NEEDLES, ends, strict=True))]
+        for n, x in enumerate(NEEDLES[0][:, 0])
+    ]
+    content, _, _ = planned([write_rows(tmp_path / "a.csv", [head, *rows])])
+    assert [len(one.line) for one in content.curves] == ends and not content.unused
+    for one, wanted in zip(content.curves, NEEDLES, strict=True):
+        np.testing.assert_allclose(one.line[:, 1], wanted[: len(one.line), 1])
+
+
+@pytest.mark.parametrize("kind", ["message", "markers", "named"])
+def test_all_points_of_a_needle_may_stand_in_a_row(tmp_path, kind):
+    curves = [one[:12] for one in NEEDLES]
+    path = "/needle/shape/poses[{}]/position/"
+    heads = {
+        "message": [["__time", *(path.format(n) + axis for n in range(12) for axis in "xyz")]],
+        "markers": [
+            ["Format Version", 1.23],
+            ["", "", *(f"needle:Marker {n:03}" for n in range(12) for _ in range(3))],
+            ["", "", *(["Position"] * 36)],
+            ["Frame", "Time (Seconds)", *("XYZ" * 12)],
+        ],
+        "named": [["needle", "bevel side", *(f"{axis}{n}" for n in range(1, 13) for axis in "xyz")]],
+    }[kind]
+    before = {"message": [[0.1], [0.2], [0.3]], "markers": [[1, 0.1], [2, 0.2], [3, 0.3]]}
+    before |= {"named": [["a", 1], ["b", -1], ["c", 1]]}
+    rows = [*heads, *([*own, *one.ravel()] for own, one in zip(before[kind], curves, strict=True))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert "layout=rows" in refusal(UnclearLayoutError, "", planned, [file]).fix
+    content, plan, made = planned([file], layout="rows")
+    assert made["layout"] == ("rows", "option") and made["units"][1] == "assumption"
+    for one, wanted in zip(content.curves, curves, strict=True):
+        np.testing.assert_allclose(one.line, wanted)
+    if kind == "named":
+        assert [(row.id, row.side) for row in plan.rows] == [("a", 1), ("b", -1), ("c", 1)]
+
+
+# ---- trackers
+
+
+def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
+    rows = [["time", *(f"T{i}{j}" for i in range(1, 5) for j in range(1, 5))]]
+    for n, (x, y, z) in enumerate(NEEDLES[0]):
+        rows.append([n, 1, 0, 0, 50 + z, 0, 1, 0, y, 0, 0, 1, -x, 0, 0, 0, 1])
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert "--observable" in refusal(DataError, "observable", planned, [file]).fix
+    content, plan, made = planned([file], observable="tracks")
+    assert made["pose"] == ("0,0,-1", "guess") and made["depth"][1] == "assumption"
+    np.testing.assert_allclose(content.curves[0].readings.depth, NEEDLES[0][:, 0], atol=1e-9)
+    assert np.ptp(content.curves[0].line[:, 0]) == pytest.approx(np.ptp(NEEDLES[0][:, 1]))
+    content, _, _ = planned([file], observable="tracks", entry_point="50,0,-10")
+    assert content.curves[0].readings.depth[0] == pytest.approx(2.0)  # readings before it are left out
+
+
+@pytest.mark.parametrize("guide", ["2", "none", "3"])
+def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
+    head = ["Frame", "Time", *["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"] * 2]
+    rows = [
+        [n, n / 60, 1, 0, 0, 0, x, y, z, 0.1, 1, 0, 0, 0, -20.0, 0.1 * n, 5.0, 0.1]
+        for n, (x, y, z) in enumerate(NEEDLES[0])
+    ]
+    file = write_rows(tmp_path / "log.csv", [head, *rows])
+    answers = {"observable": "tracks", "bevel": "0,1,0"}
+    refusal(DataError, "guide", planned, [file], **answers)
+    if guide == "3":
+        refusal(DataError, "guide", planned, [file], **answers, guide=guide)
+    if guide == "2":
+        content, _, made = planned([file], **answers, guide=guide)
+        assert len(content.curves) == 1 and made["guide"] == ("2", "option")
+        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16))
+        settled = Answers(answers | {"guide": guide})
+        write_import(tmp_path / "runs", *plan_import([file], settled), settled)
+        (run,) = read(tmp_path / "runs").insertions
+        np.testing.assert_allclose(run.guide, 0.1 * np.arange(16), atol=1e-4)
+
+
+def test_tips_alone_and_curvatures_alone_are_refused_in_one_line(tmp_path):
+    rows = [["needle", "depth", "deflection"], *([f"n{n}", 40 + 5 * n, 0.1 * n] for n in range(8))]
+    error = refusal(DataError, "8 needles", read_content, [write_rows(tmp_path / "a.csv", rows)])
+    assert "tips alone" in error.fix
+    rows = [["needle", "x", "y", "z"], *([f"n{n}", 40 + 5 * n, 0.1 * n, 0] for n in range(3))]
+    assert "tips alone" in refusal(DataError, "", read_content, [write_rows(tmp_path / "a.csv", rows)]).fix
+    rows = [["needle", "s (mm)", "kappa_y", "kappa_z", "sd"], ["a", 10, 0.001, 0, 1e-4]]
+    refusal(DataError, "curvatures", read_content, [write_rows(tmp_path / "a.csv", rows)])
+
+
+def test_sensors_may_be_placed_from_the_base(tmp_path):
+    write_long(tmp_path, NEEDLES[:1])
+    rows = [
+        ["needle", "sensor location from base [mm]", "curvature_x [1/m]", "curvature_y [1/m]", "sd [1/m]"]
+    ]
+    write_rows(tmp_path / "bragg.csv", [*rows, ["n1", 120, 2.0, 0.1, 0.05], ["n1", 150, 1.0, 0.2, 0.05]])
+    named = "curvature y=curvature_x [1/m],curvature z=curvature_y [1/m]"
+    answers = {"pose": "1,0,0", "bevel": "0,1,0", "needle_length": "165"}
+    assert "curvature z=" in refusal(DataError, "curvature z", planned, [tmp_path], **answers).fix
+    _, plan, _ = planned([tmp_path], named, **answers)
+    wanted = [[45.0, 2e-3, 1e-4, 5e-5], [15.0, 1e-3, 2e-4, 5e-5]]
+    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-12)
+
+
+def test_what_stands_above_the_first_block_holds_for_those_below(tmp_path):
+    rows = [["diameter", "0.7", "mm"], ["boundaries", "20", "mm"]]
+    for name, curve in zip("ab", NEEDLES, strict=False):
+        rows += [["needle", name], ["x [mm]", "y [mm]", "z [mm]"], *curve.tolist(), []]
+    rows.insert(len(rows) // 2 + 1, ["boundaries", "25", "mm"])
+    _, plan, _ = planned([write_rows(tmp_path / "a.csv", rows)])
+    assert plan.needle.outer_diameter_mm == 0.7 and not plan.needles
+    assert [row.boundaries for row in plan.rows] == [(20.0,), (25.0,)]
