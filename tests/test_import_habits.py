@@ -7,7 +7,8 @@ from refusals import refusal
 from test_import import write_long, write_sheets
 
 from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.files import read_asking, read_content
+from needlefit.datasets.importing.planning import Planner
 from needlefit.datasets.importing.tables import UnclearLayoutError
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
@@ -20,8 +21,6 @@ NEEDLES = [needle(n, 16) for n in range(3)]
 def planned(paths, columns="", layout="", **options):
     """Return what files hold, the plan, and the decisions by name: (value, source)."""
     answers = Answers({key.replace("_", " "): value for key, value in options.items()})
-    from needlefit.datasets.importing.planning import Planner
-
     content = read_content(paths, columns, layout)
     plan = Planner(content, answers).make_plan()
     return content, plan, {one.what: (one.value, one.source) for one in answers.made}
@@ -123,15 +122,13 @@ def test_a_column_of_deviations_is_that_of_each_point(tmp_path):
     content, _, made = planned([write_rows(tmp_path / "a.csv", rows)])
     np.testing.assert_allclose(content.curves[0].points.sd, 0.1 + 0.01 * np.arange(16))
     assert made["point sd"][1] == "assumption"
-    rows = [row[:-1] + [0.07] if n else row for n, row in enumerate(rows)]
+    rows = [[*row[:-1], 0.07] if n else row for n, row in enumerate(rows)]
     content, plan, made = planned([write_rows(tmp_path / "a.csv", rows)])
     assert content.curves[0].points.sd is None and plan.point_sd_mm == 0.07
     assert made["point sd"] == ("0.07", "file")
 
 
 def test_a_column_of_numbers_that_no_language_knows_is_an_assumption_and_is_asked_about(tmp_path):
-    from needlefit.datasets.importing.files import read_asking
-
     file = write_long(tmp_path, NEEDLES, head=["dicke", "wer"], cells=[["0.7", "me"]] * 3)
     content, plan, made = planned([file])
     assert [what for what, _ in content.unknown] == ["column dicke"]
@@ -196,7 +193,7 @@ def test_a_table_of_slicer_is_in_ras_and_its_labels_name_needles_and_points(tmp_
     rows = [["label", "r", "a", "s", "defined", "selected", "visible"]]
     for n, one in enumerate(NEEDLES, 1):
         rows += [[f"N{n}-{k}", -x, -y, z, 1, 1, 1] for k, (x, y, z) in enumerate(one, 1)]
-    content, plan, made = planned([write_rows(tmp_path / "a.csv", rows)])
+    content, _, made = planned([write_rows(tmp_path / "a.csv", rows)])
     assert [one.name for one in content.curves] == ["N1", "N2", "N3"] and made["frame"][0] == "LPS"
     for one, wanted in zip(content.curves, NEEDLES, strict=True):
         np.testing.assert_allclose(one.line, wanted)
@@ -255,7 +252,7 @@ def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
         rows.append([n, 1, 0, 0, 50 + z, 0, 1, 0, y, 0, 0, 1, -x, 0, 0, 0, 1])
     file = write_rows(tmp_path / "a.csv", rows)
     assert "--observable" in refusal(DataError, "observable", planned, [file]).fix
-    content, plan, made = planned([file], observable="tracks")
+    content, _, made = planned([file], observable="tracks")
     assert made["pose"] == ("0,0,-1", "guess") and made["depth"][1] == "assumption"
     np.testing.assert_allclose(content.curves[0].readings.depth, NEEDLES[0][:, 0], atol=1e-9)
     assert np.ptp(content.curves[0].line[:, 0]) == pytest.approx(np.ptp(NEEDLES[0][:, 1]))

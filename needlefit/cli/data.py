@@ -139,7 +139,8 @@ def import_data(
         screen.show_json({"dataset": str(out / "dataset.toml"), "insertions": rows, "decisions": made})
     else:
         count, assumed = len(dataset.insertions), sum(one.source == "assumption" for one in answers.made)
-        imported = f"{count} insertion{'s' * (count > 1)} imported; {assumed} values are assumptions"
+        imported = f"{count} insertion{'s' * (count > 1)} imported; "
+        imported += f"{assumed} value{'s are assumptions' if assumed != 1 else ' is an assumption'}"
         screen.print_line(f"{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
         screen.show_frame(decisions, "Decisions")
