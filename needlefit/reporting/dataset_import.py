@@ -1,5 +1,6 @@
 """Show what an import understood: a table of its needles, and a picture of them in both frames."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -89,8 +90,8 @@ def tabulate_decisions(answers: Answers) -> pd.DataFrame:
     rows, unused = list[dict[str, str]](), dict[tuple[str, str], list[str]]()
     for one in answers.made:
         kind, _, name = one.value.partition(" ")
-        if one.what == "not used" and one.source == "file" and kind in ("column", "row"):
-            place = one.reason.rpartition(":")[0] or one.reason
+        if one.what == "not used" and kind in ("column", "row"):
+            place = re.sub(r":\d+", "", one.reason, count=1)  # without the row
             names = unused.setdefault((kind, place), [])
             if not names:
                 rows.append({"decision": one.what, "value": kind, "from": one.source, "why": place})

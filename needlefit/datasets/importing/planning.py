@@ -75,9 +75,8 @@ class Planner:
         """
         for what, where in self.content.unused:
             if (what, where) in self.content.unknown:
-                column = what.removeprefix("column ")
-                reason = f"numbers under an unknown header: --columns MEANING={column}, or unrelated={column}"
-                self.keep("not used", f"{what} of {where}", reason, "assumption")
+                reason = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"
+                self.keep("not used", what, f"{where}: {reason}", "assumption")
             else:
                 self.keep("not used", what, where)
         if self.content.layout:
@@ -108,6 +107,10 @@ class Planner:
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
         needles = self.settle_needles(max(row.depth for row in rows))
+        if is_track and (other := next((n for n, one in enumerate(needles) if one != needles[0]), 0)):
+            what = f"the needle of {rows[other].id} is another one than that of {rows[0].id}"
+            fix = "import the runs of each needle by themselves"
+            raise DataError(what, where=self.curves[other].points.where(), expected="one needle", fix=fix)
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
 
