@@ -107,10 +107,11 @@ class Planner:
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
         needles = self.settle_needles(max(row.depth for row in rows))
-        if is_track and (other := next((n for n, one in enumerate(needles) if one != needles[0]), 0)):
-            what = f"the needle of {rows[other].id} is another one than that of {rows[0].id}"
-            fix = "import the runs of each needle by themselves"
-            raise DataError(what, where=self.curves[other].points.where(), expected="one needle", fix=fix)
+        own = [n for n, one in enumerate(needles) if one != needles[0]]
+        if is_track and own:
+            what = f"the needle of {rows[own[0]].id} is another one than that of {rows[0].id}"
+            where, fix = self.curves[own[0]].points.where(), "import the runs of each needle by themselves"
+            raise DataError(what, where=where, expected="one needle of all runs", fix=fix)
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
 
