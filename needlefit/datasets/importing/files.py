@@ -13,7 +13,7 @@ from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, parse_columns
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import find_meaning, list_meanings, read_header, split_unit
-from needlefit.datasets.importing.table_curves import read_table
+from needlefit.datasets.importing.table_reader import read_table
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,

@@ -65,6 +65,10 @@ class CellTable:
         place = f", sheet {self.sheet}, row {row + 1}" if self.sheet else f":{row + 1}"
         return f"{self.path}{place}{cell}"
 
+    def use(self, row: int, *columns: int) -> None:
+        """Mark cells of a row as used."""
+        self.used.update((row, column) for column in columns)
+
     def cell(self, row: int, column: int) -> str:
         """Return a cell; empty where its row ends before it."""
         return self.rows[row][column] if column < len(self.rows[row]) else ""

@@ -1,0 +1,64 @@
+"""Read one table: its curves, what it states of needles, and what of it is not used."""
+
+from collections.abc import Sequence
+from itertools import count, pairwise
+from pathlib import Path
+
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.synonyms import Header
+from needlefit.datasets.importing.table_curves import CurveReader
+from needlefit.datasets.importing.table_heads import NO_POINTS, find_heads
+from needlefit.datasets.importing.table_needles import read_needles, read_shared
+from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
+
+MAX_LISTED_CHARS = 200  # of an unused row
+
+
+def read_table(cells: CellTable, content: ImportContent) -> None:
+    """Add the curves in a table, or what it states of needles; curves without a name have that of the table.
+
+    A table of which nothing states which columns are coordinates is left out. UnclearLayoutError if a needle
+    may stand in a row or in columns. DataError if a cell of a known column is not understood.
+    """
+    heads = find_heads(cells, content)
+    headers = {n: groups[0].headers for n, groups in heads.items()}
+    curves = list(CurveReader(cells, content, heads).read())
+    try:
+        if not heads and not read_shared(cells, content):
+            group = read_needles(cells, content)
+            headers[group.row] = group.headers
+    except UnclearColumnsError as error:
+        name = f"sheet {cells.sheet}" if cells.sheet else f"file {cells.path.name}"
+        content.unused.append((name, error.what))
+        content.unclear.append(error)
+        return
+    stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
+    for one in curves:
+        one.name = one.name or (f"{stem}-{next(unnamed)}" if len(curves) > 1 else stem)
+    content.curves += curves
+    _add_unused(cells, content, headers)
+
+
+def _add_unused(cells: CellTable, content: ImportContent, heads: dict[int, Sequence[Header]]) -> None:
+    """Add what is not used: columns by their headers, and other cells by their rows.
+
+    A column of numbers under a header that no language knows may hold something that matters.
+    """
+    starts = sorted(heads)
+    for n, end in pairwise([*starts, len(cells.rows)]):
+        for m, header in enumerate(heads[n]):
+            texts = {(k, m): cells.cell(k, m) for k in range(n + 1, end) if cells.cell(k, m)}
+            if not texts or texts.keys() & cells.used:
+                continue
+            cells.used.update(texts)
+            one = f"column {header.text or m + 1}", Path(cells.where(max(n, 0))).name
+            content.unused.append(one)
+            numbers = [cells.number(text) for text in texts.values()]
+            is_known = bool(header.meaning) or header.group in NO_POINTS
+            is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
+            if not is_known and not is_count and None not in numbers:
+                content.unknown.append(one)
+    for n, row in enumerate(cells.rows):
+        if texts_left := [text for m, text in enumerate(row) if text and (n, m) not in cells.used]:
+            what = f"row {', '.join(texts_left)}"[:MAX_LISTED_CHARS]
+            content.unused.append((what, Path(cells.where(n)).name))
