@@ -260,6 +260,15 @@ def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
     assert content.curves[0].readings.depth[0] == pytest.approx(2.0)  # readings before it are left out
 
 
+def test_runs_of_other_needles_state_their_own(tmp_path):
+    rows = [["run", "depth", "deflection", "diameter (mm)"]]
+    rows += [[f"r{k}", x, 1e-3 * x**2, 0.5 + 0.1 * k] for k in range(2) for x in range(0, 60, 10)]
+    answers = Answers({"specimen": "one"})
+    write_import(tmp_path / "t", *plan_import([write_rows(tmp_path / "a.csv", rows)], answers), answers)
+    found = [one.needle.outer_diameter for one in read(tmp_path / "t").insertions]
+    assert found == pytest.approx([0.5, 0.6])
+
+
 @pytest.mark.parametrize("guide", ["2", "none", "3"])
 def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
     head = ["Frame", "Time", *["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"] * 2]

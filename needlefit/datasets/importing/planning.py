@@ -107,11 +107,6 @@ class Planner:
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
         needles = self.settle_needles(max(row.depth for row in rows))
-        own = [n for n, one in enumerate(needles) if one != needles[0]]
-        if is_track and own:
-            what = f"the needle of {rows[own[0]].id} is another one than that of {rows[0].id}"
-            where, fix = self.curves[own[0]].points.where(), "import the runs of each needle by themselves"
-            raise DataError(what, where=where, expected="one needle of all runs", fix=fix)
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
 

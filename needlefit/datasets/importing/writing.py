@@ -43,6 +43,8 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         "import": imported.model_dump(),
         **{what: one.text for what, one in answers.stated.items() if not QUESTIONS[what].is_asked},
     }
+    if plan.needles:
+        draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
     points = {one.name: one.points for one in content.curves}
     if plan.pose == "tracker":
         file = _write_tracks(folder, content, plan, draft)
@@ -53,8 +55,6 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
             medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
             for medium, depths in plan.boundaries_mm.items()
         }
-        if plan.needles:
-            draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
         beside = {"turns": "turns.csv"} if any(row.turns for row in plan.rows) else {}
         if any(row.curvature is not None for row in plan.rows):
             beside["curvature"] = "curvature.csv"
@@ -79,8 +79,9 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
     curves, media = content.curves, dict[str, object]()
     flat = not any(curve.line[:, 1].any() for curve in curves)
     is_guided = any(curve.guide is not None for curve in curves)
-    columns = ["id", "medium", "bevel_side", "depth_mm", "tip_mm", *["tip_z_mm"] * (not flat)]
+    columns = ["id", "medium", "needle", "bevel_side", "depth_mm", "tip_mm", *["tip_z_mm"] * (not flat)]
     columns += ["guide_mm", "guide_z_mm"][: 2 - flat] if is_guided else []
+    kept = [n for n, name in enumerate(columns) if name != "needle" or plan.needles]
     lines = [columns]
     for row, curve in zip(plan.rows, curves, strict=True):
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
@@ -93,13 +94,13 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
             places = np.column_stack([places, guide[:, : 2 - flat]])
         for depth, place in zip(curve.readings.depth, places, strict=True):
             numbers = [f"{value:.4f}" for value in (depth, *place)]
-            lines.append([row.id, row.medium, f"{row.side}", *numbers])
+            lines.append([row.id, row.medium, row.needle, f"{row.side}", *numbers])
     source: dict[str, object] = {"file": TRACKS_FILE}
     if not is_guided:
         source["constants"] = {"guide_mm": 0.0}  # at rest
     tables = {"tip_tracks": source, "media": media}
     record = check_record(draft | tables, TrackDatasetRecord, folder)
-    text = "".join(f"{','.join(line)}\n" for line in lines)
+    text = "".join(f"{','.join(line[n] for n in kept)}\n" for line in lines)
     (folder / TRACKS_FILE).write_bytes(text.encode("utf-8"))
     file = folder / "dataset.toml"
     file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))
