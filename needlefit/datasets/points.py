@@ -1,7 +1,7 @@
 """The points of a curve as they are in a file, before any check."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -25,6 +25,9 @@ class Points:
     # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
+    axes: str = ""  # names of its coordinates in the file; empty where their order alone tells them apart
+    # Fields of the file with a text for each point; a column may then tell several curves apart.
+    columns: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         lines = None if self.lines is None else self.lines[rows]

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,9 @@ FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
 FCSV_DEFINED = "2"  # status of a point that was placed
 MAX_FCSV_CHARS = 10_000  # of a line; longer cells are no numbers
 _FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
+
+# A label of a point that also names its needle: `N1-3`. No point before the number: `10.5` is a number.
+_LABEL = re.compile(r"(.*\S)\s*[-_ :/#]\s*(\d{1,6})")
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
@@ -192,7 +196,38 @@ def _read_curves(path: Path) -> ReadCurves:
             fix = "rename them in Slicer, and save them again"
             raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
     notes = [f"{unset} points without a position ignored"] if unset else []
-    return {one.name: one.as_curve() for one in curves}, notes
+    found: dict[str, Points] = {}
+    for one in curves:
+        whole, groups = one.as_curve(), _group_by_label(one)
+        for name, rows in groups.items():
+            title = name if len(curves) == 1 else f"{one.name}-{name}"
+            found[title] = whole.part(np.array(rows))
+        if groups:
+            counts = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
+            notes.append(f"points by their labels: {counts}")
+        else:
+            found[one.name] = whole
+    return found, notes
+
+
+def _group_by_label(markups: Markups) -> dict[str, list[int]]:
+    """Return the points of each needle in a list whose labels name needles; nothing of another list.
+
+    They do where all are a name and a number, as `N1-1`, `N1-2`, `N2-1`, and the numbers of every name begin
+    again: Slicer itself numbers all points of a list after one name.
+    """
+    matches = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
+    groups, numbers = dict[str, list[int]](), dict[str, list[int]]()
+    for row, match in enumerate(matches):
+        if match is None:
+            return {}
+        groups.setdefault(match[1], []).append(row)
+        numbers.setdefault(match[1], []).append(int(match[2]))
+    shared = Counter(number for own in numbers.values() for number in {*own})
+    is_named = markups.kind == "Fiducial" and 1 < len(groups) < len(matches)
+    is_unique = all(len({*own}) == len(own) for own in numbers.values())
+    is_again = all(max(shared[number] for number in own) > 1 for own in numbers.values())
+    return groups if is_named and is_unique and is_again else {}
 
 
 def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:
