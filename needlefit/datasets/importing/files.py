@@ -151,6 +151,9 @@ def _read_format(path: Path, content: ImportContent) -> None:
     found, remarks = format_.read_curves(path)
     unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
     readings = [text for text in remarks if not text.endswith(" ignored")]
+    texts: dict[str, set[str]] = {}  # what each field states, of any curve
+    for key, text in (pair for points in found.values() for pair in points.stated.items()):
+        texts.setdefault(key, set()).add(text)
     for name, points in found.items():
         unit, system = ("mm", "LPS") if format_.in_scan else (_read_unit(name, points), None)
         if points.columns:  # they may tell several needles apart
@@ -163,7 +166,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
             one = Stated(text, header.unit, f"{path}, field {key} of {name}")
             if text and header.meaning in ("needle", *ATTRIBUTES) and header.meaning not in stated:
                 stated[header.meaning] = one
-            elif text and header.meaning in SHARED_ANSWERS:
+            elif text and header.meaning in SHARED_ANSWERS and len(texts[key]) == 1:
                 add_stated(content.setup, {header.meaning: one})
             elif text and key.lower() not in UNIT_FIELDS:
                 unused[f"field {key}"] = None

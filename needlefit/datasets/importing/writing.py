@@ -1,16 +1,17 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
-from needlefit.datasets.faults import as_error
+from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.planning import ImportPlan
 from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.points import trace_fault
+from needlefit.datasets.points import Points, trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.project.folders import sha256
@@ -58,14 +59,20 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         curves = {name: one.to_columns() for name, one in points.items()}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
-    faults = [trace_fault(fault, points, folder) for fault in check(file)]
-    for n, fault in enumerate(faults):
-        if " goes back" in fault.what:  # points of several needles may have been taken for one
-            hint = "state the column that distinguishes needles with --columns needle=HEADER"
-            faults[n] = replace(fault, fix=f"{fault.fix}; or {hint}")
+    faults = [_trace_fault(fault, points, folder) for fault in check(file)]
     if faults:
         raise as_error(faults, content.files[0])
     return file
+
+
+def _trace_fault(fault: Fault, points: Mapping[str, Points], folder: Path) -> Fault:
+    """Return a fault of the dataset as one of the imported files, with a fix that works there."""
+    traced, curve = trace_fault(fault, points, folder)
+    # points of several needles may have been taken for one, where columns of a table tell them apart
+    if not fault.what.startswith("goes back") or curve is None or curve.lines is None:
+        return traced
+    hint = "state the column that distinguishes needles with --columns needle=HEADER"
+    return replace(traced, fix=f"{traced.fix}; or {hint}")
 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
