@@ -131,8 +131,15 @@ def test_empty_values_and_tables_of_version_7_3_are_no_numbers(tmp_path):
         file["T"] = np.array([[3707764736, 2, 1, 1, 1, 1]], dtype="u4")
         file["T"].attrs["MATLAB_object_decode"] = 3
     content = read_content([tmp_path / "a.mat"])
-    assert stated(content, "bevel") == [""] and stated(content, "T") == [""]
+    assert stated(content, "bevel") == [""] and unused(content) == {"variable T"}
     assert_same(content, CURVES[:1])
+
+
+def test_a_value_that_stands_nearer_to_a_curve_counts_and_the_other_one_is_named(tmp_path):
+    inner = {"points": CURVES[0], "depth": 60.0}
+    content = content_of(tmp_path, n1=inner, depth=10.0, meta={"who": "me"}, more={"who": "you"})
+    assert stated(content, "depth") == ["60"] and stated(content, "who") == ["me"]
+    assert unused(content) == {"field who", "variable depth", "variable more.who"}
 
 
 # ---- padding

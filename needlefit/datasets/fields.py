@@ -25,11 +25,14 @@ class FieldCurve:
     values: Floats  # (N, 3)
     stated: dict[str, str] = field(default_factory=dict)
     axes: str = ""  # names of its coordinates; empty where their order alone tells them apart
+    unit: str = ""  # at the end of names of its coordinates, or of its points
     columns: dict[str, list[str]] = field(default_factory=dict)  # fields with a text for each point
 
     def to_points(self, path: Path) -> Points:
         """Return the curve as one of a file."""
-        return Points(path, self.values, stated=self.stated, axes=self.axes, columns=self.columns)
+        return Points(
+            path, self.values, stated=self.stated, axes=self.axes, unit=self.unit, columns=self.columns
+        )
 
 
 Entries = list[list[FieldCurve]]  # the curves of each entry of a list or stack; of anything else one entry
@@ -93,12 +96,15 @@ class FieldReader:
         elif coordinates is not None:
             found[own[0]] = self._place_coordinates(name or "curve", coordinates, beside)
         self._collect_matrices(name, found, beside)
-        used = {key for one, entries in found.items() for key in _state(entries, beside | _name_unit(one))}
+        for key, entries in found.items():
+            for curve in (one for entry in entries for one in entry):
+                curve.unit = curve.unit or _find_unit(key)
+        used = {key for entries in found.values() for key in _state(entries, beside)}
         self.unused += [f"{name}_{key}".strip("_") for key in beside if found and key not in used]
         groups = [found[key] for key in parts if key in found]
-        return (
-            groups[0] if len(groups) == 1 else [[one for part in groups for entry in part for one in entry]]
-        )
+        if len(groups) == 1:
+            return groups[0]
+        return [[one for entries in groups for entry in entries for one in entry]]
 
     def _collect(
         self, name: str, parts: Mapping[str, object], found: dict[str, Entries], beside: dict[str, object]
@@ -162,17 +168,16 @@ def _state(entries: Entries, beside: Mapping[str, object]) -> Iterator[str]:
             (filled, of_all),
         ]
         ones, texts = next(((ones, texts) for ones, texts in choices if texts is not None), ([], []))
-        for entry, own in zip(ones, texts, strict=True):
-            for curve in entry:
-                curve.stated.setdefault(key.rpartition(".")[2], own)
-        if texts:
-            yield key
+        pairs = [(curve, own) for entry, own in zip(ones, texts, strict=True) for curve in entry]
+        kept = [curve.stated.setdefault(key.rpartition(".")[2], own) for curve, own in pairs]
+        if any(one == own for one, (_, own) in zip(kept, pairs, strict=True)):
+            yield key  # else what stands nearer to the curves states something else
 
 
-def _name_unit(key: str) -> dict[str, object]:
-    """Return the unit at the end of the name of a coordinate or of points."""
+def _find_unit(key: str) -> str:
+    """Return the unit at the end of the name of a coordinate or of points; empty if there is none."""
     match = _COORDINATE.fullmatch(key) or _UNIT_ENDING.fullmatch(key)
-    return {"units": match[2].lower()} if match and match[2] else {}
+    return match[2].lower() if match and match[2] else ""
 
 
 # ---- values
@@ -277,7 +282,7 @@ def _take_coordinates(fields: Mapping[str, object]) -> _Coordinates | None:
     """Return the curves of fields x, y and, if there is one, z; None where they are none."""
     found = sorted((match[1].lower(), key) for key in fields if (match := _COORDINATE.fullmatch(key)))
     keys = [key for _, key in found]
-    units = {str(_name_unit(key)) for key in keys}
+    units = {_find_unit(key) for key in keys}
     if "".join(axis for axis, _ in found) not in ("xy", "xyz") or len(units) > 1:
         return None
     columns = [_to_columns(fields[key]) for key in keys]

@@ -26,13 +26,15 @@ class Points:
     sd: NDArray[np.float64] | None = None
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
     axes: str = ""  # names of its coordinates in the file; empty where their order alone tells them apart
+    unit: str = ""  # that names in the file state; empty where they do not
     # Fields of the file with a text for each point; a column may then tell several curves apart.
     columns: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         lines = None if self.lines is None else self.lines[rows]
         sd = None if self.sd is None else self.sd[rows]
-        return replace(self, values=self.values[rows], lines=lines, sd=sd)
+        columns = {name: [texts[row] for row in rows] for name, texts in self.columns.items()}
+        return replace(self, values=self.values[rows], lines=lines, sd=sd, columns=columns)
 
     def scale(self, factor: float) -> "Points":
         """Return the points with their deviations in another unit."""

@@ -88,7 +88,10 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
         expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
-        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+        fix = (
+            f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a .jsonl file"
+        )
+        raise DataError("has no `markups`", where=str(path), expected=expected, fix=fix)
     schema = str(whole.get("@schema", SCHEMA))
     if not _SCHEMA.search(schema):
         what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
@@ -189,25 +192,23 @@ def _read_curves(path: Path) -> ReadCurves:
     lists = read_markups(path)
     unset = sum(len(one.unset) for one in lists)
     curves = [one for one in lists if one.kind in CURVE_KINDS] or lists  # another kind is refused by its name
-    names = [one.name for one in curves]
+    notes = [f"{unset} points without a position ignored"] if unset else []
+    named = list[tuple[str, Points]]()
+    for one in curves:
+        whole, groups = one.as_curve(), _group_by_label(one)
+        stem = "" if len(curves) == 1 else f"{one.name}-"
+        named += [(f"{stem}{name}", whole.part(np.array(rows))) for name, rows in groups.items()]
+        named += [] if groups else [(one.name, whole)]
+        if groups:
+            counts = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
+            notes.append(f"points by their labels: {counts}")
+    names = [name for name, _ in named]
     for name in names:
         if names.count(name) > 1:
             what = f"holds {names.count(name)} lists called `{name}`"
             fix = "rename them in Slicer, and save them again"
             raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
-    notes = [f"{unset} points without a position ignored"] if unset else []
-    found: dict[str, Points] = {}
-    for one in curves:
-        whole, groups = one.as_curve(), _group_by_label(one)
-        for name, rows in groups.items():
-            title = name if len(curves) == 1 else f"{one.name}-{name}"
-            found[title] = whole.part(np.array(rows))
-        if groups:
-            counts = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
-            notes.append(f"points by their labels: {counts}")
-        else:
-            found[one.name] = whole
-    return found, notes
+    return dict(named), notes
 
 
 def _group_by_label(markups: Markups) -> dict[str, list[int]]:

@@ -74,7 +74,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
     reader, beside = FieldReader(), dict[str, dict[str, Any]]()
     for curve in reader.find_curves("", variables):
         arrays[curve.name] = np.asarray(curve.values, np.float64)
-        beside[curve.name] = {"stated": curve.stated, "axes": curve.axes, "columns": curve.columns}
+        beside[curve.name] = {key: getattr(curve, key) for key in ("stated", "axes", "unit", "columns")}
     return list(variables), beside, reader.unused
 
 
@@ -108,7 +108,7 @@ def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no 
     if item.attrs.get("MATLAB_empty", 0):  # the file then holds the size alone
         return ""
     if "MATLAB_object_decode" in item.attrs:  # a table or another object, of which this is an address
-        return None
+        return np.void(b"")
     if item.dtype == object:
         return [_read_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
     if item.attrs.get("MATLAB_class") == b"char":

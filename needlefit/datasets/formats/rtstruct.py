@@ -48,7 +48,8 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
     if kind == RT_PLAN:
         raise DataError("is an RT plan, which is not read", where=path, expected=_EXPECTED, fix=_PLAN_FIX)
     if kind != STRUCTURE_SET:
-        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=_FIX)
+        fix = f"{_FIX}; scans are read by `needlefit reconstruct`"
+        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=fix)
     regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
     for region in file.get("ROIContourSequence") or ():
         number = int(region.ReferencedROINumber)

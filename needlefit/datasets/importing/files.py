@@ -148,6 +148,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
         fix = EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)
         raise DataError(what, where=str(path), expected=expected, fix=fix)
+    before = len(content.unused)
     found, remarks = format_.read_curves(path)
     unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
     readings = [text for text in remarks if not text.endswith(" ignored")]
@@ -173,12 +174,13 @@ def _read_format(path: Path, content: ImportContent) -> None:
         title = stated.pop("needle", Stated(name)).text
         content.curves.append(ImportedCurve(title, points, unit, system, stated, axes))  # type: ignore[arg-type]
     content.unused += [(what, path.name) for what in unused]
+    content.unused[before:] = dict.fromkeys(content.unused[before:])  # one line for the same of many needles
 
 
 def _read_unit(name: str, points: Points) -> str:
     """Return the unit that fields beside a curve state; DataError if they state several."""
-    texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS and text}
-    units = {find_meaning("unit", text) or text for text in texts}
+    texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS}
+    units = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
     if len(units) > 1:
         what = f"the unit of {name} is {' and '.join(sorted(units))}"
         raise DataError(
