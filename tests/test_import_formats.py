@@ -152,7 +152,7 @@ def test_padding_of_stacks_is_removed_and_counted(tmp_path, filler, order):
     assert_same(content)
     assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
     (remark,) = unused(content)
-    assert f"{2 + 3 + 4 + 5} rows" in remark and "4 curves" in remark
+    assert f"{2 + 3 + 4 + 5} rows" in remark and "4 curves of c" in remark
 
 
 def test_a_curve_that_is_one_point_shorter_than_the_longest_is_padded_too(tmp_path):
@@ -401,6 +401,19 @@ def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):
     file.write_text("\n".join(["run,depth [mm],deflection [mm]", *rows]))
     error = write_faulty(tmp_path, [file])
     assert error.where == f"{file}:12" and "tracks.csv" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("id,depth_mm,bevel_roll_deg\nq1,30,90\nq2,35,90\nq3,999,90\n", "turns.csv:4"),
+        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,0,1e-4\nq1,999,1e-3,0,1e-4\n", "curvature 2 of needle q1"),
+    ],
+)
+def test_faults_of_turns_and_curvatures_are_at_their_rows_too(tmp_path, text, place):
+    (tmp_path / "turns.csv").write_text(text)
+    paths = [CASES / "two_plane.csv", tmp_path / "turns.csv"]
+    assert write_faulty(tmp_path, paths, pose="1,0,0", bevel="0,1,0").where.endswith(place)
 
 
 # ---- many faults of one kind

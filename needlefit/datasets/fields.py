@@ -39,10 +39,11 @@ Entries = list[list[FieldCurve]]  # the curves of each entry of a list or stack;
 
 
 class FieldReader:
-    """Finds all curves in a value, and lists what of it is not used."""
+    """Finds all curves in a value, and lists what of it is not used; `noun`: what its fields are called."""
 
-    def __init__(self) -> None:
-        self.unused: list[str] = []  # names of fields that are no curves, and padding
+    def __init__(self, noun: str) -> None:
+        self.noun = noun
+        self.unused: list[str] = []
 
     def find_curves(self, name: str, value: object) -> list[FieldCurve]:
         """Return every array of shape (N, 3) or (3, N), N > 3, and every group of fields x, y and z.
@@ -81,7 +82,7 @@ class FieldReader:
             found = self._name_curves(name, [points])
         if any(found):
             return found
-        self.unused[unused:] = [name] if name else []  # one name for all that it holds
+        self.unused[unused:] = [f"{self.noun} {name}"] if name else []  # one name for all that it holds
         return []
 
     def _find_in_struct(self, name: str, fields: Mapping[str, object]) -> Entries:
@@ -100,7 +101,8 @@ class FieldReader:
             for curve in (one for entry in entries for one in entry):
                 curve.unit = curve.unit or _find_unit(key)
         used = {key for entries in found.values() for key in _state(entries, beside)}
-        self.unused += [f"{name}_{key}".strip("_") for key in beside if found and key not in used]
+        left = [f"{name}_{key}".strip("_") for key in beside if found and key not in used]
+        self.unused += [f"{self.noun} {key}" for key in left]
         groups = [found[key] for key in parts if key in found]
         if len(groups) == 1:
             return groups[0]
@@ -111,7 +113,7 @@ class FieldReader:
     ) -> None:
         """Add the curves in structs, lists and stacks to what is found, and everything else to `beside`."""
         for key, part in parts.items():
-            inner = FieldReader()
+            inner = FieldReader(self.noun)
             is_nested = isinstance(part, list | dict) or _to_stack(part) is not None
             if is_nested and any(entries := inner._find(f"{name}_{key}".strip("_"), part)):
                 found[key] = entries
@@ -151,7 +153,8 @@ class FieldReader:
         lost = [len(whole) - len(own) for whole, own in zip(curves, kept, strict=True)]
         if any(lost):
             padded = sum(count > 0 for count in lost)
-            self.unused.append(f"{name}: {sum(lost)} rows of padding at the end of {padded} curves")
+            rows = f"{sum(lost)} rows of NaN or zeros at the end of"
+            self.unused.append(f"{rows} {name if len(curves) == 1 else f'{padded} curves of {name}'}")
         numbered = [name] if len(curves) == 1 else [f"{name}_{n}" for n in range(1, len(curves) + 1)]
         return [[FieldCurve(*one)] if len(one[1]) else [] for one in zip(numbered, kept, strict=True)]
 

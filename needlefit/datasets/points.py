@@ -1,6 +1,5 @@
 """The points of a curve as they are in a file, before any check."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +11,6 @@ from needlefit.datasets.faults import Fault
 
 MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
 MIN_POINTS = 5  # fewer points are no curve
-_PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)|(?P<table>insertions|tracks))\.csv:(?P<line>\d+)$")
 
 
 @dataclass(frozen=True)
@@ -62,24 +60,3 @@ class Points:
             return []
         what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
         return [Fault(self.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
-
-
-def trace_fault(fault: Fault, curves: Mapping[str, Points], folder: Path) -> tuple[Fault, Points | None]:
-    """Return a fault of a dataset that was just written into `folder` as one of the files of its curves.
-
-    Also the curve that it is about; None if it is about none.
-    """
-    place = _PLACE.search(Path(fault.where).as_posix())
-    if place is None:
-        return replace(fault, where=fault.where.replace(f"{folder}/", "")), None
-    row = int(place["line"]) - 2  # below one header line, as the dataset was just written
-    if place["table"] == "tracks":
-        name, point = [(name, n) for name, one in curves.items() for n in range(len(one.values))][row]
-        prefix = ""  # it names the run
-    elif place["table"]:
-        name, point = [*curves][row], 0
-        prefix = f"curve {name}: "
-    else:
-        name, point = place["id"], row
-        prefix = f"curve {name} "
-    return replace(fault, where=curves[name].where(point), what=f"{prefix}{fault.what}"), curves[name]

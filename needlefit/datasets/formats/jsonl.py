@@ -23,12 +23,12 @@ def read_curves(path: Path) -> ReadCurves:
     """
     lines = [(f"{path}:{n}", line) for n, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
     objects = [_to_arrays(parse_json(line, where), where) for where, line in lines]
-    reader = FieldReader()
+    reader = FieldReader("field")
     curves = {one.name: one.to_points(path) for one in reader.find_curves("line", objects)}
     if not curves:
         expected = "points of a needle in each line, as N x 3 numbers, N > 3"
         raise DataError("holds no curve", where=str(path), expected=expected, fix=_FIX)
-    return curves, [f"field {name} ignored" for name in reader.unused]
+    return curves, [f"{one} ignored" for one in reader.unused]
 
 
 def _to_arrays(value: Any, where: str, depth: int = 0) -> object:  # noqa: ANN401 - whatever a line holds

@@ -24,7 +24,8 @@ MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple o
 READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, or fields x, y and z, entry first"
 ARRAYS_FIX = (
-    "save the points as one N x 3 array for each needle; of a table, table2struct(T, 'ToScalar', true)"
+    "save the points of each needle as one N x 3 array (z = 0 in a plane); "
+    "of a table, save table2struct(T, 'ToScalar', true)"
 )
 
 
@@ -50,7 +51,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
             fix=ARRAYS_FIX,
         )
     curves = {name: FieldCurve(name, array, **beside[name]).to_points(path) for name, array in found.items()}
-    return curves, [f"variable {name} ignored" for name in unused]
+    return curves, [f"{one} ignored" for one in unused]
 
 
 def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict[str, Any]], list[str]]:
@@ -71,7 +72,7 @@ def read_variables(arrays: Arrays, path: str) -> tuple[list[str], dict[str, dict
         opened: Any = BytesIO(data)  # which it takes, though its stubs do not state it
         variables = loadmat(opened, simplify_cells=True)
         variables = {key: value for key, value in variables.items() if not key.startswith("__")}
-    reader, beside = FieldReader(), dict[str, dict[str, Any]]()
+    reader, beside = FieldReader("variable"), dict[str, dict[str, Any]]()
     for curve in reader.find_curves("", variables):
         arrays[curve.name] = np.asarray(curve.values, np.float64)
         beside[curve.name] = {key: getattr(curve, key) for key in ("stated", "axes", "unit", "columns")}
