@@ -14,10 +14,12 @@ from scipy.io import savemat
 from needlefit.datasets.faults import Fault, as_error, merge_like
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.files import read_content
+from needlefit.datasets.importing.curves import SHARED_ANSWERS
+from needlefit.datasets.importing.files import WORKBOOK_FILE, read_content
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import read_surface
+from needlefit.project.locate import read_toml
 
 CASES = Path(__file__).with_name("imports")
 CURVES = [import_cases.needle(n, 16 - n) for n in range(4)]
@@ -223,6 +225,46 @@ def test_a_table_in_fields_is_read_as_a_table(tmp_path, shape):
     assert [one.name for one in content.curves] == ["n1", "n2", "n3", "n4"]
     assert_same(content)
     assert [one.stated["bevel side"].text.removesuffix(".0") for one in content.curves] == ["1", "-1"] * 2
+
+
+def as_variables(content, layout):
+    """Return the needles of the workbook, and what it states of them, as variables of MATLAB."""
+    curves = [one.points.values for one in content.curves]
+    facts = {"name": cells([one.name for one in content.curves])}
+    for key in ("bevel side", "depth"):
+        facts[key.replace(" ", "_")] = np.array([float(one.stated[key].text) for one in content.curves])
+    for key in ("medium", "specimen"):
+        facts[key] = cells([one.stated[key].text for one in content.curves])
+    setup = {key: content.setup[key].text for key in ("boundaries", "diameter", "modulus")}
+    stack = padded(curves, np.nan, max(map(len, curves)))
+    if layout == "cell":
+        return {"needles": cells(curves), "setup": setup, **facts}
+    if layout == "stack":
+        return {"needles": stack, **facts, **setup}
+    if layout == "matrices":
+        return {axis: stack[:, n] for n, axis in enumerate("xyz")} | facts | setup
+    if layout == "structs":
+        array = np.empty(len(curves), dtype=[(key, object) for key in ("points", *facts)])
+        array[:] = [*zip(curves, *facts.values(), strict=True)]
+        return {"needles": array, "setup": setup}
+    counts, points = [*map(len, curves)], np.concatenate(curves)
+    columns = {key: cells(np.repeat(values, counts)) for key, values in facts.items()}
+    return {"T": columns | {axis: points[:, n] for n, axis in enumerate("xyz")}, **setup}
+
+
+@pytest.mark.parametrize("layout", ["cell", "stack", "matrices", "structs", "table"])
+def test_the_needles_of_the_workbook_give_the_same_dataset_from_mat_files(tmp_path, layout):
+    content = read_content([WORKBOOK_FILE])
+    options = {key: one.text for key, one in content.setup.items() if key not in SHARED_ANSWERS}
+    savemat(tmp_path / "a.mat", as_variables(content, layout))
+    for name, file in (("one", WORKBOOK_FILE), ("other", tmp_path / "a.mat")):
+        answers = Answers(options | {"needle length": "150", "units": "mm"})
+        (tmp_path / name).mkdir()
+        write_plan(tmp_path / name, *plan_import([file], answers), answers)
+    one, other = (sorted((tmp_path / name).rglob("*.csv")) for name in ("one", "other"))
+    assert len(one) == 9 and [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+    needles = [read_toml(tmp_path / name / "dataset.toml")["needle"] for name in ("one", "other")]
+    assert needles[0] == needles[1]
 
 
 # ---- units
