@@ -200,9 +200,10 @@ def test_three_columns_of_x_and_y_are_three_needles_and_cells_of_vectors_too(tmp
 
 
 def test_x_and_y_beside_other_curves_are_no_needle(tmp_path):
-    content = content_of(tmp_path, needles=cells(CURVES), x=np.arange(50.0), y=np.arange(50.0))
-    assert_same(content)
-    assert unused(content) == {"variable x", "variable y"}
+    for needles, wanted in ((cells(CURVES), CURVES), (CURVES[0], CURVES[:1])):
+        content = content_of(tmp_path, needles=needles, x=np.arange(50.0), y=np.arange(50.0))
+        assert_same(content, wanted)
+        assert unused(content) == {"variable x", "variable y"}
 
 
 def table_fields():

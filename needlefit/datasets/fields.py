@@ -92,7 +92,8 @@ class FieldReader:
         coordinates = _take_coordinates(parts)
         own = () if coordinates is None else coordinates.keys
         self._collect(name, {key: part for key, part in parts.items() if key not in own}, found, beside)
-        if coordinates is not None and len(own) < 3 and found:  # x and y alone may be anything
+        is_other = bool(found) or any(to_points(part) is not None for part in beside.values())
+        if coordinates is not None and len(own) < 3 and is_other:  # x and y alone may be anything
             self._collect(name, {key: parts[key] for key in own}, found, beside)
         elif coordinates is not None:
             found[own[0]] = self._place_coordinates(name or "curve", coordinates, beside)
