@@ -345,7 +345,7 @@ def test_labels_of_one_list_name_needles():
     [
         (["F-1", "F-2", "F-3", "F-4", "F-5", "F-6"], [6]),
         (["A 1", "A 2", "A 3", "B 1", "B 2", "B 3"], [3, 3]),
-        (["A_1", "B_1", "A_2", "B_2", "A_3", "B_3"], [3, 3]),
+        (["A_1", "B_1", "A_2", "B_2", "A_3", "B_3"], [6]),
         (["N-1", "N-2", "N-3", "N-4", "N-5", "target-1"], [5, 1]),
         (["A-1", "A-2", "A-3", "B-4", "B-5", "B-6"], [6]),  # numbered as one needle
         (["A-1", "B-1", "C-1", "D-1", "E-1", "F-1"], [6]),
@@ -369,6 +369,18 @@ def test_labels_are_grouped_only_where_they_name_needles(tmp_path, labels, sizes
     found, remarks = find_format(file).read_curves(file)
     assert [len(one.values) for one in found.values()] == sizes
     assert len(remarks) == (len(sizes) > 1)
+
+
+@pytest.mark.parametrize(
+    "labels", [["entry-1", "entry-2", "tip-1", "tip-2"], ["N-1", "N-2", "N-3", "Ziel-1"]]
+)
+def test_labels_of_entries_and_tips_are_no_needles(tmp_path, labels):
+    one = import_cases.markups("F", CURVES[0][: len(labels)], "Fiducial")
+    for point, label in zip(one["controlPoints"], labels, strict=True):
+        point["label"] = label
+    (tmp_path / "F.mrk.json").write_text(json.dumps({"markups": [one]}))
+    error = refusal(DataError, "labels", read_content, [tmp_path])
+    assert labels[-1].partition("-")[0] in error.what and "N1-1" in error.expected
 
 
 def test_labels_of_an_open_curve_are_not_grouped(tmp_path):

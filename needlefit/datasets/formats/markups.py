@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -200,12 +201,12 @@ def _read_curves(path: Path) -> ReadCurves:
         named += [(f"{stem}{name}", whole.part(np.array(rows))) for name, rows in groups.items()]
         named += [] if groups else [(one.name, whole)]
         if groups:
-            counts = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
-            notes.append(f"points by their labels: {counts}")
-    names = [name for name, _ in named]
-    for name in names:
-        if names.count(name) > 1:
-            what = f"holds {names.count(name)} lists called `{name}`"
+            listed = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
+            notes.append(f"points by their labels: {listed}")
+    counts = Counter(name for name, _ in named)
+    for name, count in counts.most_common(1):
+        if count > 1:
+            what = f"holds {count} lists called `{name}`"
             fix = "rename them in Slicer, and save them again"
             raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
     return dict(named), notes
@@ -214,18 +215,18 @@ def _read_curves(path: Path) -> ReadCurves:
 def _group_by_label(markups: Markups) -> dict[str, list[int]]:
     """Return the points of each needle in a list whose labels name needles; nothing of another list.
 
-    They do where all are a name and a number, as `N1-1`, `N1-2`, `N2-1`, and the numbers of every name begin
-    again: Slicer itself numbers all points of a list after one name.
+    They do where all are a name and a number, as `N1-1`, `N1-2`, `N2-1`, the points of a name follow each
+    other, and its numbers begin again: Slicer itself numbers all points of a list after one name.
     """
-    matches = [_LABEL.fullmatch(label.strip()) for label in markups.labels]
-    groups, numbers = dict[str, list[int]](), dict[str, list[int]]()
-    for row, match in enumerate(matches):
-        if match is None:
-            return {}
-        groups.setdefault(match[1], []).append(row)
-        numbers.setdefault(match[1], []).append(int(match[2]))
+    matches = [match for label in markups.labels if (match := _LABEL.fullmatch(label.strip()))]
+    if markups.kind != "Fiducial" or len(matches) < len(markups.labels):
+        return {}
+    rows = range(len(matches))
+    runs = [(name, [*run]) for name, run in groupby(rows, lambda row: matches[row][1])]
+    groups = dict(runs)
+    numbers = {name: [int(matches[row][2]) for row in run] for name, run in runs}
     shared = Counter(number for own in numbers.values() for number in {*own})
-    is_named = markups.kind == "Fiducial" and 1 < len(groups) < len(matches)
+    is_named = 1 < len(groups) == len(runs) < len(matches)
     is_unique = all(len({*own}) == len(own) for own in numbers.values())
     is_again = all(max(shared[number] for number in own) > 1 for own in numbers.values())
     return groups if is_named and is_unique and is_again else {}

@@ -36,6 +36,7 @@ from needlefit.project.input_files import is_dir, is_file, path_exists
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAX_FILES, MAX_CURVES, MAX_NAME_CHARS = 2000, 2000, 60
+POINT_NAMES = ("entry", "target", "tip", "guide")  # what names points of needles, and no needle
 UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
 
 # What to export of files that are not read, by their endings.
@@ -44,7 +45,7 @@ _BAG_FIX = (
     "write the points of a topic as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
 )
 _MESH_FIX = (
-    "in ParaView: File, Save Data, CSV; then --columns Points:0,Points:1,Points:2. "
+    "in ParaView: File, Save Data, CSV, a needle a file; then --columns Points:0,Points:1,Points:2. "
     "A surface between layers: export it as STL"
 )
 EXPORT_FIXES = {
@@ -152,6 +153,11 @@ def _read_format(path: Path, content: ImportContent) -> None:
     found, remarks = format_.read_curves(path)
     unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
     readings = [text for text in remarks if not text.endswith(" ignored")]
+    wrong = [name for name in found if find_meaning("column", name.rpartition("-")[2]) in POINT_NAMES]
+    if wrong and readings:  # by their labels: `entry-1`, `tip-1`, `entry-2`
+        what, expected = f"labels name points: {', '.join(wrong)}", "labels of needles, as N1-1, N1-2, N2-1"
+        fix = "rename the points after their needles, from entry to tip; remove points of no needle"
+        raise DataError(what, where=str(path), expected=expected, fix=fix)
     texts: dict[str, set[str]] = {}  # what each field states, of any curve
     for key, text in (pair for points in found.values() for pair in points.stated.items()):
         texts.setdefault(key, set()).add(text)
