@@ -220,6 +220,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
+    from needlefit.datasets.faults import merge_like
     from needlefit.datasets.needles import describe_needles, tabulate_needles
     from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
@@ -249,7 +250,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
         count = len(faults) if dataset is None else len(dataset.insertions)
         counted = f"{count} {'fault' if dataset is None else 'insertion'}{'s' * (count != 1)} in {path}"
         screen.print_text(f"{counted}:" if dataset is None else f"{_judge(found.warnings)}: {counted}.")
-        for fault in faults:
+        for fault in merge_like(faults):
             screen.print_line(str(fault))
     screen.print_warnings(invocation, found.warnings, in_full=True)
     if dataset is not None and not invocation.json:

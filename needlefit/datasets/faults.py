@@ -1,10 +1,14 @@
 """Faults found in a dataset, and the error that lists them."""
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needlefit.errors import DataError, NeedlefitError
+
+MAX_LIKE_FAULTS, MAX_LISTED_PLACES = 3, 5  # faults of one kind that are listed one by one; places of more
+_PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
 
 
 @dataclass(frozen=True)
@@ -25,10 +29,38 @@ def from_error(error: NeedlefitError, where: str = "") -> Fault:
     return Fault(error.where or where, error.what, error.expected, error.fix)
 
 
+def merge_like(faults: Sequence[Fault]) -> list[Fault]:
+    """Return faults with many of one kind in one file as one: the first, a count, and places of others.
+
+    They are of one kind if the same is expected, and fixes them.
+    """
+    groups: dict[tuple[str, ...], list[Fault]] = {}
+    for n, one in enumerate(faults):
+        kind = (one.expected, one.fix) if one.expected or one.fix else (str(n),)
+        groups.setdefault((_PLACE.sub("", one.where), *kind), []).append(one)
+    return [one for group in groups.values() for one in _merge(group)]
+
+
+def _merge(group: Sequence[Fault]) -> Sequence[Fault]:
+    if len(group) <= MAX_LIKE_FAULTS:
+        return group
+    first, *others = group
+    places = [match["place"] for one in others if (match := _PLACE.search(one.where))]
+    is_placed = len({*places}) == len(others)
+    listed = (places if is_placed else [one.what for one in others])[:MAX_LISTED_PLACES]
+    if is_placed and all(place.isdecimal() for place in listed):
+        listed[0] = f"lines {listed[0]}"
+    more = ", ..." if len(others) > len(listed) else ""
+    return [
+        replace(first, what=f"{first.what}; and {len(others)} more of this kind: {', '.join(listed)}{more}")
+    ]
+
+
 def as_error(faults: Sequence[Fault], path: Path) -> DataError:
     """Return one error that lists all faults found in `path`."""
-    if len(faults) == 1:
-        fault = faults[0]
+    merged = merge_like(faults)
+    if len(merged) == 1:
+        (fault,) = merged
         return DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
-    listed = "\n".join(str(fault) for fault in faults)
+    listed = "\n".join(str(fault) for fault in merged)
     return DataError(f"has {len(faults)} faults\n{listed}", where=str(path))

@@ -238,7 +238,8 @@ def find_curve_faults(
     # farthest from it.
     end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
     span = max(float(np.linalg.norm(curve - end, axis=1).max()), SAME_POINT_MM)
-    for name, factor in LENGTH_UNITS.items():
+    back = find_backward_points(points.values)
+    for name, factor in LENGTH_UNITS.items() if not len(back) else ():  # else its length is not its span
         of_points = abs(span * factor / row.depth - 1) < UNIT_TOLERANCE
         if of_points or abs(factor * row.depth / span - 1) < UNIT_TOLERANCE:
             what = f"{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}: "
@@ -253,7 +254,6 @@ def find_curve_faults(
         where = points.where(int(repeated[0]) + 1)
         what = f"repeats the point before it{_describe_more(len(repeated))}"
         yield Fault(where, what, "points that differ", "remove the repeated points")
-    back = find_backward_points(points.values)
     if len(back):
         what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
         fix = "sort the points along the needle, and remove branches and loops"

@@ -1,7 +1,6 @@
 """The points of a curve as they are in a file, before any check."""
 
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from needlefit.datasets.faults import Fault
 
 MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
 MIN_POINTS = 5  # fewer points are no curve
-_PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
 
 
 @dataclass(frozen=True)
@@ -25,11 +23,16 @@ class Points:
     # (N,); standard deviation of each point across the curve, mm; None where the file has none.
     sd: NDArray[np.float64] | None = None
     stated: Mapping[str, str] = field(default_factory=dict)  # fields of the file beside it, as text
+    axes: str = ""  # names of its coordinates in the file; empty where their order alone tells them apart
+    unit: str = ""  # that names in the file state; empty where they do not
+    # Fields of the file with a text for each point; a column may then tell several curves apart.
+    columns: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         lines = None if self.lines is None else self.lines[rows]
         sd = None if self.sd is None else self.sd[rows]
-        return replace(self, values=self.values[rows], lines=lines, sd=sd)
+        columns = {name: [texts[row] for row in rows] for name, texts in self.columns.items()}
+        return replace(self, values=self.values[rows], lines=lines, sd=sd, columns=columns)
 
     def scale(self, factor: float) -> "Points":
         """Return the points with their deviations in another unit."""
@@ -57,14 +60,3 @@ class Points:
             return []
         what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
         return [Fault(self.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
-
-
-def trace_fault(fault: Fault, curves: Mapping[str, Points], folder: Path) -> Fault:
-    """Return a fault of a dataset that was just written into `folder` as one of the files of its curves."""
-    place = _PLACE.search(Path(fault.where).as_posix())
-    if place is None:
-        return replace(fault, where=fault.where.replace(f"{folder}/", ""))
-    row = int(place["line"]) - 2  # below one header line, as the dataset was just written
-    name, point = (place["id"], row) if place["id"] else (list(curves)[row], 0)
-    colon = "" if place["id"] else ":"
-    return replace(fault, where=curves[name].where(point), what=f"curve {name}{colon} {fault.what}")

@@ -458,7 +458,7 @@ def _find_run_faults(
         yield Fault(first, what, expected, "add the others, or leave the run out")
     for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
         what = f"run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm"
-        fix = "leave out what follows, or mark the run's readings with valid = 0"
+        fix = "leave out the readings that follow, or the run"
         yield Fault(places[n + 1], what, "depths that increase from reading to reading", fix)
     for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
         what = f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"

@@ -35,6 +35,11 @@ STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for
+_MESH_FIX = "export the surface again, as binary STL"
+_CLOUD_FIX = (
+    "points of a needle: save them as CSV with columns x, y, z, entry first; "
+    "points of a surface: make triangles of them (in MeshLab or Slicer)"
+)
 _SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
 
 COORDINATE_DECIMALS = 4  # coordinates are written to 1e-4 mm
@@ -91,7 +96,9 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
         raise _mesh_error(path, _describe_damage(data, ending)) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
-        raise _mesh_error(path, "holds no triangles")
+        counts = [int(count) for name, count in _ELEMENT.findall(data) if name == b"vertex"]
+        is_cloud = any(counts) if ending == ".ply" else ending == ".obj" and _OBJ_VERTEX.search(data)
+        raise _mesh_error(path, "holds no triangles", _CLOUD_FIX if is_cloud else _MESH_FIX)
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise _mesh_error(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
     if (np.abs(mesh.vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
@@ -137,9 +144,8 @@ def _describe_damage(data: bytes, ending: str) -> str:
     return "its lines are not those of an OBJ file of triangles"
 
 
-def _mesh_error(path: Path, what: str) -> DataError:
-    expected = "an STL, PLY or OBJ file of triangles, in mm"
-    return DataError(what, where=str(path), expected=expected, fix="export the surface again, as binary STL")
+def _mesh_error(path: Path, what: str, fix: str = _MESH_FIX) -> DataError:
+    return DataError(what, where=str(path), expected="an STL, PLY or OBJ file of triangles, in mm", fix=fix)
 
 
 def write_surface(surface: Surface, path: Path) -> None:

@@ -149,6 +149,7 @@ READERS: dict[str, Reader] = {
     "table": Reader(_import, seeds.import_tables, 30),
     "workbook": Reader(_import, seeds.workbooks, SLOWEST),
     "structure_set": Reader(_import, seeds.structure_sets, SLOWEST),
+    "json_lines": Reader(_import, seeds.json_lines),
     "mat": Reader(_import, seeds.matlab, SLOWEST),
     "volume": Reader(READ_VOLUME, seeds.volumes, NATIVE, packed=True),
     "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),

@@ -90,6 +90,7 @@ def markups() -> list[Seed]:
     return [
         *(saved("curve.mrk.json", save, markup(kind, points=points)) for kind in ("Curve", "Fiducial")),
         *(one_file("curve.fcsv", text) for text in tables),
+        one_file("labels.mrk.json", (CASES / "labels.mrk.json").read_bytes()),
     ]
 
 
@@ -117,9 +118,12 @@ def matlab() -> list[Seed]:
     cells = np.empty(2, dtype=object)
     cells[:] = [curve, curve + 1.0]
     nested = {"curve": curve, "cell": cells, "s": {"a": curve, "name": "needle"}, "n": 3}
+    fields = {axis: np.tile(curve[:, n], 2) for n, axis in enumerate("xyz")}
+    table = {"T": {**fields, "needle": np.repeat([1.0, 2.0], len(curve))}}
+    stack = np.dstack([curve, np.vstack([curve[:-4] + 1.0, np.zeros((4, 3))])])
 
-    def five(path: Path, compressed: bool) -> None:
-        savemat(path, nested, do_compression=compressed)
+    def five_of(path: Path, variables: Mapping[str, object], compressed: bool = False) -> None:
+        savemat(path, variables, do_compression=compressed)
         # scipy writes the time into the first 116 bytes
         path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + path.read_bytes()[116:])
 
@@ -137,9 +141,20 @@ def matlab() -> list[Seed]:
     name = "curve.mat"
     return [
         saved(name, savemat, {"curve": curve}, format="4"),
-        *(saved(name, five, compressed) for compressed in (False, True)),
+        *(saved(name, five_of, nested, compressed) for compressed in (False, True)),
         saved(name, hdf),
+        saved(name, five_of, {"c": stack, "side": [1.0, -1.0], "unit": "mm"}),
+        saved(name, five_of, table),
+        one_file(name, (CASES / "needles_v73.mat").read_bytes()),
         *(one_file(name, path.read_bytes()) for path in sorted(CORPUS.glob("*.mat"))),
+    ]
+
+
+def json_lines() -> list[Seed]:
+    points = "".join(f'{{"needle": "a", "x": {x}, "y": 0, "z": {x * x / 2000}}}\n' for x in range(0, 60, 4))
+    return [
+        one_file("a.jsonl", (CASES / "shapes.jsonl").read_bytes()),
+        one_file("a.jsonl", points),
     ]
 
 

@@ -3,8 +3,10 @@
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,9 @@ FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
 FCSV_DEFINED = "2"  # status of a point that was placed
 MAX_FCSV_CHARS = 10_000  # of a line; longer cells are no numbers
 _FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
+
+# A label of a point that also names its needle: `N1-3`. No point before the number: `10.5` is a number.
+_LABEL = re.compile(r"(.*\S)\s*[-_ :/#]\s*(\d{1,6})")
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
@@ -84,7 +89,10 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
         expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
-        raise DataError("has no `markups`", where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+        fix = (
+            f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a .jsonl file"
+        )
+        raise DataError("has no `markups`", where=str(path), expected=expected, fix=fix)
     schema = str(whole.get("@schema", SCHEMA))
     if not _SCHEMA.search(schema):
         what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
@@ -185,14 +193,43 @@ def _read_curves(path: Path) -> ReadCurves:
     lists = read_markups(path)
     unset = sum(len(one.unset) for one in lists)
     curves = [one for one in lists if one.kind in CURVE_KINDS] or lists  # another kind is refused by its name
-    names = [one.name for one in curves]
-    for name in names:
-        if names.count(name) > 1:
-            what = f"holds {names.count(name)} lists called `{name}`"
+    notes = [f"{unset} points without a position ignored"] if unset else []
+    named = list[tuple[str, Points]]()
+    for one in curves:
+        whole, groups = one.as_curve(), _group_by_label(one)
+        stem = "" if len(curves) == 1 else f"{one.name}-"
+        named += [(f"{stem}{name}", whole.part(np.array(rows))) for name, rows in groups.items()]
+        named += [] if groups else [(one.name, whole)]
+        if groups:
+            listed = ", ".join(f"{name} ({len(rows)})" for name, rows in groups.items())
+            notes.append(f"points by their labels: {listed}")
+    counts = Counter(name for name, _ in named)
+    for name, count in counts.most_common(1):
+        if count > 1:
+            what = f"holds {count} lists called `{name}`"
             fix = "rename them in Slicer, and save them again"
             raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
-    notes = [f"{unset} points without a position ignored"] if unset else []
-    return {one.name: one.as_curve() for one in curves}, notes
+    return dict(named), notes
+
+
+def _group_by_label(markups: Markups) -> dict[str, list[int]]:
+    """Return the points of each needle in a list whose labels name needles; nothing of another list.
+
+    They do where all are a name and a number, as `N1-1`, `N1-2`, `N2-1`, the points of a name follow each
+    other, and its numbers begin again: Slicer itself numbers all points of a list after one name.
+    """
+    matches = [match for label in markups.labels if (match := _LABEL.fullmatch(label.strip()))]
+    if markups.kind != "Fiducial" or len(matches) < len(markups.labels):
+        return {}
+    rows = range(len(matches))
+    runs = [(name, [*run]) for name, run in groupby(rows, lambda row: matches[row][1])]
+    groups = dict(runs)
+    numbers = {name: [int(matches[row][2]) for row in run] for name, run in runs}
+    shared = Counter(number for own in numbers.values() for number in {*own})
+    is_named = 1 < len(groups) == len(runs) < len(matches)
+    is_unique = all(len({*own}) == len(own) for own in numbers.values())
+    is_again = all(max(shared[number] for number in own) > 1 for own in numbers.values())
+    return groups if is_named and is_unique and is_again else {}
 
 
 def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:

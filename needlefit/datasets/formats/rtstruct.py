@@ -17,9 +17,11 @@ from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_proce
 MAX_FILE_BYTES = 64 * 2**20
 READ_BYTES_PER_SECOND = 2**20
 STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"  # SOP class of RT structure sets
+RT_PLAN = "1.2.840.10008.5.1.4.1.1.481.5"  # SOP class of RT plans, brachytherapy among them
 OPEN_KINDS = ("OPEN_PLANAR", "OPEN_NONPLANAR")
 _EXPECTED = "an RT structure set with open contours"
 _FIX = "export the needles as open contours, from entry to tip"
+_PLAN_FIX = f"{_FIX}, or the channels as a CSV file with columns channel, x, y, z"
 
 
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
@@ -42,8 +44,12 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
     names: list[str] = []
     left: list[str] = []
     file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
-    if file.get("SOPClassUID") != STRUCTURE_SET:
-        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=_FIX)
+    kind = file.get("SOPClassUID")
+    if kind == RT_PLAN:
+        raise DataError("is an RT plan, which is not read", where=path, expected=_EXPECTED, fix=_PLAN_FIX)
+    if kind != STRUCTURE_SET:
+        fix = f"{_FIX}; scans are read by `needlefit reconstruct`"
+        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=fix)
     regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
     for region in file.get("ROIContourSequence") or ():
         number = int(region.ReferencedROINumber)

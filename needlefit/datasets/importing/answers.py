@@ -176,8 +176,10 @@ class Answers:
             return dict.fromkeys(own, self.settle(what, **options))
         if not missing and what in self.options:
             return dict.fromkeys(own, self.settle(what))
-        texts = ", ".join(dict.fromkeys(one.shown for one in found.values()))
-        self.keep(what, texts, f"stated of {'each needle' if not missing else join_names([*found], 5)}")
+        own_texts = dict.fromkeys(one.shown for one in found.values())
+        texts = ", ".join(own_texts)
+        whose = "each needle" if not missing else join_names([*found], 5)
+        self.keep(what, texts, f"stated of {whose}" + ("; they differ" if len(own_texts) > 1 else ""))
         if missing:
             answer = self.settle(what, "", f"not stated of {join_names(missing, 5)}")
             return {name: found.get(name, answer) for name in own}

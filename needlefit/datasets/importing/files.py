@@ -8,7 +8,6 @@ from pathlib import Path
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import FORMATS, find_format
-from needlefit.datasets.formats.mat import NAMED_FIELDS
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, parse_columns
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
@@ -23,7 +22,7 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_text_cells,
 )
-from needlefit.datasets.points import MIN_POINTS
+from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
@@ -35,6 +34,22 @@ WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
 MAX_FILES, MAX_CURVES, MAX_NAME_CHARS = 2000, 2000, 60
 LAYOUTS = ("rows", "columns")
+POINT_NAMES = ("entry", "target", "tip", "guide")  # what names points of needles, and no needle
+UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
+
+# What to export of files that are not read, by their endings.
+EXPORT_FIX = "export the points to one of these; scans are read by `needlefit reconstruct`"
+_BAG_FIX = (
+    "write the points of a topic as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
+)
+_MESH_FIX = (
+    "in ParaView: File, Save Data, CSV, a needle a file; then --columns Points:0,Points:1,Points:2. "
+    "A surface between layers: export it as STL"
+)
+EXPORT_FIXES = {
+    **dict.fromkeys((".bag", ".db3", ".mcap"), _BAG_FIX),
+    **dict.fromkeys((".vtk", ".vtp", ".vtu"), _MESH_FIX),
+}
 
 
 def read_content(
@@ -196,24 +211,58 @@ def _read_format(path: Path, content: ImportContent) -> None:
     format_ = find_format(path)
     if format_ is None or format_.read_curves is None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
-        fix = "export the points to one of these; scans are read by `needlefit reconstruct`"
+        fix = EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)
         raise DataError(what, where=str(path), expected=expected, fix=fix)
+    before = len(content.unused)
     found, remarks = format_.read_curves(path)
-    unused = dict.fromkeys(remark.removesuffix(" ignored") for remark in remarks)
+    unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
+    readings = [text for text in remarks if not text.endswith(" ignored")]
+    wrong = [name for name in found if find_meaning("column", name.rpartition("-")[2]) in POINT_NAMES]
+    if wrong and readings:  # by their labels: `entry-1`, `tip-1`, `entry-2`
+        what, expected = f"labels name points: {', '.join(wrong)}", "labels of needles, as N1-1, N1-2, N2-1"
+        fix = "rename the points after their needles, from entry to tip; remove points of no needle"
+        raise DataError(what, where=str(path), expected=expected, fix=fix)
     for name, points in found.items():
-        is_named = format_.in_scan or NAMED_FIELDS in points.stated
-        axes = "x, y, z" if is_named else "columns 1, 2, 3"
+        unit, system = ("mm", "LPS") if format_.in_scan else (_read_unit(name, points), None)
+        if points.columns:  # they may tell several needles apart
+            read_table(_to_table(name, points, unit), content)
+            continue
+        axes = "; ".join([points.axes or ("x, y, z" if format_.in_scan else "columns 1, 2, 3"), *readings])
         stated = dict[str, Stated]()
         for key, text in points.stated.items():
             header = read_header(key)
+            one = Stated(text, header.unit, f"{path}, field {key} of {name}")
             if text and header.meaning in ("needle", *ATTRIBUTES) and header.meaning not in stated:
-                stated[header.meaning] = Stated(text, header.unit, f"{path}, field {key} of {name}")
-            elif text:
+                stated[header.meaning] = one
+            elif text and key.lower() not in UNIT_FIELDS:
                 unused[f"field {key}"] = None
         title = stated.pop("needle", Stated(name)).text
-        unit, system = ("mm", "LPS") if format_.in_scan else ("", None)
         content.curves.append(ImportedCurve(title, points, unit, system, stated, axes))  # type: ignore[arg-type]
     content.unused += [(what, path.name) for what in unused]
+    content.unused[before:] = dict.fromkeys(content.unused[before:])  # one line for the same of many needles
+
+
+def _read_unit(name: str, points: Points) -> str:
+    """Return the unit that fields beside a curve state; DataError if they state several."""
+    texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS}
+    units = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
+    if len(units) > 1:
+        what = f"the unit of {name} is {' and '.join(sorted(units))}"
+        raise DataError(
+            what, where=str(points.path), expected="one unit", fix="correct the field of the unit"
+        )
+    return units.pop() if units else ""
+
+
+def _to_table(name: str, points: Points, unit: str) -> CellTable:
+    """Return points and the columns beside them as a table below what is stated of all."""
+    axes = [axis for axis in "xyz" if axis in points.axes.partition(";")[0]]
+    above = [[key, text] for key, text in points.stated.items() if key.lower() not in UNIT_FIELDS]
+    head = [f"{axis} [{unit}]" if unit else axis for axis in axes] + [*points.columns]
+    numbers = points.values[:, : len(axes)].tolist()
+    beside = zip(*points.columns.values(), strict=True)
+    body = [[*map(repr, row), *texts] for row, texts in zip(numbers, beside, strict=True)]
+    return CellTable(points.path, [*above, [], head, *body], name)
 
 
 def _read_workbook(path: Path, content: ImportContent) -> None:

@@ -1,18 +1,19 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
-from needlefit.datasets.faults import as_error
+from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.planning import ImportPlan
 from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.points import trace_fault
 from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.project.folders import sha256
@@ -20,8 +21,16 @@ from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
 
-TRACKS_FILE = "tracks.csv"
+TRACKS_FILE, TURNS_FILE, CURVATURE_FILE = "tracks.csv", "turns.csv", "curvature.csv"
 _NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
+
+
+class _Place(NamedTuple):
+    """Where in the imported files a written row comes from."""
+
+    where: str
+    subject: str = ""  # what a fault of the row begins with
+    is_table: bool = False  # whether columns stand there
 
 
 def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Path:
@@ -55,23 +64,55 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
             medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
             for medium, depths in plan.boundaries_mm.items()
         }
-        beside = {"turns": "turns.csv"} if any(row.turns for row in plan.rows) else {}
+        beside = {"turns": TURNS_FILE} if any(row.turns for row in plan.rows) else {}
         if any(row.curvature is not None for row in plan.rows):
-            beside["curvature"] = "curvature.csv"
+            beside["curvature"] = CURVATURE_FILE
         draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
         draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(content.files[0]))
         curves = {name: one.to_columns() for name, one in points.items()}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
-    faults = [trace_fault(fault, points, folder) for fault in check(file)]
-    for n, fault in enumerate(faults):
-        if " goes back" in fault.what:  # points of several needles may have been taken for one
-            hint = "state the column that distinguishes needles with --columns needle=HEADER"
-            faults[n] = replace(fault, fix=f"{fault.fix}; or {hint}")
+    places = _list_places(content.curves)
+    faults = [_trace_fault(fault, places, folder) for fault in check(file)]
     if faults:
         raise as_error(faults, content.files[0])
     return file
+
+
+def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
+    """Return what each row of the tables that are written was made of, by the names of their files."""
+    places: dict[str, list[_Place]] = {}
+    for one in curves:
+        rows, is_table = range(len(one.points.values)), one.points.lines is not None
+        points = [one.points.where(n) for n in rows]
+        places[f"centerlines/{one.name}.csv"] = [
+            _Place(where, f"curve {one.name} ", is_table) for where in points
+        ]
+        sensors = [f"curvature {n} of needle {one.name}" for n, _ in enumerate(one.sensors, 1)]
+        turns = [cell.where.partition(", column")[0] for _, cell in one.turns]
+        for name, own in (
+            ("insertions.csv", [_Place(one.points.where(), f"curve {one.name}: ")]),
+            (TRACKS_FILE, [*map(_Place, points)]),
+            (TURNS_FILE, [*map(_Place, turns)]),
+            (CURVATURE_FILE, [*map(_Place, sensors)]),
+        ):
+            places.setdefault(name, []).extend(own)
+    return places
+
+
+def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: Path) -> Fault:
+    """Return a fault of the dataset in `folder` as one of the imported files, with a fix that works there."""
+    name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
+    if name not in places or not line.isdecimal():
+        return replace(fault, where=fault.where.replace(f"{folder}/", ""))
+    place = places[name][int(line) - 2]  # below one header line
+    # points of several needles may have been taken for one, where a column tells them apart
+    is_joined = place.is_table and fault.what.startswith("goes back")
+    hint = (
+        "; or state the column that distinguishes needles with --columns needle=HEADER" if is_joined else ""
+    )
+    return Fault(place.where, f"{place.subject}{fault.what}", fault.expected, f"{fault.fix}{hint}")
 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:

@@ -1,0 +1,502 @@
+"""Formats of points (MATLAB, JSON lines, markups, structure sets): what is read, and advice about others."""
+
+import json
+from pathlib import Path
+
+import h5py
+import import_cases
+import numpy as np
+import pytest
+from import_cases import plan_import
+from refusals import refusal
+from scipy.io import savemat
+
+from needlefit.datasets.faults import Fault, as_error, merge_like
+from needlefit.datasets.formats import find_format
+from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.files import WORKBOOK_FILE, read_content
+from needlefit.datasets.importing.writing import write_plan
+from needlefit.errors import DataError
+from needlefit.geometry.surfaces import read_surface
+from needlefit.project.locate import read_toml
+
+CASES = Path(__file__).with_name("imports")
+CURVES = [import_cases.needle(n, 16 - n) for n in range(4)]
+SIDES = [1.0, -1.0, 1.0, -1.0]
+
+
+def cells(values):
+    found = np.empty(len(values), dtype=object)
+    found[:] = values
+    return found
+
+
+def padded(curves, filler, rows=18):
+    """Return curves as a stack (N, 3, K)."""
+    return np.dstack([np.vstack([one, np.full((rows - len(one), 3), filler)]) for one in curves])
+
+
+def beside(axis, curves=CURVES, filler=np.nan, rows=18):
+    """Return one coordinate of curves as a matrix with a column for each."""
+    return padded(curves, filler, rows)[:, axis, :]
+
+
+def content_of(folder, **variables):
+    savemat(folder / "a.mat", variables)
+    return read_content([folder / "a.mat"])
+
+
+def assert_same(content, wanted=CURVES):
+    assert len(content.curves) == len(wanted)
+    for one, points in zip(content.curves, wanted, strict=True):
+        np.testing.assert_allclose(one.points.values, points, atol=1e-9)
+
+
+def stated(content, key):
+    """Return what fields of a file state of each curve."""
+    return [one.points.stated.get(key) for one in content.curves]
+
+
+def unused(content):
+    return {what for what, _ in content.unused}
+
+
+# ---- MATLAB: one value for each needle, or one for all
+
+
+def test_a_cell_of_version_7_3_beside_a_vector_has_a_side_for_each_needle():
+    content = read_content([CASES / "needles_v73.mat"])
+    assert [one.name for one in content.curves] == [f"needles_{n}" for n in range(1, 7)]
+    assert [len(one.points.values) for one in content.curves] == [10, 12, 14, 16, 18, 20]
+    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1"] * 3
+    assert [one.length for one in content.curves] == pytest.approx(range(45, 105, 10), abs=0.3)
+    _, plan = plan_import([CASES / "needles_v73.mat"], Answers({"pose": "1,0,0"}))
+    assert [row.side for row in plan.rows] == [1, -1] * 3
+
+
+@pytest.mark.parametrize("container", ["cell", "stack"])
+def test_as_many_values_as_curves_are_one_each(tmp_path, container):
+    curves = CURVES if container == "cell" else [one[:12] for one in CURVES]
+    needles = cells(curves) if container == "cell" else np.dstack(curves)
+    content = content_of(
+        tmp_path,
+        needles=needles,
+        side=np.array(SIDES)[:, None],
+        name=cells(["a", "b", "c", "d"]),
+        depth=cells([60.0, np.empty((0, 0)), 50.0, 45.0]),
+        boundaries=np.array([[15.0, 30.0], [14.0, 29.0], [16.0, np.nan], [np.nan, np.nan]]),
+        entry=np.arange(12.0).reshape(4, 3),
+        gauge=18.0,
+        temperatures=np.arange(3.0),
+        forces=np.arange(30.0),
+    )
+    assert [one.name for one in content.curves] == ["a", "b", "c", "d"]
+    assert_same(content, curves)
+    assert stated(content, "side") == ["1", "-1", "1", "-1"]
+    assert stated(content, "depth") == ["60", "", "50", "45"]
+    assert stated(content, "boundaries") == ["15, 30", "14, 29", "16", ""]
+    assert stated(content, "entry") == ["0, 1, 2", "3, 4, 5", "6, 7, 8", "9, 10, 11"]
+    assert stated(content, "gauge") == ["18"] * 4 and stated(content, "temperatures") == ["0, 1, 2"] * 4
+    assert "variable forces" in unused(content)
+
+
+def test_rows_of_a_matrix_are_of_needles_only_where_their_numbers_agree(tmp_path):
+    content = content_of(tmp_path, needles=cells(CURVES[:2]), path=CURVES[2], boundaries=[15.0, 30.0, 40.0])
+    assert [one.name for one in content.curves] == ["needles_1", "needles_2", "path"]
+    assert stated(content, "boundaries") == ["15, 30, 40"] * 3
+
+
+def test_fields_of_a_struct_beside_curves_are_stated_of_them(tmp_path):
+    info = np.empty(4, dtype=[("bevel", object), ("block", object)])
+    info[:] = [(side, f"b{n}") for n, side in enumerate(SIDES)]
+    setup = {"gauge": 18.0, "modulus": "steel"}
+    content = content_of(tmp_path, needles=cells(CURVES), info=info, setup=setup)
+    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
+    assert stated(content, "block") == ["b0", "b1", "b2", "b3"]
+    assert {(one.stated["diameter"].text, one.stated["modulus"].text) for one in content.curves} == {
+        ("18", "steel")
+    }
+
+
+def test_empty_cells_keep_the_values_of_the_others_in_their_places(tmp_path):
+    needles = cells([CURVES[0], np.empty((0, 0)), CURVES[2], CURVES[3]])
+    content = content_of(tmp_path, needles=needles, side=[1, 2, 3, 4], block=cells(["p", "q", "r"]))
+    assert [one.name for one in content.curves] == ["needles_1", "needles_3", "needles_4"]
+    assert stated(content, "side") == ["1", "3", "4"] and stated(content, "block") == ["p", "q", "r"]
+    assert "variable needles_2" in unused(content)
+
+
+def test_empty_values_and_tables_of_version_7_3_are_no_numbers(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["curve"] = CURVES[0].T
+        file["bevel"] = np.array([0, 0], dtype="u8")  # the size of a text without a letter
+        file["bevel"].attrs["MATLAB_empty"] = 1
+        file["T"] = np.array([[3707764736, 2, 1, 1, 1, 1]], dtype="u4")
+        file["T"].attrs["MATLAB_object_decode"] = 3
+    content = read_content([tmp_path / "a.mat"])
+    assert stated(content, "bevel") == [""] and unused(content) == {"variable T"}
+    assert_same(content, CURVES[:1])
+
+
+def test_a_value_that_stands_nearer_to_a_curve_counts_and_the_other_one_is_named(tmp_path):
+    inner = {"points": CURVES[0], "depth": 60.0}
+    content = content_of(tmp_path, n1=inner, depth=10.0, meta={"who": "me"}, more={"who": "you"})
+    assert stated(content, "depth") == ["60"] and stated(content, "who") == ["me"]
+    assert unused(content) == {"field who", "variable depth", "variable more.who"}
+
+
+# ---- padding
+
+
+@pytest.mark.parametrize("filler", [np.nan, 0.0])
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+def test_padding_of_stacks_is_removed_and_counted(tmp_path, filler, order):
+    content = content_of(tmp_path, c=np.transpose(padded(CURVES, filler), order), side=SIDES)
+    assert_same(content)
+    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
+    (remark,) = unused(content)
+    assert f"{2 + 3 + 4 + 5} rows" in remark and "4 curves of c" in remark
+
+
+def test_a_curve_that_is_one_point_shorter_than_the_longest_is_padded_too(tmp_path):
+    assert_same(content_of(tmp_path, c=padded(CURVES, 0.0, rows=16)))
+
+
+def test_a_point_at_the_origin_is_no_padding(tmp_path):
+    backward = [one[::-1] - one[0] for one in CURVES]  # the entry is the last point, and the origin
+    assert_same(
+        content_of(tmp_path, c=np.dstack([one[-12:] for one in backward])), [b[-12:] for b in backward]
+    )
+    assert_same(content_of(tmp_path, c=padded(backward, 0.0, rows=16)), backward)
+
+
+def test_empty_entries_of_a_stack_are_left_out(tmp_path):
+    stack = padded([*CURVES, np.zeros((18, 3))], 0.0)
+    content = content_of(tmp_path, c=stack, side=[*SIDES, 0.0])
+    assert_same(content)
+    assert stated(content, "side") == ["1", "-1", "1", "-1"]
+
+
+# ---- x, y and z
+
+
+@pytest.mark.parametrize("filler", [np.nan, 0.0])
+def test_matrices_of_x_y_and_z_have_a_column_for_each_needle(tmp_path, filler):
+    axes = {axis: beside(n, filler=filler) for n, axis in enumerate("xyz")}
+    content = content_of(tmp_path, **axes, side=SIDES)
+    assert_same(content)
+    assert [one.name for one in content.curves] == [f"curve_{n}" for n in range(1, 5)]
+    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
+    assert {one.axes for one in content.curves} == {"x, y, z"}
+    content = content_of(tmp_path, needles={"X": axes["x"], "Y": axes["y"], "side": SIDES})
+    assert_same(content)
+    assert [one.name for one in content.curves] == [f"needles_{n}" for n in range(1, 5)]
+    assert {one.axes for one in content.curves} == {"x, y; z is 0"}
+
+
+def test_three_columns_of_x_and_y_are_three_needles_and_cells_of_vectors_too(tmp_path):
+    assert_same(content_of(tmp_path, x=beside(0, CURVES[:3]), y=beside(1, CURVES[:3])), CURVES[:3])
+    axes = {axis: cells([one[:, n] for one in CURVES]) for n, axis in enumerate("xyz")}
+    assert_same(content_of(tmp_path, **axes))
+
+
+def test_x_and_y_beside_other_curves_are_no_needle(tmp_path):
+    for needles, wanted in ((cells(CURVES), CURVES), (CURVES[0], CURVES[:1])):
+        content = content_of(tmp_path, needles=needles, x=np.arange(50.0), y=np.arange(50.0))
+        assert_same(content, wanted)
+        assert unused(content) == {"variable x", "variable y"}
+
+
+def table_fields():
+    rows = np.concatenate(CURVES)
+    names = [f"n{n}" for n, one in enumerate(CURVES, 1) for _ in one]
+    sides = np.concatenate([[side] * len(one) for side, one in zip(SIDES, CURVES, strict=True)])
+    return {"needle": cells(names), "bevel": sides, "x": rows[:, 0], "y": rows[:, 1], "z": rows[:, 2]}
+
+
+@pytest.mark.parametrize("shape", ["vectors", "variables", "rows"])
+def test_a_table_in_fields_is_read_as_a_table(tmp_path, shape):
+    """As `table2struct` writes it, with and without `ToScalar`."""
+    fields = table_fields()
+    if shape == "rows":
+        table = np.empty(len(fields["x"]), dtype=[(key, object) for key in fields])
+        table[:] = [*zip(*fields.values(), strict=True)]
+    content = content_of(
+        tmp_path, **(fields if shape == "variables" else {"T": fields if shape == "vectors" else table})
+    )
+    assert [one.name for one in content.curves] == ["n1", "n2", "n3", "n4"]
+    assert_same(content)
+    assert [one.stated["bevel side"].text.removesuffix(".0") for one in content.curves] == ["1", "-1"] * 2
+
+
+def as_variables(content, layout):
+    """Return the needles of the workbook, and what it states of them, as variables of MATLAB."""
+    curves = [one.points.values for one in content.curves]
+    facts = {"name": cells([one.name for one in content.curves])}
+    for key in ("bevel side", "depth"):
+        facts[key.replace(" ", "_")] = np.array([float(one.stated[key].text) for one in content.curves])
+    for key in ("medium", "specimen"):
+        facts[key] = cells([one.stated[key].text for one in content.curves])
+    setup = {key: content.setup[key].text for key in ("boundaries", "diameter", "modulus")}
+    stack = padded(curves, np.nan, max(map(len, curves)))
+    if layout == "cell":
+        return {"needles": cells(curves), "setup": setup, **facts}
+    if layout == "stack":
+        return {"needles": stack, **facts, **setup}
+    if layout == "matrices":
+        return {axis: stack[:, n] for n, axis in enumerate("xyz")} | facts | setup
+    if layout == "structs":
+        array = np.empty(len(curves), dtype=[(key, object) for key in ("points", *facts)])
+        array[:] = [*zip(curves, *facts.values(), strict=True)]
+        return {"needles": array, "setup": setup}
+    counts, points = [*map(len, curves)], np.concatenate(curves)
+    columns = {key: cells(np.repeat(values, counts)) for key, values in facts.items()}
+    return {"T": columns | {axis: points[:, n] for n, axis in enumerate("xyz")}, **setup}
+
+
+@pytest.mark.parametrize("layout", ["cell", "stack", "matrices", "structs", "table"])
+def test_the_needles_of_the_workbook_give_the_same_dataset_from_mat_files(tmp_path, layout):
+    content = read_content([WORKBOOK_FILE])
+    in_file = ("boundaries", "diameter", "modulus")
+    options = {key: one.text for key, one in content.setup.items() if key not in in_file}
+    savemat(tmp_path / "a.mat", as_variables(content, layout))
+    for name, file in (("one", WORKBOOK_FILE), ("other", tmp_path / "a.mat")):
+        answers = Answers(options | {"needle length": "150", "units": "mm"})
+        (tmp_path / name).mkdir()
+        write_plan(tmp_path / name, *plan_import([file], answers), answers)
+    one, other = (sorted((tmp_path / name).rglob("*.csv")) for name in ("one", "other"))
+    assert len(one) == 9 and [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+    needles = [read_toml(tmp_path / name / "dataset.toml")["needle"] for name in ("one", "other")]
+    assert needles[0] == needles[1]
+
+
+# ---- units
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"needles": cells(CURVES), "unit": "cm"},
+        {"needles": cells(CURVES), "meta": {"Units": "centimeter"}},
+        {"needles_cm": cells(CURVES)},
+        {"a": {"points_cm": CURVES[0]}, "b_cm": CURVES[1], "c_cm": CURVES[2], "d_cm": CURVES[3]},
+        {f"{axis}_cm": beside(n) for n, axis in enumerate("xyz")},
+        {"T": {f"{key}_cm" if key in ("x", "y", "z") else key: part for key, part in table_fields().items()}},
+    ],
+)
+def test_a_field_or_a_name_states_the_unit(tmp_path, variables):
+    content = content_of(tmp_path, **variables)
+    assert {one.unit for one in content.curves} == {"cm"} and not unused(content) & {"field unit"}
+    assert_same(content)
+
+
+def test_two_units_of_one_curve_are_refused(tmp_path):
+    error = refusal(DataError, "cm", content_of, tmp_path, needles_cm=cells(CURVES), unit="mm")
+    assert error.where.endswith("a.mat") and "mm" in error.what
+
+
+# ---- JSON lines
+
+
+def test_json_lines_have_an_object_for_each_needle(tmp_path):
+    content = read_content([CASES / "shapes.jsonl"])
+    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 7)]
+    assert [len(one.points.values) for one in content.curves] == [10, 12, 14, 16, 18, 20]
+    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1"] * 3
+    assert unused(content) == {"field t"}
+    rows = [
+        {"needle": f"n{n}", "x": float(x), "y": float(y), "z": float(z)}
+        for n, one in enumerate(CURVES)
+        for x, y, z in one
+    ]
+    (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    content = read_content([tmp_path / "a.jsonl"])
+    assert [one.name for one in content.curves] == ["n0", "n1", "n2", "n3"]
+    assert_same(content)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        *(
+            ('{"a": [1, 2]}\n{"a"', ":2"),
+            ("", ""),
+            ('{"points": [[1, 2, 3]]}', ""),
+            ("[" * 500 + "]" * 500, ":1"),
+        ),
+        *(('{"n": 1' + "0" * 400 + ', "points": [[1, 2, 3], [1e999, 2]]}', ""), ('["a", null, true]', "")),
+    ],
+)
+def test_bad_json_lines_are_refused(tmp_path, text, place):
+    (tmp_path / "a.jsonl").write_text(text)
+    assert refusal(DataError, "", read_content, [tmp_path / "a.jsonl"]).where.endswith(f"a.jsonl{place}")
+
+
+# ---- markups
+
+
+def test_labels_of_one_list_name_needles():
+    content = read_content([CASES / "labels.mrk.json"])
+    assert [(one.name, len(one.line)) for one in content.curves] == [("N1", 5), ("N2", 6), ("N3", 7)]
+    assert [one.length for one in content.curves] == pytest.approx([40, 50, 60], abs=0.1)
+    assert all("N1 (5), N2 (6), N3 (7)" in one.axes for one in content.curves)
+
+
+@pytest.mark.parametrize(
+    ("labels", "sizes"),
+    [
+        (["F-1", "F-2", "F-3", "F-4", "F-5", "F-6"], [6]),
+        (["A 1", "A 2", "A 3", "B 1", "B 2", "B 3"], [3, 3]),
+        (["A_1", "B_1", "A_2", "B_2", "A_3", "B_3"], [6]),
+        (["N-1", "N-2", "N-3", "N-4", "N-5", "target-1"], [5, 1]),
+        (["A-1", "A-2", "A-3", "B-4", "B-5", "B-6"], [6]),  # numbered as one needle
+        (["A-1", "B-1", "C-1", "D-1", "E-1", "F-1"], [6]),
+        (["10.0", "20.0", "30.0", "10.5", "20.5", "30.5"], [6]),
+        (["A-1", "A-2", "A-2", "B-1", "B-2", "B-3"], [6]),
+        (["A-1", "A-2", "A-3", "B-1", "B-2", "tip"], [6]),
+        ([""] * 6, [6]),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".mrk.json", ".fcsv"])
+def test_labels_are_grouped_only_where_they_name_needles(tmp_path, labels, sizes, suffix):
+    file = tmp_path / f"F{suffix}"
+    if suffix == ".fcsv":
+        rows = [f"{n},{5 * n},0,0,0,0,0,1,1,1,0,{label},," for n, label in enumerate(labels)]
+        file.write_text("\n".join(["# CoordinateSystem = LPS", *rows]))
+    else:
+        one = import_cases.markups("F", CURVES[0][:6], "Fiducial")
+        for point, label in zip(one["controlPoints"], labels, strict=True):
+            point["label"] = label
+        file.write_text(json.dumps({"markups": [one]}))
+    found, remarks = find_format(file).read_curves(file)
+    assert [len(one.values) for one in found.values()] == sizes
+    assert len(remarks) == (len(sizes) > 1)
+
+
+@pytest.mark.parametrize(
+    "labels", [["entry-1", "entry-2", "tip-1", "tip-2"], ["N-1", "N-2", "N-3", "Ziel-1"]]
+)
+def test_labels_of_entries_and_tips_are_no_needles(tmp_path, labels):
+    one = import_cases.markups("F", CURVES[0][: len(labels)], "Fiducial")
+    for point, label in zip(one["controlPoints"], labels, strict=True):
+        point["label"] = label
+    (tmp_path / "F.mrk.json").write_text(json.dumps({"markups": [one]}))
+    error = refusal(DataError, "labels", read_content, [tmp_path])
+    assert labels[-1].partition("-")[0] in error.what and "N1-1" in error.expected
+
+
+def test_labels_of_an_open_curve_are_not_grouped(tmp_path):
+    one = import_cases.markups("C", CURVES[0][:6])
+    for point, label in zip(one["controlPoints"], ["A-1", "A-2", "A-3", "B-1", "B-2", "B-3"], strict=True):
+        point["label"] = label
+    (tmp_path / "c.mrk.json").write_text(json.dumps({"markups": [one]}))
+    assert [len(one.line) for one in read_content([tmp_path]).curves] == [6]
+
+
+# ---- what is not read, and advice that works in the file
+
+
+def test_an_rt_plan_is_named_with_what_to_export():
+    error = refusal(DataError, "RT plan", read_content, [CASES / "plan.dcm"])
+    assert "open contours" in error.fix and "x, y, z" in error.fix
+
+
+@pytest.mark.parametrize("ending", ["bag", "db3", "mcap", "vtk", "vtp", "VTU"])
+def test_files_that_are_not_read_are_named_with_what_to_export(tmp_path, ending):
+    (tmp_path / f"a.{ending}").write_text("x")
+    fix = refusal(DataError, f".{ending}", read_content, [tmp_path / f"a.{ending}"]).fix
+    assert "CSV" in fix and "STL" not in fix.partition("surface")[0]
+
+
+def test_columns_named_as_paraview_writes_them_are_read(tmp_path):
+    rows = [",".join(map(str, point)) for point in CURVES[0]]
+    (tmp_path / "a.csv").write_text("\n".join(['"Points:0","Points:1","Points:2"', *rows]))
+    assert_same(read_content([tmp_path], "Points:0,Points:1,Points:2"), CURVES[:1])
+
+
+@pytest.mark.parametrize("ending", ["ply", "obj"])
+def test_a_cloud_of_points_is_not_to_be_exported_as_a_surface(tmp_path, ending):
+    rows = [" ".join(map(str, point)) for point in CURVES[0]]
+    axes = [f"property float {axis}" for axis in "xyz"]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}", *axes, "end_header"]
+    text = [*head, *rows] if ending == "ply" else [f"v {row}" for row in rows]
+    (tmp_path / f"a.{ending}").write_text("\n".join(text) + "\n")
+    fix = refusal(DataError, "triangles", read_surface, tmp_path / f"a.{ending}", "sheet", 2).fix
+    assert "x, y, z" in fix and "STL" not in fix
+
+
+def write_faulty(folder, paths, **options):
+    answers = Answers({key.replace("_", " "): value for key, value in options.items()})
+    content, plan = plan_import(paths, answers)
+    (folder / "made").mkdir(exist_ok=True)
+    return refusal(DataError, "", write_plan, folder / "made", content, plan, answers)
+
+
+def test_a_column_is_advised_only_where_there_are_columns(tmp_path):
+    folded = np.vstack([CURVES[0], CURVES[1]])
+    import_cases.write_markups(tmp_path / "c.mrk.json", "c", folded)
+    error = write_faulty(tmp_path, [tmp_path / "c.mrk.json"])
+    assert "goes back" in error.what and "--columns" not in error.fix
+    rows = [",".join(map(str, point)) for point in folded]
+    (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *rows]))
+    assert "--columns needle=" in write_faulty(tmp_path, [tmp_path / "c.csv"]).fix
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_several_needles_in_one_curve_are_not_taken_for_another_unit(tmp_path, count):
+    """The curve is about ten times as long as its span."""
+    curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
+    (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
+    assert "--columns needle=" in write_faulty(tmp_path, [tmp_path / "c.csv"]).fix
+
+
+def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):
+    depths = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0]
+    rows = [f"{name},{depth},{1e-3 * depth**2:.3f}" for name in "pq" for depth in depths]
+    rows[9], rows[10] = rows[10], rows[9]
+    file = tmp_path / "log.csv"
+    file.write_text("\n".join(["run,depth [mm],deflection [mm]", *rows]))
+    error = write_faulty(tmp_path, [file])
+    assert error.where == f"{file}:12" and "tracks.csv" not in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("id,depth_mm,bevel_roll_deg\nq1,30,90\nq2,35,90\nq3,999,90\n", "turns.csv:4"),
+        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,0,1e-4\nq1,999,1e-3,0,1e-4\n", "curvature 2 of needle q1"),
+    ],
+)
+def test_faults_of_turns_and_curvatures_are_at_their_rows_too(tmp_path, text, place):
+    (tmp_path / "turns.csv").write_text(text)
+    paths = [CASES / "two_plane.csv", tmp_path / "turns.csv"]
+    assert write_faulty(tmp_path, paths, pose="1,0,0", bevel="0,1,0").where.endswith(place)
+
+
+# ---- many faults of one kind
+
+
+def test_many_faults_of_one_kind_are_one_line_with_a_count(tmp_path):
+    (tmp_path / "a.csv").write_text("\n".join(["needle,x,y,z", *(f"F-{n},{n},0,0" for n in range(315))]))
+    error = refusal(DataError, "", read_content, [tmp_path / "a.csv"])
+    assert error.where.endswith("a.csv:2") and "314" in error.what and "lines 3, 4" in error.what
+    assert len(error.what) < 150
+
+
+def test_faults_are_merged_by_file_and_kind():
+    few = [Fault(f"/d/a.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(3)]
+    many = [Fault(f"/d/b.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(30)]
+    other = [Fault(f"/d/b.csv:{n}", f"cell {n}", "a name", "fix it") for n in range(2)]
+    bare = [Fault(f"/d/b.csv:{n}", "is wrong") for n in range(9)]
+    merged = merge_like([*few, *many, *other, *bare])
+    assert [one.where for one in merged] == [
+        *(f"/d/a.csv:{n}" for n in range(3)),
+        *("/d/b.csv:0", "/d/b.csv:0", "/d/b.csv:1"),
+        *(f"/d/b.csv:{n}" for n in range(9)),
+    ]
+    assert (
+        "29" in merged[3].what and "has 44 faults" in as_error([*few, *many, *other, *bare], Path("/d")).what
+    )
+    curves = [Fault("/d/a.mat, point 1", f"curve c{n} is short", "5", "add some") for n in range(9)]
+    (one,) = merge_like(curves)
+    assert "8" in one.what and "curve c1" in one.what
