@@ -435,11 +435,12 @@ def write_faulty(folder, paths, **options):
 def test_a_column_is_advised_only_where_there_are_columns(tmp_path):
     folded = np.vstack([CURVES[0], CURVES[1]])
     import_cases.write_markups(tmp_path / "c.mrk.json", "c", folded)
-    error = write_faulty(tmp_path, [tmp_path / "c.mrk.json"])
+    error = refusal(DataError, "", plan_import, [tmp_path / "c.mrk.json"], Answers())
     assert "goes back" in error.what and "--columns" not in error.fix
     rows = [",".join(map(str, point)) for point in folded]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *rows]))
-    assert "--columns needle=" in write_faulty(tmp_path, [tmp_path / "c.csv"]).fix
+    error = refusal(DataError, "", plan_import, [tmp_path / "c.csv"], Answers())
+    assert "--columns needle=" in error.fix
 
 
 @pytest.mark.parametrize("count", [5, 6])
@@ -447,7 +448,8 @@ def test_several_needles_in_one_curve_are_not_taken_for_another_unit(tmp_path, c
     """The curve is about ten times as long as its span."""
     curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
-    assert "--columns needle=" in write_faulty(tmp_path, [tmp_path / "c.csv"]).fix
+    error = refusal(DataError, "goes back", plan_import, [tmp_path / "c.csv"], Answers())
+    assert "--columns needle=" in error.fix
 
 
 def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):
@@ -477,9 +479,9 @@ def test_faults_of_turns_and_curvatures_are_at_their_rows_too(tmp_path, text, pl
 
 
 def test_many_faults_of_one_kind_are_one_line_with_a_count(tmp_path):
-    (tmp_path / "a.csv").write_text("\n".join(["needle,x,y,z", *(f"F-{n},{n},0,0" for n in range(315))]))
+    (tmp_path / "a.csv").write_text("\n".join(["needle,x,y,z", *(f"F-{n // 2},{n},0,0" for n in range(630))]))
     error = refusal(DataError, "", read_content, [tmp_path / "a.csv"])
-    assert error.where.endswith("a.csv:2") and "314" in error.what and "lines 3, 4" in error.what
+    assert error.where.endswith("a.csv:2") and "314" in error.what and "lines 4, 6" in error.what
     assert len(error.what) < 150
 
 

@@ -189,7 +189,9 @@ class Planner:
             yield f"a header states {wrong[:20]!r}"
         if unknown and all((one.line == np.round(one.line)).all() for one in unknown):
             yield "all coordinates are whole numbers, as of pixels or voxels"
-        longest = max((one.length for one in unknown), default=ASSUMED_MM[0])
+        # of points that go back the length is none of a needle
+        reaches = [float(np.linalg.norm(one.line - one.line[0], axis=1).max()) for one in unknown]
+        longest = max(reaches, default=ASSUMED_MM[0])
         if not ASSUMED_MM[0] <= longest <= ASSUMED_MM[1] and not wrong:
             likely = [name for name, mm in UNITS_MM.items() if ASSUMED_MM[0] <= mm * longest <= ASSUMED_MM[1]]
             other = f", in {' or '.join(likely)} that of a needle" if likely else ""
