@@ -69,9 +69,9 @@ def main() -> None:
             found = sampler.sample(problem, begin, settings, rng, Callbacks(jobs=options.jobs))
             spent = time.process_time() - clock
             sampler.make_moves = own
-            steps, tau = found.draws.shape[1], float(np.max(found.tau))
+            steps, tau = found.draws.shape[1], float(np.max(found.autocorrelation_time))
             draws, densities = float(np.min(found.ess)), steps * len(found.draws)
-            accepted, each = float(np.mean(found.acceptance)), 1000 * spent / densities
+            accepted, each = float(np.mean(found.acceptance_fraction)), 1000 * spent / densities
             row = f"{target:10} {name:12} {steps:6d} {tau:7.1f} {accepted:10.2f}"
             print(f"{row} {1000 * draws / densities:9.1f} {each:6.2f}", flush=True)
 

@@ -10,7 +10,17 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from needlefit.api import fit, load_dataset, load_run, predict, sample, validate, write_prior
+    from needlefit.api import (
+        estimate_elpd,
+        fit,
+        load_dataset,
+        load_medium,
+        load_run,
+        predict,
+        sample,
+        validate,
+        write_prior,
+    )
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
@@ -32,6 +42,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
     from needlefit.schemas.scene import SceneRecord
+    from needlefit.studies.run import Run
 
 __version__ = "0.1.0"
 
@@ -48,6 +59,7 @@ __all__ = [
     "NeedleShapes",
     "NeedlefitError",
     "Problem",
+    "Run",
     "Scene",
     "Session",
     "Step",
@@ -55,10 +67,12 @@ __all__ = [
     "TrackedTip",
     "compute_positions",
     "compute_stress",
+    "estimate_elpd",
     "fit",
     "linearize",
     "linearize_batches",
     "load_dataset",
+    "load_medium",
     "load_run",
     "minimize",
     "open_scene",
@@ -71,8 +85,13 @@ __all__ = [
     "write_prior",
 ]
 
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 _HOMES = {
-    "api": "fit load_dataset load_run predict sample validate write_prior",
+    "api": "estimate_elpd fit load_dataset load_medium load_run predict sample validate write_prior",
     "errors": "NeedlefitError",
     "inference.optimize": "minimize",
     "inference.problem": "Problem",
@@ -85,6 +104,7 @@ _HOMES = {
     "mechanics.shape": "NeedleShape compute_positions",
     "mechanics.simulate": "simulate simulate_steps",
     "mechanics.tissue": "Tissue",
+    "studies.run": "Run",
 }
 """Names by the module in which they are."""
 
@@ -113,7 +133,3 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{home}"), name)
     return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})

@@ -11,10 +11,10 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, get_type_hints
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,14 @@ from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters
-from needlefit.inference.sampling.importance import sample_about_fit
+from needlefit.inference.predict import thin_posterior
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.importance import (
+    MAX_PARETO_K,
+    WeightedDraws,
+    leave_out_parts,
+    sample_about_fit,
+)
 from needlefit.project.checkpoint import remove_checkpoint
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
@@ -43,7 +50,7 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_paramet
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Inputs, Job, Settings, change_fit, prepare, set_priors
+from needlefit.studies.job import Inputs, Job, Settings, change_fit, group_insertions, prepare, set_priors
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.kinds.prediction import require_same_configuration
@@ -55,81 +62,30 @@ from needlefit.studies.study_files import check_study, load_study, load_target
 Name = str | Path
 Table = Mapping[str, Any]
 Medium = Name | MediumRecord | Table
+Recipe = Name | RecipeRecord | Table
 
-_OPTION_TYPES: Mapping[str, type] = {
-    **{"name": str, "seed": int, "jobs": int},
-    **{"tune": Mapping, "priors": Mapping, "fix": Mapping, "free": Sequence},
+ELPD_DRAWS = 1000  #: of a posterior, by which data that are left out are weighed
+
+#: types of options, and how messages state them
+_OPTION_TYPES: Mapping[str, tuple[type, str]] = {
+    "name": (str, "a text"),
+    "seed": (int, "a whole number"),
+    "jobs": (int, "a whole number"),
+    "tune": (Mapping, 'a table: {"layers": [3]}'),
+    "priors": (Mapping, 'a table: {1: "prior.toml"}'),
+    "free": (Sequence, 'a list: ["alpha1"]'),
+    "fix": (Mapping, 'a table: {"mu1": 4e3}'),
 }
 
 
-class RunOptions(TypedDict, total=False):
-    """How a run is executed; only `seed` changes numbers, and `name`, which keys its random streams.
-
-    Attributes
-    ----------
-    name : str
-        Of the result; by default made of what is run.
-    seed : int
-        Of all random numbers, in place of the recipe's.
-    jobs : int
-        Threads; by default as many as there are cores.
-    pool : TaskPool
-        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
-        N processes: the script then needs `if __name__ == "__main__"`.
-    progress : bool or callable
-        True prints to stderr; a callable is given what is being done, how much is done, and of how much.
-    checkpoint : str or Path
-        A folder that keeps finished work; the same call goes on from there. It is removed at the end.
-    """
+@dataclass(frozen=True)
+class _Study:
+    """What is run: a study or a fit, what is in memory for it, and the file that it is from."""
 
     name: str
-    seed: int
-    jobs: int
-    pool: TaskPool
-    progress: bool | Progress
-    checkpoint: Name
-
-
-class StudyChanges(RunOptions, total=False):
-    """What a study is run with, in place of what its file names, and how it is executed.
-
-    Attributes
-    ----------
-    dataset : str, Path or Dataset
-        Another dataset, with insertions of the same names: `make_twin(folder, 2)`.
-    medium : str, Path, MediumRecord or table
-        Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
-    recipe : str, Path, RecipeRecord or table
-        How to search and sample, as of `FitChanges`.
-    """
-
-    dataset: Name | Dataset
-    medium: Medium
-    recipe: Name | RecipeRecord | Table
-
-
-class FitChanges(RunOptions, total=False):
-    """What a fit is made with, in place of what its file names, and how it is executed.
-
-    Attributes
-    ----------
-    tune : table
-        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default all.
-    recipe : str, Path, RecipeRecord or table
-        How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`.
-    priors : mapping
-        By number of the layer: the file that `write_prior` wrote.
-    free : sequence of str
-        Parameters to estimate although the model fixes or ties them: `["alpha1"]`.
-    fix : mapping
-        Parameters to hold at a value, in Pa, mm or degrees: `{"mu1": 4e3, "b": 0.1}`.
-    """
-
-    tune: Table
-    recipe: Name | RecipeRecord | Table
-    priors: Mapping[int, Name]
-    free: Sequence[str]
-    fix: Mapping[str, float]
+    record: FileRecord
+    inputs: Inputs = field(default_factory=Inputs)
+    file: Path | None = None
 
 
 def load_dataset(name: Name) -> Dataset:
@@ -261,18 +217,56 @@ def load_run(folder: Name) -> Run:
     return restore_run(find_run(spell_name(folder)))
 
 
-def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]) -> Run:
+def fit(
+    target: Name | Dataset | Run,
+    medium: Medium | None = None,
+    *,
+    tune: Table | None = None,
+    recipe: Recipe | None = None,
+    priors: Mapping[int, Name] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float] | None = None,
+    name: str | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    pool: TaskPool = THIS_PROCESS,
+    progress: bool | Progress = False,
+    checkpoint: Name | None = None,
+) -> Run:
     """Fit the parameters of a tissue model (mu in Pa, alpha, b in mm) to measured insertions.
 
     Parameters
     ----------
-    target : str, Path or Dataset
+    target : str, Path, Dataset or Run
         With `medium`: the data. Without: what ships or your file names, a fit (`"phantom1"`) or a study
-        (`"study3"`), of which the tuning alone is done.
+        (`"study3"`), of which the tuning alone is done; or a run of one, to fit again with changes.
     medium : str, Path, MediumRecord or table, optional
         The model: layers, and which parameters are free.
-    **options
-        See `FitChanges`.
+    tune : table, optional
+        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default all, or those of the
+        target.
+    recipe : str, Path, RecipeRecord or table, optional
+        How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`. By default
+        that of the target, else `default`.
+    priors : mapping, optional
+        By number of the layer: the file that `write_prior` wrote.
+    free : sequence of str
+        Parameters to estimate although the model fixes or ties them: `["alpha1"]`.
+    fix : mapping, optional
+        Parameters to hold at a value, in Pa, mm or degrees: `{"mu1": 4e3, "b": 0.1}`.
+    name : str, optional
+        Of the result; by default made of what is run. It keys the random streams.
+    seed : int, optional
+        Of all random numbers, in place of the recipe's.
+    jobs : int, optional
+        Threads; by default as many as there are cores. The numbers do not depend on it.
+    pool : TaskPool
+        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
+        N processes: the script then needs `if __name__ == "__main__"`.
+    progress : bool or callable
+        True prints to stderr; a callable is given what is being done, how much is done, and of how much.
+    checkpoint : str or Path, optional
+        A folder that keeps finished work; the same call goes on from there. It is removed at the end.
 
     Returns
     -------
@@ -292,20 +286,32 @@ def fit(target: Name | Dataset, medium: Medium | None = None, **options: Unpack[
     >>> run.kind, run.name, run.interrupted
     ('fit', 'twin-chicken', False)
     """
-    return _fit(target, medium, options, sample=False)
+    changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
+    return _run(changed, name, seed, jobs, pool, progress, checkpoint)
 
 
 def sample(
     target: Name | Dataset | Run,
     medium: Medium | None = None,
-    **options: Unpack[FitChanges],
+    *,
+    tune: Table | None = None,
+    recipe: Recipe | None = None,
+    priors: Mapping[int, Name] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float] | None = None,
+    name: str | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    pool: TaskPool = THIS_PROCESS,
+    progress: bool | Progress = False,
+    checkpoint: Name | None = None,
 ) -> Run:
     """Fit as `fit`, then sample the posterior by MCMC, as `needlefit tune` does.
 
     Parameters
     ----------
-    target, medium, **options
-        As of `fit`; `target` may also be a run of kind `fit`, or of a study with one fold.
+    target, medium, tune, recipe, priors, free, fix, name, seed, jobs, pool, progress, checkpoint
+        As of `fit`; `target` may also be a run of a study with one fold.
 
     Returns
     -------
@@ -317,14 +323,21 @@ def sample(
     ConfigError, DataError, FitError
         As `fit`; also if the data that `target` was fitted to are no longer the same.
     """
-    return _fit(target, medium, options, sample=True)
+    changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
+    return _run(changed, name, seed, jobs, pool, progress, checkpoint, sample=True)
 
 
 def predict(
     target: Name | Run,
     scene: Name | SceneRecord | Table,
     specimen: str | None = None,
-    **options: Unpack[RunOptions],
+    *,
+    name: str | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    pool: TaskPool = THIS_PROCESS,
+    progress: bool | Progress = False,
+    checkpoint: Name | None = None,
 ) -> Run:
     """Predict a planned insertion, with its uncertainty.
 
@@ -340,6 +353,8 @@ def predict(
         Where it goes: into a "new" one, whose parameters differ, or the "same" that was tuned on; of several
         that differ, its name.
         By default a new one, whose parameters differ unless `specimens` of the target leaves that out.
+    name, seed, jobs, pool, progress, checkpoint
+        As of `fit`.
 
     Returns
     -------
@@ -356,16 +371,16 @@ def predict(
     KeyboardInterrupt
         With Ctrl-C.
     """
-    _check_options(options, RunOptions)
     if not isinstance(specimen, str | None):
         raise ConfigError(f"`specimen` is {specimen!r:.60}", expected='"new", "same", or a name')
     if isinstance(target, Run):
-        name, fitted, inputs = _reopen(target)
-        inputs = replace(inputs, target=(name, fitted), judged=target)
+        fitted = _reopen(target)
+        about = fitted.name
+        inputs = replace(fitted.inputs, target=(about, _require_fit(fitted.record)), judged=target)
     else:
-        name, inputs = load_target(spell_name(target))[0], Inputs()
+        about, inputs = load_target(spell_name(target))[0], Inputs()
     planned, scene_name = read_given("scene", scene, SceneRecord)
-    about = name.removesuffix("-tune")
+    about = about.removesuffix("-tune")
     record = find_kind("prediction").make_record(
         target=about if isinstance(target, Run) else spell_name(target),
         scene=planned,
@@ -374,18 +389,38 @@ def predict(
         specimen=specimen,
     )
     stem = Path(scene_name).stem if scene_name != IN_MEMORY else "scene"
-    return _run(record, f"predict-{about}-{stem}", Settings(inputs=inputs), options)
+    planned_study = _Study(f"predict-{about}-{stem}", record, inputs)
+    return _run(planned_study, name, seed, jobs, pool, progress, checkpoint)
 
 
-def validate(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) -> Run:
+def validate(
+    study: Name | FileRecord | Table,
+    *,
+    dataset: Name | Dataset | None = None,
+    medium: Medium | None = None,
+    recipe: Recipe | None = None,
+    name: str | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    pool: TaskPool = THIS_PROCESS,
+    progress: bool | Progress = False,
+    checkpoint: Name | None = None,
+) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
 
     Parameters
     ----------
     study : str, Path, record or table
         A name such as `study3`, a path, or the keys of a study file.
-    **options
-        See `StudyChanges`: of a study that fits and scores, other data and another model.
+    dataset : str, Path or Dataset, optional
+        Of a study that fits and scores: another dataset, with insertions of the same names, such as
+        `make_twin(folder, 2)`.
+    medium : str, Path, MediumRecord or table, optional
+        Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
+    recipe : str, Path, RecipeRecord or table, optional
+        How to search and sample, in place of what the study names; a table changes keys of `default`.
+    name, seed, jobs, pool, progress, checkpoint
+        As of `fit`.
 
     Raises
     ------
@@ -396,15 +431,19 @@ def validate(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) 
     KeyboardInterrupt
         With Ctrl-C.
     """
-    _check_options(options, StudyChanges)
-    name, record, file = _load_study(study)
-    inputs = Inputs()
-    if options.keys() & {"dataset", "medium", "recipe"}:
-        record, inputs = _replace_inputs(record, options)
-    return _run(record, name, Settings(inputs=inputs, file=file), options)
+    changed = _replace_inputs(_load_study(study), dataset, medium, recipe)
+    return _run(changed, name, seed, jobs, pool, progress, checkpoint)
 
 
-def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges]) -> pd.DataFrame:
+def score_study(
+    study: Name | FileRecord | Table,
+    *,
+    dataset: Name | Dataset | None = None,
+    medium: Medium | None = None,
+    recipe: Recipe | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+) -> pd.DataFrame:
     """Fit a study, and return the errors of every method on every insertion.
 
     Intervals, predictions and the error-minimising fit of `validate` are left out: seconds instead of a
@@ -414,8 +453,8 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
     ----------
     study : str, Path, record or table
         A study that fits and scores, or a fit, as of `validate`.
-    **options
-        See `StudyChanges`; the dataset may be changed in memory.
+    dataset, medium, recipe, seed, jobs
+        As of `validate`; the dataset may be changed in memory.
 
     Returns
     -------
@@ -429,11 +468,11 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
     ConfigError, DataError, FitError
         As of `validate`.
     """
-    _check_options(options, StudyChanges)
-    name, record, file = _load_study(study)
-    record, inputs = _replace_inputs(record, options, stored=False)
-    job, jobs = _prepare(name, record, file, inputs, options)
-    scorer = Scorer(job.dataset, record.layer_count_rule, {one.id: job.floor(one) for one in job.insertions})
+    job, jobs = _prepare(
+        _replace_inputs(_load_study(study), dataset, medium, recipe, stored=False), seed, jobs
+    )
+    floors = {one.id: job.floor(one) for one in job.insertions}
+    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors)
     rows = []
     for fold in job.folds:
         problem = job.problem(fold)
@@ -455,17 +494,90 @@ def score_study(study: Name | FileRecord | Table, **options: Unpack[StudyChanges
     return pd.DataFrame(rows).drop(columns=["boundaries", "comparison"])
 
 
+def estimate_elpd(
+    run: Run, leave_out: Literal["specimen", "insertion"] = "specimen", *, jobs: int | None = None
+) -> pd.DataFrame:
+    """Estimate how well a tissue model predicts a specimen or insertion from the others.
+
+    Of the data of each it is the expected log predictive density (elpd, of lengths in mm), as if the model
+    had been fitted to the others, by Pareto-smoothed importance sampling of the posterior (PSIS-LOO; A.
+    Vehtari, A. Gelman, J. Gabry, Stat. Comput. 27 (2017) 1413). Where its weights are not reliable the others
+    are fitted: the density is the evidence of all, less that of the others. Bevels, depths and poses are
+    integrated out. As in `posterior`, all specimens have one set of parameters. The larger sum is the better
+    model; the difference of two is uncertain by sqrt(n) times the standard deviation of the n differences.
+
+    Parameters
+    ----------
+    run : Run
+        Sampled, of one fold. Runs to be compared need the same insertions and one likelihood (recipe).
+    leave_out : "specimen" or "insertion"
+        What is left out together.
+    jobs : int, optional
+        Threads; by default as many as there are cores.
+
+    Returns
+    -------
+    DataFrame
+        By specimen or insertion: `elpd`, and `pareto_k` of the weights (above 0.7 the estimate is not
+        reliable).
+
+    Raises
+    ------
+    ConfigError, DataError
+        If the run has no posterior, or one that has not converged; if there is only one specimen; if no noise
+        of the points is stated; if the data are no longer the same.
+    """
+    if leave_out not in ("specimen", "insertion"):
+        raise ConfigError(f"`leave_out` is {leave_out!r:.60}", expected='"specimen" or "insertion"')
+    posterior = run.posterior
+    if posterior.faults:
+        raise ConfigError(
+            f"the posterior of `{run.name}` has not converged: {posterior.faults[0]}",
+            fix="sample again, with more `densities` in the recipe",
+        )
+    job, jobs = _prepare(_reopen(run), None, jobs)
+    problem = _require_noise(job).problem(job.folds[0])
+    groups = group_insertions(problem.insertions, leave_out)
+    if len(groups) < 2:
+        raise ConfigError(
+            f"there is only one {leave_out}: none can be left out",
+            expected='several, or leave_out="insertion"',
+        )
+    places = {one.id: place for place, one in enumerate(problem.insertions)}
+    parts = [[places[one.id] for one in members] for members in groups.values()]
+    draws = thin_posterior(posterior, job.parameters, ELPD_DRAWS)
+    elpd, k = leave_out_parts(problem.log_predictive(draws.thetas, parts, jobs))
+    if any(k > MAX_PARETO_K):
+        whole = _integrate(job, problem, ("elpd",), jobs)
+        for n, name in enumerate(groups):
+            if k[n] > MAX_PARETO_K:
+                kept = tuple(one for one in problem.insertions if one not in groups[name])
+                rest = _integrate(job, replace(problem, insertions=kept), ("elpd", name), jobs)
+                elpd[n], k[n] = whole.log_evidence - rest.log_evidence, max(whole.k, rest.k)
+    return pd.DataFrame({"elpd": elpd, "pareto_k": k}, index=pd.Index(groups, name=leave_out))
+
+
 def estimate_evidence(
-    target: Name | Dataset, medium: Medium | None = None, **options: Unpack[FitChanges]
+    target: Name | Dataset | Run,
+    medium: Medium | None = None,
+    *,
+    tune: Table | None = None,
+    recipe: Recipe | None = None,
+    priors: Mapping[int, Name] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float] | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
 ) -> "pd.Series[float]":
     """Return the evidence of a tissue model: the probability density of the data, over all its parameters.
 
     The log density of insertions B predicted from insertions A is the evidence of both, less that of A. The
-    integral is by importance sampling about the modes of the fit.
+    integral is by importance sampling about the modes of the fit. The prior is not normalised: evidences of
+    models with other parameters or bounds cannot be compared; `estimate_elpd` compares them.
 
     Parameters
     ----------
-    target, medium, **options
+    target, medium, tune, recipe, priors, free, fix, seed, jobs
         As of `fit`; the dataset may have no files. Recipes to be compared need one likelihood.
 
     Returns
@@ -479,24 +591,10 @@ def estimate_evidence(
     ConfigError, DataError, FitError
         As of `fit`; ConfigError also if no noise of the points is stated.
     """
-    if medium is None:
-        if isinstance(target, Dataset):
-            raise ConfigError("a dataset alone has no evidence", fix='name the model: "phantom1"')
-        name, record, file = load_target(spell_name(target))
-        inputs = Inputs()
-    else:
-        name, record, inputs = _begin_fit(target, medium, stored=False)
-        file = None
-    record, inputs = _change_fit(record, inputs, options)
-    job, jobs = _prepare(name, record, file, inputs, options)
-    if job.recipe.minimize != "posterior":
-        raise ConfigError(
-            "an evidence needs the errors of the points", expected="a dataset that states its noise"
-        )
-    problem = job.problem(job.folds[0])
-    rng = random_stream(job.recipe.seed, "evidence")
-    fit = minimize(problem, job.recipe, rng, Callbacks(jobs=jobs))
-    found = sample_about_fit(problem, fit, rng, jobs)
+    changed = _change_fit(_open_fit(target, medium, stored=False), tune, recipe, priors, free, fix)
+    job, jobs = _prepare(changed, seed, jobs)
+    problem = _require_noise(job).problem(job.folds[0])
+    found = _integrate(job, problem, ("evidence",), jobs)
     values = (found.log_evidence, found.log_evidence_se, found.k, found.effective_sample_size)
     return pd.Series(values, index=["log_evidence", "se", "k", "ess"])
 
@@ -543,51 +641,47 @@ def write_prior(
     return Path(file)
 
 
-def _fit(target: Name | Dataset | Run, medium: Medium | None, options: FitChanges, sample: bool) -> Run:
-    file, inputs = None, Inputs()
-    if medium is None:
-        if isinstance(target, Dataset):
-            raise ConfigError(
-                "a dataset alone cannot be fitted", fix='name the model: fit(dataset, "phantom1")'
-            )
-        if isinstance(target, Run):
-            name, record, inputs = _reopen(target)
-        else:
-            name, record, file = load_target(spell_name(target))
-    else:
-        name, record, inputs = _begin_fit(target, medium)
-    record, inputs = _change_fit(record, inputs, options)
-    return _run(record, name, Settings(sample=sample, inputs=inputs, file=file), options)
-
-
-def _check_options(options: RunOptions, known: type) -> None:
-    """Raise ConfigError if an option is not known, or of a wrong type."""
+def _check_types(**options: object) -> None:
+    """Raise ConfigError if an option is of a wrong type; None is one that was not given."""
     for name, value in options.items():
-        if name not in (names := get_type_hints(known)):
-            raise ConfigError(f"there is no option `{name}`", expected=f"one of {', '.join(names)}")
-        if not isinstance(value, kind := _OPTION_TYPES.get(name, object)):
-            raise ConfigError(f"`{name}` is {value!r:.60}", expected=f"a {kind.__name__}")
+        kind, expected = _OPTION_TYPES[name]
+        if value is not None and (
+            not isinstance(value, kind) or (kind is Sequence and isinstance(value, str))
+        ):
+            raise ConfigError(f"`{name}` is {value!r:.60}", expected=expected)
 
 
-def _begin_fit(
-    target: Name | Dataset | Run, medium: Medium, stored: bool = True
-) -> tuple[str, FitRecord, Inputs]:
+def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool = True) -> _Study:
+    """Return the fit of a dataset with a medium, of a run, or of a file."""
+    if medium is not None:
+        return _begin_fit(target, medium, stored)
+    if isinstance(target, Dataset):
+        fix = 'name the model: fit(dataset, "phantom1")'
+        raise ConfigError("a dataset alone cannot be fitted", fix=fix)
+    if isinstance(target, Run):
+        return _reopen(target)
+    name, record, file = load_target(spell_name(target))
+    return _Study(name, record, file=file)
+
+
+def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _Study:
     if isinstance(target, Run):
         raise ConfigError("a run has a medium already", fix="leave `medium` out, or give the dataset")
     table = {"schema": FitRecord.SCHEMA, "dataset": IN_MEMORY, "medium": IN_MEMORY}
-    empty = check(table, FitRecord, "needlefit.fit")
-    record, inputs = _replace_inputs(empty, {"dataset": target, "medium": medium}, stored)
+    empty = _Study("", check(table, FitRecord, "needlefit.fit"))
+    found = _replace_inputs(empty, target, medium, stored=stored)
+    record, inputs = _require_fit(found.record), found.inputs
     dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
     name = dataset.name if inputs.medium else f"{dataset.name}-{Path(record.medium).stem}"
-    return name, record, replace(inputs, dataset=dataset)
+    return _Study(name, record, replace(inputs, dataset=dataset))
 
 
-def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path | None]:
-    """Return the name of a study, its record, and its file, which one in memory has not."""
+def _load_study(study: Name | FileRecord | Table) -> _Study:
+    """Return a study by its record, its keys, or the name of its file."""
     if isinstance(study, FileRecord):
-        return "study", study, None
+        return _Study("study", study)
     if isinstance(study, Mapping):
-        return "study", check_study(study, "needlefit.validate"), None
+        return _Study("study", check_study(study, "needlefit.validate"))
     (name, file), *others = find_studies(spell_name(study))
     if others:
         raise ConfigError(
@@ -595,75 +689,106 @@ def _load_study(study: Name | FileRecord | Table) -> tuple[str, FileRecord, Path
             expected="a single one",
             fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
         )
-    return name, load_study(file), file
+    return _Study(name, load_study(file), file=file)
 
 
-def _prepare(
-    name: str, record: FitRecord, file: Path | None, inputs: Inputs, options: RunOptions
-) -> tuple[Job, int]:
+def _require_fit(record: FileRecord) -> FitRecord:
+    """Return the record of a study that fits and scores, or of a fit; ConfigError for another."""
+    if isinstance(record, FitRecord):
+        return record
+    raise ConfigError(
+        "only a study that fits and scores takes another dataset, tissue model or recipe",
+        expected="a study file without `kind`",
+    )
+
+
+def _prepare(study: _Study, seed: int | None, jobs: int | None) -> tuple[Job, int]:
     """Return the job of a study that is computed here, without a run, and the threads to use."""
-    settings = Settings(seed=options.get("seed"), jobs=options.get("jobs", count_cores()), inputs=inputs)
-    with nullcontext() if file is None else add_file_context(file):
-        return prepare(name, record, settings), settings.jobs
+    _check_types(seed=seed, jobs=jobs)
+    settings = Settings(seed=seed, jobs=count_cores() if jobs is None else jobs, inputs=study.inputs)
+    with nullcontext() if study.file is None else add_file_context(study.file):
+        return prepare(study.name, _require_fit(study.record), settings), settings.jobs
+
+
+def _integrate(job: Job, problem: Problem, key: tuple[str, ...], jobs: int) -> WeightedDraws:
+    """Return weighted draws of a problem, with its evidence; `key` is that of the random stream."""
+    rng = random_stream(job.recipe.seed, *key)
+    fit = minimize(problem, job.recipe, rng, Callbacks(jobs=jobs))
+    return sample_about_fit(problem, fit, rng, jobs)
+
+
+def _require_noise(job: Job) -> Job:
+    """Return a job whose dataset states its noise; ConfigError for another."""
+    if job.recipe.minimize == "posterior":
+        return job
+    raise ConfigError(
+        "densities of the data need the errors of the points", expected="a dataset that states its noise"
+    )
 
 
 def _replace_inputs(
-    record: FileRecord, options: StudyChanges, stored: bool = True
-) -> tuple[FitRecord, Inputs]:
-    """Return a study, and what is in memory for it, with the files that were replaced.
+    study: _Study,
+    dataset: Name | Dataset | None = None,
+    medium: Medium | None = None,
+    recipe: Recipe | None = None,
+    *,
+    stored: bool = True,
+) -> _Study:
+    """Return a study with other data, another tissue model or recipe.
 
     Of a run that may be `stored`, the dataset must be what its files hold.
     """
-    if not isinstance(record, FitRecord):
-        raise ConfigError(
-            "only a study that fits and scores takes another dataset, tissue model or recipe",
-            expected="a study file without `kind`",
-        )
+    if dataset is None and medium is None and recipe is None:
+        return study
+    record, inputs = _require_fit(study.record), study.inputs
     changes: dict[str, Any] = {}
-    inputs = Inputs()
-    if "dataset" in options:
-        dataset = options["dataset"]
-        if isinstance(dataset, Dataset):
-            inputs = replace(inputs, dataset=_require_unchanged(dataset) if stored else dataset)
-            changes["dataset"] = _name_dataset(dataset)
-        else:
-            changes["dataset"] = spell_name(dataset)
-    if "medium" in options:
-        medium = options["medium"]
-        if isinstance(medium, Name):
-            changes["medium"] = spell_name(medium)
-        else:
-            given, changes["medium"] = read_given("medium", medium, MediumRecord)
-            inputs = replace(inputs, medium=given)
-    if "recipe" in options:
-        recipe, changes["recipe"] = _read_recipe(options["recipe"])
-        inputs = replace(inputs, recipe=recipe)
-    return check(_plain(record, changes), type(record), "needlefit.validate"), inputs
+    if isinstance(dataset, Dataset):
+        inputs = replace(inputs, dataset=_require_unchanged(dataset) if stored else dataset)
+        changes["dataset"] = _name_dataset(dataset)
+    elif dataset is not None:
+        changes["dataset"] = spell_name(dataset)
+    if isinstance(medium, Name):
+        changes["medium"] = spell_name(medium)
+    elif medium is not None:
+        given, changes["medium"] = read_given("medium", medium, MediumRecord)
+        inputs = replace(inputs, medium=given)
+    if recipe is not None:
+        chosen, changes["recipe"] = _read_recipe(recipe)
+        inputs = replace(inputs, recipe=chosen)
+    record = check(_plain(record, changes), type(record), "needlefit.validate")
+    return replace(study, record=record, inputs=inputs)
 
 
-def _change_fit(record: FitRecord, inputs: Inputs, options: FitChanges) -> tuple[FitRecord, Inputs]:
-    """Return a fit, and what is in memory for it, with the changes that were asked for."""
-    _check_options(options, FitChanges)
+def _change_fit(
+    study: _Study,
+    tune: Table | None,
+    recipe: Recipe | None,
+    priors: Mapping[int, Name] | None,
+    free: Sequence[str],
+    fix: Mapping[str, float] | None,
+) -> _Study:
+    """Return a fit with the changes that were asked for."""
+    _check_types(tune=tune, priors=priors, free=free, fix=fix)
+    record, inputs, fix = _require_fit(study.record), study.inputs, fix or {}
     changes: dict[str, Any] = {}
-    if "tune" in options:
-        changes["tune"] = options["tune"]
-    if "priors" in options:
-        changes["priors"] = {str(layer): str(file) for layer, file in options["priors"].items()}
-    if "recipe" in options:
-        recipe, changes["recipe"] = _read_recipe(options["recipe"])
-        inputs = replace(inputs, recipe=recipe)
+    if tune is not None:
+        changes["tune"] = tune
+    if priors is not None:
+        changes["priors"] = {str(layer): str(file) for layer, file in priors.items()}
+    if recipe is not None:
+        chosen, changes["recipe"] = _read_recipe(recipe)
+        inputs = replace(inputs, recipe=chosen)
     record = check(_plain(record, changes), type(record), "needlefit.fit")
-    free, fix = options.get("free", ()), options.get("fix", {})
     record = change_fit(record, free, fix, "needlefit.fit")
     if inputs.medium is not None:
-        medium = set_priors(inputs.medium, record.priors if "priors" in options else {})
+        medium = set_priors(inputs.medium, {} if priors is None else record.priors)
         values = {name: record.fix[name] for name in map(spell_parameter, fix)}
         medium = change_parameters(medium, [*map(spell_parameter, free)], values)
         inputs = replace(inputs, medium=medium)
-    return record, inputs
+    return replace(study, record=record, inputs=inputs)
 
 
-def _reopen(run: Run) -> tuple[str, FitRecord, Inputs]:
+def _reopen(run: Run) -> _Study:
     """Return the fit of a run with its medium, recipe and posterior; ConfigError if its data were changed."""
     record = run.record
     if not isinstance(record, FitRecord):
@@ -682,11 +807,11 @@ def _reopen(run: Run) -> tuple[str, FitRecord, Inputs]:
     one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
     inputs = replace(inputs, dataset=job.dataset, posterior=run.posterior if one_fit else None)
     if isinstance(record, StudyRecord):
-        return f"{run.name}-tune", record.tuning(), inputs
-    return run.name, record, inputs
+        return _Study(f"{run.name}-tune", record.tuning(), inputs)
+    return _Study(run.name, record, inputs)
 
 
-def _read_recipe(value: Name | RecipeRecord | Table) -> tuple[RecipeRecord, str]:
+def _read_recipe(value: Recipe) -> tuple[RecipeRecord, str]:
     """Return a recipe and its name; a table changes keys of the default one."""
     if isinstance(value, Mapping):
         default, _ = read_given("recipe", "default", RecipeRecord)
@@ -731,23 +856,35 @@ def _is_same(one: Insertion, other: Insertion) -> bool:
     return same and one.needle == other.needle
 
 
-def _run(record: FileRecord, name: str, settings: Settings, options: RunOptions) -> Run:
-    name, folder = options.get("name", name), options.get("checkpoint")
-    checkpoint = None if folder is None else Path(folder)
-    with _catch_interrupts() as stop, _show_progress(options.get("progress", False)) as progress:
-        settings = replace(
-            settings,
-            seed=options.get("seed"),
-            jobs=options.get("jobs", count_cores()),
-            pool=options.get("pool", THIS_PROCESS),
+def _run(
+    study: _Study,
+    name: str | None,
+    seed: int | None,
+    jobs: int | None,
+    pool: TaskPool,
+    progress: bool | Progress,
+    checkpoint: Name | None,
+    *,
+    sample: bool = False,
+) -> Run:
+    _check_types(name=name, seed=seed, jobs=jobs)
+    name, record = name or study.name, study.record
+    checkpoint = None if checkpoint is None else Path(checkpoint)
+    with _catch_interrupts() as stop, _show_progress(progress) as report:
+        settings = Settings(
+            seed=seed,
+            jobs=count_cores() if jobs is None else jobs,
+            pool=pool,
             checkpoint=checkpoint,
             resume=checkpoint is not None and is_dir(checkpoint),
-            progress=progress,
+            sample=sample,
+            progress=report,
             stop=stop,
             note=warnings.warn,
+            file=study.file,
+            inputs=study.inputs,
         )
-        place = nullcontext() if settings.file is None else add_file_context(settings.file)
-        with place:
+        with nullcontext() if study.file is None else add_file_context(study.file):
             result = kind_of(record).run(name, record, settings)
     if checkpoint is not None and not result.interrupted:
         remove_checkpoint(checkpoint, warnings.warn)

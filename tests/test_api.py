@@ -1,6 +1,7 @@
 """The Python API: the same computations as the commands', from names, paths and objects in memory."""
 
 import doctest
+import inspect
 import os
 import re
 import signal
@@ -9,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from docs_scripts import load_script
 
 import needlefit
 from needlefit import api
@@ -38,17 +40,17 @@ def sampled(fitted):
 
 
 DOCTEST_OPTIONS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
-PAGE = shipped_folder() / "docs" / "python.md"
+DOCS = shipped_folder() / "docs"
 
 
 @pytest.mark.sweep
-@pytest.mark.skipif(not PAGE.is_file(), reason="not run from the repository")
+@pytest.mark.skipif(not DOCS.is_dir(), reason="not run from the repository")
+@pytest.mark.filterwarnings(r"ignore:\sArviZ is:FutureWarning")  # once a day, where corner imports it
 def test_the_page_prints_what_it_shows(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```pycon\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    examples = doctest.DocTestParser().get_doctest("".join(blocks), {}, PAGE.name, str(PAGE), 0)
-    found = doctest.DocTestRunner(optionflags=DOCTEST_OPTIONS).run(examples)
-    assert found.attempted > 20 and found.failed == 0
+    monkeypatch.syspath_prepend(DOCS)
+    page = load_script(DOCS / "python_page.py")
+    found = page.run_page(tmp_path)
+    assert found.attempted > 20 and found.failed == 0 and (tmp_path / page.PICTURE).is_file()
 
 
 def test_the_docstrings_print_what_they_show():
@@ -143,7 +145,8 @@ def test_a_study_runs_by_name_record_and_table():
         lambda: needlefit.validate({"schema": 2, "dataset": "twin"}),
         lambda: needlefit.fit("twin", "chicken", fix=5),
         lambda: needlefit.fit("twin", "chicken", free="alpha1"),
-        lambda: needlefit.fit("twin", "chicken", steps=5),
+        lambda: needlefit.fit("twin", "chicken", seed="one"),
+        lambda: needlefit.predict("chicken", "chicken", jobs=1.5),
         lambda: needlefit.predict("chicken", "chicken", specimen=3),
         lambda: needlefit.open_scene(3),
         lambda: needlefit.open_scene({"needle": 3}),
@@ -153,6 +156,48 @@ def test_a_study_runs_by_name_record_and_table():
 def test_wrong_input_is_a_config_error(call):
     with pytest.raises(ConfigError):
         call()
+
+
+@pytest.mark.parametrize(
+    "function", [api.fit, api.sample, api.predict, api.validate, api.score_study, api.estimate_evidence]
+)
+def test_an_editor_shows_every_option_with_type_and_default(function):
+    found = inspect.signature(function).parameters
+    documented = set(re.findall(r"\w+", function.__doc__.partition("Parameters")[2].partition("Returns")[0]))
+    for name, one in found.items():
+        assert one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY) and name in documented
+        assert one.annotation is not one.empty and (
+            one.kind != one.KEYWORD_ONLY or one.default is not one.empty
+        )
+    with pytest.raises(TypeError, match="steps"):
+        function("twin", "chicken", steps=5)
+
+
+def test_the_public_names_alone_are_listed():
+    assert dir(needlefit) == sorted(needlefit.__all__)
+    assert all(getattr(needlefit, name).__doc__ for name in needlefit.__all__)
+    assert {"Run", "load_medium"} <= {*dir(needlefit)}
+
+
+@pytest.mark.sweep
+@pytest.mark.usefixtures("few_draws")
+def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled):
+    recipe = {**RECIPE, "sample": {"independent_draws": 300}}
+    names = [f"chicken-0{number}" for number in range(3, 8)]
+    run = needlefit.sample("twin", "chicken", tune={"insertions": names}, recipe=recipe)
+    found = needlefit.estimate_elpd(run, leave_out="insertion")
+    assert found.index.tolist() == names and (found["pareto_k"] < 0.7).all()
+    # exactly it is the evidence of all insertions, less that of the others
+    whole, rest = (
+        api.estimate_evidence("twin", "chicken", tune={"insertions": some}, recipe=recipe)
+        for some in (names, names[1:])
+    )
+    assert found["elpd"].iloc[0] == pytest.approx(whole["log_evidence"] - rest["log_evidence"], abs=0.2)
+    for wrong in (sampled, replace(run, posteriors={})):
+        with pytest.raises(ConfigError):
+            needlefit.estimate_elpd(wrong)
+    with pytest.raises(ConfigError, match="leave_out"):
+        needlefit.estimate_elpd(run, leave_out="needle")
 
 
 def test_a_changed_dataset_is_refused(dataset):

@@ -25,7 +25,7 @@ SHORT = {"walkers": 16, "densities": 16 * 35 + 15, "independent_draws": 10**6}
 
 def assert_equal(one: Posterior, other: Posterior) -> None:
     assert np.array_equal(one.draws, other.draws) and np.array_equal(one.log_posterior, other.log_posterior)
-    assert np.array_equal(one.acceptance, other.acceptance) and one.faults == other.faults
+    assert np.array_equal(one.acceptance_fraction, other.acceptance_fraction) and one.faults == other.faults
 
 
 # ---- when a run ends
@@ -187,9 +187,9 @@ def met(**changed: object) -> Posterior:
         names=("x0", "x1"),
         draws=rng.normal(size=(8, 100, 2)),
         log_posterior=rng.normal(size=(8, 100)),
-        acceptance=np.full(8, 0.7),
+        acceptance_fraction=np.full(8, 0.7),
         r_hat=np.array([1.0, 1.019, 1.01]),
-        tau=np.array([2.0, 1.5, 1.0]),
+        autocorrelation_time=np.array([2.0, 1.5, 1.0]),
         wanted=400,
         burn_in=3,
         failures=2,
@@ -199,11 +199,17 @@ def met(**changed: object) -> Posterior:
 
 def test_each_criterion_counts():
     assert met().faults == () and met().ess.tolist() == [400.0, 800 / 1.5, 800.0]
+    assert met().convergence.loc["x1"].to_dict() == {
+        "r_hat": 1.019,
+        "autocorrelation_time": 1.5,
+        "ess": 800 / 1.5,
+    }
+    assert met().to_frame().loc[(3, 2)].to_dict() == dict(zip(met().names, met().draws[3, 2], strict=True))
     broken = [
         met(r_hat=np.array([1.0, MAX_R_HAT, 1.0])),
         met(r_hat=np.array([1.0, 1.0, math.nan])),
-        met(tau=np.array([1.0, 1.0, 2.01])),
-        met(tau=np.array([1.0, math.inf, 1.0])),
+        met(autocorrelation_time=np.array([1.0, 1.0, 2.01])),
+        met(autocorrelation_time=np.array([1.0, math.inf, 1.0])),
         met(wanted=401),
         met(interrupted=True),
     ]
@@ -222,7 +228,7 @@ def test_the_file_reads_back_equal_and_has_equal_bytes(tmp_path):
         assert (tmp_path / "one.nc").read_bytes() == (tmp_path / "two.nc").read_bytes()
         back = load(tmp_path / "one.nc")
         assert_equal(back, posterior)
-        for name in ("r_hat", "tau"):
+        for name in ("r_hat", "autocorrelation_time"):
             assert np.array_equal(getattr(back, name), getattr(posterior, name), equal_nan=True)
         for name in ("names", "wanted", "burn_in", "failures", "interrupted"):
             assert getattr(back, name) == getattr(posterior, name)

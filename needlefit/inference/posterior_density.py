@@ -1,6 +1,6 @@
 """Compute the posterior density of one fit, and its residuals for least squares."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -65,11 +65,35 @@ class PosteriorDensity:
 
     def add_up(self, white: Sequence[Floats], sets: Sequence[Values]) -> Floats:
         """Return the log densities (B,), given the whitened residuals (B, m, R) of every insertion."""
+        return self._add_likelihoods(np.array([self._log_prior(values) for values in sets]), white, sets)
+
+    def log_predictive(self, sets: Sequence[Values], parts: Sequence[Collection[int]], jobs: int) -> Floats:
+        """Return the log densities (B, G) of what was measured in each of G parts, given all the rest.
+
+        A part is some of the insertions, by their place in `observations`. Insertions share bevels, layers
+        and frames: given a set of values, what the rest tells of these counts too (P.-C. Buerkner, J. Gabry,
+        A. Vehtari, Comput. Stat. 36 (2021) 1243). NaN where a solve fails.
+        """
+        found = []
+        for some in (sets[part] for part in self.split(len(sets))):
+            white, zero = list(self.whitened_residuals(some, jobs)), np.zeros(len(some))
+            whole = self._add_likelihoods(zero, white, some)
+            rest = np.column_stack([self._add_likelihoods(zero, white, some, part) for part in parts])
+            found.append(whole[:, None] - rest)
+        return np.concatenate(found)
+
+    def _add_likelihoods(
+        self, total: Floats, white: Sequence[Floats], sets: Sequence[Values], left_out: Collection[int] = ()
+    ) -> Floats:
+        """Return `total` (B,) and the log likelihoods of all insertions but those that are left out."""
         scale, spread = self._scales(sets)
-        total = np.array([self._log_prior(values) for values in sets])
         for members, group in self._nodes.groups:
-            total += sum(self.observations[k].log_norm for k in members)
-            total += log_marginals([white[k] for k in members], group, scale, spread)
+            total = total + sum(self.observations[k].log_norm for k in members if k not in left_out)
+            # residuals of 0 under all conditions weigh them alike, as if nothing had been measured; they are
+            # normalised by the scale nevertheless
+            known = [np.zeros_like(white[k]) if k in left_out else white[k] for k in members]
+            rows = sum(white[k].shape[2] for k in members if k in left_out)
+            total = total + (log_marginals(known, group, scale, spread) + rows * np.log(scale))
         return total
 
     def whitened_residuals(

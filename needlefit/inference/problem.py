@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -177,6 +177,13 @@ class Problem:
         if len(inside):
             density[inside] = self._log_densities(thetas[inside], jobs)
         return density
+
+    def log_predictive(self, thetas: Floats, parts: Sequence[Collection[int]], jobs: int = 1) -> Floats:
+        """Return the log densities (W, G) of what was measured in each of G parts, given all the rest.
+
+        A part is some of the insertions, by their place; see `PosteriorDensity.log_predictive`.
+        """
+        return self.density.log_predictive(self._list_values(thetas), parts, jobs)
 
     def _log_densities(self, thetas: Floats, jobs: int) -> list[float]:
         return list(map(float, self.density.log_densities(self._list_values(thetas), jobs)))

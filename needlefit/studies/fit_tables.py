@@ -377,7 +377,10 @@ def tabulate_percentiles(results: Run) -> pd.DataFrame:
     """
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
     for fold, posterior in results.posteriors.items():
-        about: Row = {"acceptance": float(np.mean(posterior.acceptance)), "converged": not posterior.faults}
+        about: Row = {
+            "acceptance": float(np.mean(posterior.acceptance_fraction)),
+            "converged": not posterior.faults,
+        }
         about |= {"fold": fold, "origin": results.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
             of_chain = {"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])}

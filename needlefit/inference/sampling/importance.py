@@ -84,6 +84,18 @@ def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
     return found - logsumexp(found), k
 
 
+def leave_out_parts(log_predictive: Floats) -> tuple[Floats, Floats]:
+    """Return the expected log predictive density (G,) of each of G parts of the data, and k (G,).
+
+    Of draws (N, G) of the posterior of all the data: the log density of each part given the rest and the
+    draw. The weights of the rest alone are inverse to it (PSIS-LOO: A. Vehtari, A. Gelman, J. Gabry, Stat.
+    Comput. 27 (2017) 1413); above `MAX_PARETO_K` a part is not estimated reliably.
+    """
+    smoothed = [smooth_weights(-part) for part in log_predictive.T]
+    weights = np.column_stack([log_weights for log_weights, _ in smoothed])
+    return logsumexp(weights + log_predictive, axis=0), np.array([k for _, k in smoothed])
+
+
 def fit_pareto(values: Floats) -> tuple[float, float]:
     """Fit a generalised Pareto distribution to positive `values` (N,), ascending; return shape and scale."""
     n = len(values)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.errors import DataError
@@ -33,11 +34,11 @@ class Posterior:
     names: tuple[str, ...]  #: free parameters
     draws: Floats  #: (W, N, P) values (Pa, mm), not theta
     log_posterior: Floats  #: (W, N) log density in theta of each draw, not normalised
-    acceptance: Floats  #: (W,) accepted part of each walker's proposals, burn-in included
-    #: r_hat, tau: (P + 1,) of the parameters and the log posterior: R-hat over both halves of the ensemble,
-    #: each halved in time; autocorrelation time in steps
+    acceptance_fraction: Floats  #: (W,) accepted part of each walker's proposals, burn-in included
+    #: (P + 1,) R-hat of the parameters and the log posterior, over both halves of the ensemble, each halved
+    #: in time
     r_hat: Floats
-    tau: Floats
+    autocorrelation_time: Floats  #: (P + 1,) of the same, integrated, in steps
     wanted: int  #: independent draws that were asked for
     burn_in: int  #: steps thrown away before
     failures: int  #: evaluations that were not a number, or raised, and were given density 0
@@ -46,7 +47,13 @@ class Posterior:
     @property
     def ess(self) -> Floats:
         """Independent draws (P + 1,) of all walkers together."""
-        return self.log_posterior.size / self.tau
+        return self.log_posterior.size / self.autocorrelation_time
+
+    @property
+    def convergence(self) -> pd.DataFrame:
+        """Of each parameter and the log posterior: `r_hat`, `autocorrelation_time` (steps) and `ess`."""
+        columns = {name: getattr(self, name) for name in ("r_hat", "autocorrelation_time", "ess")}
+        return pd.DataFrame(columns, pd.Index([*self.names, LOG_POSTERIOR], name="quantity"))
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -64,6 +71,13 @@ class Posterior:
         """Return each parameter's percentiles over all draws (Pa, mm)."""
         table = np.percentile(self.draws.reshape(-1, len(self.names)), at, axis=0)  # (Q, P)
         return {name: tuple(column.tolist()) for name, column in zip(self.names, table.T, strict=True)}
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the draws (Pa, mm, degrees): a row for each, by chain and draw, a column a parameter."""
+        places = pd.MultiIndex.from_product(
+            [range(n) for n in self.log_posterior.shape], names=["chain", "draw"]
+        )
+        return pd.DataFrame(self.draws.reshape(-1, len(self.names)), places, self.names)
 
     def to_xarray(self) -> "xarray.DataTree":
         """Return the groups of the netCDF file that `save` writes: draws by chain and draw, with `units`."""
@@ -103,9 +117,9 @@ def load(path: Path) -> Posterior:
         return Posterior(
             draws=np.stack([numbers[f"posterior/{name}"] for name in about["names"]], axis=2),
             log_posterior=numbers["sample_stats/lp"],
-            acceptance=numbers["sample_stats/acceptance_rate"],
+            acceptance_fraction=numbers["sample_stats/acceptance_rate"],
             r_hat=numbers["convergence/r_hat"],
-            tau=numbers["convergence/autocorrelation_time"],
+            autocorrelation_time=numbers["convergence/autocorrelation_time"],
             **{name: about[name] for name in about.keys() & set(_STORED)},
         )
     except (DataError, KeyError, TypeError, ValueError) as error:
@@ -124,9 +138,9 @@ _Group = tuple[dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]], dict[s
 def _list_groups(posterior: Posterior) -> dict[str, _Group]:
     numbers = {f"posterior/{name}": posterior.draws[:, :, k] for k, name in enumerate(posterior.names)} | {
         "sample_stats/lp": posterior.log_posterior,
-        "sample_stats/acceptance_rate": posterior.acceptance,
+        "sample_stats/acceptance_rate": posterior.acceptance_fraction,
         "convergence/r_hat": posterior.r_hat,
-        "convergence/autocorrelation_time": posterior.tau,
+        "convergence/autocorrelation_time": posterior.autocorrelation_time,
         "convergence/ess": posterior.ess,
     }
     about = json.dumps({name: getattr(posterior, name) for name in _STORED})

@@ -80,9 +80,9 @@ def sample(
                 names=problem.names,
                 draws=chain.transpose(1, 0, 2),  # of theta, until the run ends
                 log_posterior=density.T,
-                acceptance=sampler.acceptance_fraction,
+                acceptance_fraction=sampler.acceptance_fraction,
                 r_hat=np.array([compute_r_hat(one) for one in quantities]),
-                tau=np.array([compute_autocorrelation_time(one) for one in quantities]),
+                autocorrelation_time=np.array([compute_autocorrelation_time(one) for one in quantities]),
                 wanted=settings.independent_draws,
                 burn_in=burn_in,
                 failures=evaluator.failures,
