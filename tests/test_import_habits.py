@@ -57,6 +57,12 @@ def test_a_needle_is_stated_in_a_column(tmp_path, head, cell, what, value):
     assert not content.unused and "file" in {source for _, source in made.values()}
 
 
+def test_a_needle_is_longer_than_it_was_inserted(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["needle length"], cells=[["150"], ["50"], ["150"]])
+    error = refusal(DataError, "needle length", planned, [file])
+    assert error.where.endswith(f"{file.name}:18, column 2") and "n2" in error.expected
+
+
 def test_needles_that_differ_are_each_their_own(tmp_path):
     cells = [["22G", "", "60"], ["18G", "", "60"], ["22G", "", "60"]]
     file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)

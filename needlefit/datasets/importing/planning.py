@@ -106,7 +106,7 @@ class Planner:
             rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
-        needles = self.settle_needles(max(row.depth for row in rows))
+        needles = self.settle_needles([row.depth for row in rows])
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
 
@@ -495,12 +495,19 @@ class Planner:
             media = {name: f"{medium} {specimens[name]}" for name, medium in media.items()}
         return [replace(row, medium=media[row.id], specimen=specimens[row.id]) for row in rows]
 
-    def settle_needles(self, deepest: float) -> list[NeedleRecord]:
-        """Return the needle of each insertion; `deepest` is the greatest depth, mm."""
-        least = f"{max(MIN_NEEDLE_MM, float(np.ceil(deepest + BEYOND_DEPTH_MM))):g}"
+    def settle_needles(self, depths: Sequence[float]) -> list[NeedleRecord]:
+        """Return the needle of each insertion, whose `depths` are in mm.
+
+        DataError if a needle is not longer than it was inserted.
+        """
+        least = f"{max(MIN_NEEDLE_MM, float(np.ceil(max(depths) + BEYOND_DEPTH_MM))):g}"
         answers = (self.each("needle length", guess=least), self.each("diameter"),
                    self.each("inner diameter"), self.each("modulus"))  # fmt: skip
-        return [read_needle(*own) for own in zip(*answers, strict=True)]
+        needles = [read_needle(*own) for own in zip(*answers, strict=True)]
+        for curve, needle, depth, length in zip(self.curves, needles, depths, answers[0], strict=True):
+            if needle.length_mm <= depth:
+                raise length.error("needle length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
+        return needles
 
 
 # ---- needles, points and shafts
