@@ -11,6 +11,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.inference.compared_points import align_points, select_points
 from needlefit.inference.forward_model import PreparedModel, make_options, predict
 from needlefit.inference.optimize import minimize
+from needlefit.mechanics import batch
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.recipe import WeightsRecord
 
@@ -144,7 +145,9 @@ def test_the_gradient_is_that_of_differences(pose):
     assert slope == pytest.approx(differences, rel=1e-5, abs=1e-6)
 
 
-def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it():
+@pytest.mark.parametrize("nodes_at_once", [batch.NODES_AT_ONCE, 100])
+def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it(nodes_at_once, monkeypatch):
+    monkeypatch.setattr(batch, "NODES_AT_ONCE", nodes_at_once)
     p = two_layers()
     thetas = p.lower + np.random.default_rng(1).uniform(0.4, 0.6, (16, len(p.names))) * (p.upper - p.lower)
     for evaluate in (p._objectives, p._log_densities):

@@ -14,6 +14,7 @@ from test_datasets_markups import markup, point, save
 from needlefit.errors import DataError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.inference.forward_model import ParameterDraws
+from needlefit.mechanics.batch import simulate_batches
 from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
@@ -98,7 +99,7 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() ->
     one = uncertain()
     found, tests = plan((40.0, 1.0), 0.1, start=one), one.samples[1]
     assert len(found.needles) == len(tests) == 64
-    (shapes,) = one.simulate(tests, [found.steps], 1)
+    (shapes,) = simulate_batches(one.make_batches(tests, [found.steps]), 1)
     tips = np.array([compute_positions(shapes[n], np.array([found.end.depth]))[0] for n in range(64)])
     assert found.hits == np.sum(np.linalg.norm(tips - found.goal.target, axis=1) <= 0.1)
     assert found.hits == np.sum(find_hits(found.needles, found.goal))

@@ -22,7 +22,14 @@ from needlefit.inference.compared_points import (
 )
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
-from needlefit.mechanics.batch import Batch, Jacobians, NeedleShapes, linearize_batches, simulate_batches
+from needlefit.mechanics.batch import (
+    Batch,
+    Jacobians,
+    NeedleShapes,
+    linearize_batches,
+    read_batches,
+    simulate_batches,
+)
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
@@ -124,7 +131,6 @@ def stack_values(
 
 
 _Known = TypeVar("_Known")  #: shapes, or shapes and their derivatives
-NEEDLES_AT_ONCE = 4000  #: whose shapes are held at once: each takes 6 kB, with derivatives 30 kB
 
 
 class PreparedModel:
@@ -163,7 +169,7 @@ class PreparedModel:
     ) -> Iterator[Floats]:
         """Return, one by one, `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
 
-        def read(one: _Simulation, shapes: NeedleShapes, at: Floats) -> tuple[Floats]:
+        def read(one: _Simulation, shapes: NeedleShapes, at: Floats, rows: slice) -> tuple[Floats]:
             return (read_batch_points(one.insertion, shapes, at),)
 
         found = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
@@ -183,14 +189,14 @@ class PreparedModel:
         chained: dict[object, Floats] = {}
 
         def read(
-            one: _Simulation, known: tuple[NeedleShapes, Jacobians], at: Floats
+            one: _Simulation, known: tuple[NeedleShapes, Jacobians], at: Floats, rows: slice
         ) -> tuple[Floats, Floats]:
             shapes, jacobians = known
-            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (F B, K, 2 or 3, Q)
+            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (some of F B, K, 2 or 3, Q)
             key = one.layers, jacobians.names
             if key not in chained:
                 chained[key] = one.chain(slopes, parameters, jacobians.names)
-            by_theta = chained[key]
+            by_theta = chained[key][rows]
             moves = by.reshape(len(by), math.prod(by.shape[1:3]), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
             moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
@@ -213,24 +219,30 @@ class PreparedModel:
         sets: Sequence[Mapping[str, float]],
         s: Sequence[Floats],
         run: Callable[[list[Batch]], tuple[_Known, ...]],
-        read: "Callable[[_Simulation, _Known, Floats], tuple[Floats, ...]]",
+        read: "Callable[[_Simulation, _Known, Floats, slice], tuple[Floats, ...]]",
     ) -> Iterator[tuple[Floats, ...]]:
         """Yield what `read` gives of every insertion, (B, ...) each, from what `run` gives of its needles.
 
-        Equal ones are read once. The shapes of `NEEDLES_AT_ONCE` are held at once.
+        Equal ones are read once. `read` is given some of the needles of a simulation at a time.
         """
         keys = [(one, at.tobytes()) for (one, _), at in zip(self._places, s, strict=True)]
         wanted: dict[_Simulation, dict[bytes, Floats]] = {one: {} for one in self._simulations}
         for (one, place), at in zip(keys, s, strict=True):
             wanted[one][place] = at
         left, kept = Counter(keys), dict[tuple[_Simulation, bytes], tuple[Floats, ...]]()
-        batches, begin = self._make_batches(sets), 0
-        count, most = len(sets), max(1, NEEDLES_AT_ONCE // len(sets))
+        count = len(sets)
+
+        def read_places(number: int, known: _Known, rows: slice) -> tuple[Floats, ...]:
+            one = self._simulations[number]
+            return tuple(part for at in wanted[one].values() for part in read(one, known, at, rows))
+
+        found = zip(self._simulations, read_batches(self._make_batches(sets), run, read_places), strict=True)
         for key, (_, row) in zip(keys, self._places, strict=True):
             while key not in kept:  # simulations stand in the order in which they are first read
-                some = slice(begin, begin := begin + most)
-                for one, known in zip(self._simulations[some], run(batches[some]), strict=True):
-                    kept |= {(one, place): read(one, known, at) for place, at in wanted[one].items()}
+                one, parts = next(found)
+                size = len(parts) // len(wanted[one])
+                for n, place in enumerate(wanted[one]):
+                    kept[one, place] = parts[n * size : (n + 1) * size]
             yield tuple(part[row * count : (row + 1) * count] for part in kept[key])
             left[key] -= 1
             if not left[key]:

@@ -5,11 +5,11 @@ Vector instructions serve the sets of one insertion, threads different insertion
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import InitVar, dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, count_planes, run_evaluations
-from needlefit.mechanics.plan import Lattice, count_element_solves
+from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import (
     NeedleShape,
     Status,
@@ -33,7 +33,7 @@ from needlefit.mechanics.simulate import STATUS_NAMES, read_shape, require_depth
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll, turn_tip
 from needlefit.project.processes import count_cores
-from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES, MAX_NUMBER
+from needlefit.schemas.limits import MAX_NUMBER
 
 
 def require_roll_of_one_rigidity(tissue: Tissue, steps: Sequence[Step]) -> None:
@@ -108,25 +108,15 @@ class Batch:
         object.__setattr__(self, "steps", tuple(self.steps))
         if self.rigidity is not None:
             require_roll_of_one_rigidity(self.tissue, self.steps)
-        self._require_size()
 
     def __len__(self) -> int:
         return len(next(v for v in map(self.__dict__.get, VARYING_FIELDS) if v is not None))
 
-    def _require_size(self) -> None:
-        solves, nodes = (len(self) * one for one in self._size)
-        if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:  # minutes, or gigabytes
-            raise ModelError(
-                f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
-                expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
-                fix="divide the sets among several batches, one call after the other",
-            )
-
-    @cached_property
-    def _size(self) -> tuple[float, float]:
-        """Elements to be solved for, and nodes, of one set."""
-        depths, element = tuple(step.depth for step in self.steps), self.rules.element
-        return count_element_solves(depths, self.rules.spacing, element), max(depths, default=0.0) / element
+    @property
+    def nodes(self) -> int:
+        """About how many nodes the shapes of all sets have."""
+        deepest = max((step.depth for step in self.steps), default=0.0)
+        return len(self) * math.ceil(deepest / self.rules.element)
 
     def with_sets(self, **values: Floats) -> Self:
         """Return the same insertion with other sets of the same parameters; both share what is prepared.
@@ -140,8 +130,14 @@ class Batch:
             raise ModelError(f"sets of {', '.join(values)}", expected=f"of {', '.join(sorted(given))}")
         other = copy(self)
         other.__dict__.update(values)
-        other._require_size()
         return other
+
+    def take(self, sets: slice) -> Self:
+        """Return the same insertion with some of the sets, in their order."""
+        if len(range(len(self))[sets]) == len(self):
+            return self  # whose arrays other batches share
+        given = {name: getattr(self, name) for name in VARYING_FIELDS}
+        return self.with_sets(**{name: array[sets] for name, array in given.items() if array is not None})
 
     def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
         """Return set i as the arguments of `simulate.simulate_steps`."""
@@ -491,6 +487,54 @@ def linearize_batches(
     """
     pairs = _run(batches, tuple(wrt), threads, tracked)
     return tuple((shapes, read_jacobians(one, shapes.converged)) for one, shapes in pairs)
+
+
+Found = TypeVar("Found")  #: the shapes of a batch, or these and their derivatives
+#: nodes whose shapes are held at once: 60 bytes each, with derivatives 300
+NODES_AT_ONCE = 400_000
+
+
+def read_batches(
+    batches: Sequence[Batch],
+    run: Callable[[list[Batch]], Sequence[Found]],
+    read: Callable[[int, Found, slice], tuple[np.ndarray, ...]],
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """Yield what is read of the shapes of each batch, arrays (B, ...), in the order of `batches`.
+
+    The shapes of about `NODES_AT_ONCE` nodes are held at once: `run` gives those of some batches, a large one
+    is divided. What is read of a set does not depend on that. `read` is given the number of a batch, the
+    shapes of some of its sets, and which sets these are.
+    """
+    read_parts: list[tuple[np.ndarray, ...]] = []  # of the batch that comes next
+    for parts in _divide(batches):
+        found = run([batches[number].take(sets) for number, sets in parts])
+        for (number, sets), one in zip(parts, found, strict=True):
+            read_parts.append(read(number, one, sets))
+            if sets.stop == len(batches[number]):
+                yield _join(read_parts)
+                read_parts = []
+
+
+def _divide(batches: Sequence[Batch]) -> Iterator[list[tuple[int, slice]]]:
+    """Yield numbers of batches, and sets of each, whose shapes are held at once."""
+    parts: list[tuple[int, slice]] = []
+    held = 0
+    for number, batch in enumerate(batches):
+        if parts and held + batch.nodes > NODES_AT_ONCE:
+            yield parts
+            parts, held = [], 0
+        size = max(1, NODES_AT_ONCE * len(batch) // max(1, batch.nodes))
+        *whole, last = range(0, len(batch), size)
+        for start in whole:
+            yield [(number, slice(start, start + size))]
+        parts.append((number, slice(last, len(batch))))
+        held += batch.nodes * (len(batch) - last) // len(batch)
+    if parts:
+        yield parts
+
+
+def _join(parts: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _run(

@@ -24,7 +24,13 @@ from needlefit.arrays import Bools, Floats
 from needlefit.errors import ModelError
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.inference.predict import wilson_interval
-from needlefit.mechanics.batch import NeedleShapes, compute_batch_positions, simulate_batches
+from needlefit.mechanics.batch import (
+    Batch,
+    NeedleShapes,
+    compute_batch_positions,
+    read_batches,
+    simulate_batches,
+)
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import SAME_DEPTH_MM, make_lattice
@@ -144,13 +150,10 @@ class StartedInsertion:
         sought = np.linspace(0, len(draws) - 1, SEARCH_DRAWS).astype(np.intp)
         return draws.only(sought), draws.only(np.setdiff1d(np.arange(len(draws)), sought))
 
-    def simulate(
-        self, draws: ParameterDraws, ways: Sequence[tuple[Step, ...]], threads: int | None
-    ) -> tuple[NeedleShapes, ...]:
-        """Return the needles of all draws after the steps so far and each way's further ones."""
+    def make_batches(self, draws: ParameterDraws, ways: Sequence[tuple[Step, ...]]) -> list[Batch]:
+        """Return the needles of all draws, to be simulated: after the steps so far, those of each way."""
         done = self.path if self.path[-1].depth > SAME_DEPTH_MM else ()
-        batches = [draws.make_batch(self.needle, self.tissue, (*done, *way), self.rules) for way in ways]
-        return simulate_batches(batches, threads)
+        return [draws.make_batch(self.needle, self.tissue, (*done, *way), self.rules) for way in ways]
 
 
 @dataclass(frozen=True)
@@ -342,15 +345,18 @@ class _Search:
         """Return the needles (B, K, D) of all draws under each choice, NaN where none is within validity."""
         if self.cancelled():
             raise ModelError("the search was cancelled", expected="a plan that is still wanted")
-        found = self.insertion.simulate(draws, [self.way(one) for one in choices], self.threads)
-        placed = []
-        for shapes, (entry, depth, *_) in zip(found, (one.at for one in choices), strict=True):
+
+        def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
+            entry, depth, *_ = choices[number].at
             points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
             if self.goal.spatial and points.shape[2] == 2:  # of a roll that leaves it in its plane
                 points = np.pad(points, ((0, 0), (0, 0), (0, 1)))
             shift = np.array([0.0, entry, 0.0])[: points.shape[2]]
-            placed.append(np.where(shapes.valid[:, None, None], points + shift, np.nan))
-        return placed
+            return (np.where(shapes.valid[:, None, None], points + shift, np.nan),)
+
+        batches = self.insertion.make_batches(draws, [self.way(one) for one in choices])
+        found = read_batches(batches, lambda some: simulate_batches(some, self.threads), place)
+        return [needles for (needles,) in found]
 
     @cached_property
     def still(self) -> Floats:

@@ -26,7 +26,13 @@ from needlefit.inference.likelihood.nodes import enforce_order, shift_depths
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
-from needlefit.mechanics.batch import Batch, compute_batch_positions, simulate_batches
+from needlefit.mechanics.batch import (
+    Batch,
+    NeedleShapes,
+    compute_batch_positions,
+    read_batches,
+    simulate_batches,
+)
 from needlefit.mechanics.scene import Scene
 from needlefit.schemas.medium import MediumRecord
 
@@ -243,10 +249,13 @@ def simulate_scene(
             tissue = make_tissue(which[0], layers, boundaries, medium)
             steps = tuple(replace(step, depth=step.depth + deeper) for step in scene.steps)
             batches.append(Batch(scene.needle, tissue, steps, scene.rules, **given))
-        shapes = simulate_batches(batches, 1)
-        pairs = zip(shapes, moves, strict=True)
-        points = [compute_batch_positions(one, s + deeper) for one, (_, deeper) in pairs]
-        return np.array(points), shapes[0].valid
+
+        def read(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats, Bools]:
+            return compute_batch_positions(shapes, s + moves[number][1]), shapes.valid
+
+        found = read_batches(batches, lambda some: simulate_batches(some, 1), read)
+        points, valid = zip(*found, strict=True)
+        return np.array(points), valid[0]
 
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
     draws = _InterpolatedDraws(sets, move, reach, float(np.std(deep)))
