@@ -288,6 +288,49 @@ def test_a_new_folder_gets_no_manifest_and_replaces_nothing(tmp_path):
     assert [path.name for path in (tmp_path / "late").iterdir()] == ["mine"]
 
 
+@pytest.mark.parametrize("is_result", [True, False])
+def test_an_empty_working_folder_is_filled_and_stays_the_same_folder(tmp_path, monkeypatch, is_result):
+    place = tmp_path / "here"
+    place.mkdir()
+    monkeypatch.chdir(place)
+    before = place.stat().st_ino
+    with pytest.raises(ZeroDivisionError), replace_folder(Path(), is_result) as fresh:
+        (fresh / "part").mkdir()
+        raise ZeroDivisionError
+    assert not any(place.iterdir())
+    with replace_folder(Path(), is_result) as fresh:
+        (fresh / "part").mkdir()
+        (fresh / "part" / "a.csv").touch()
+    assert place.stat().st_ino == before and Path("part/a.csv").is_file()
+    assert Path(MANIFEST).is_file() == is_result and [*tmp_path.iterdir()] == [place]
+
+
+def test_a_failure_while_an_empty_folder_is_filled_leaves_it_empty(tmp_path, monkeypatch):
+    (tmp_path / "out").mkdir()
+    real = Path.rename
+
+    def rename(path, target):
+        if path.name == "timing.json":
+            raise OSError(5, "Input/output error", str(path))
+        return real(path, target)
+
+    with monkeypatch.context() as patch, pytest.raises(OSError):
+        patch.setattr(Path, "rename", rename)
+        write(tmp_path / "out")
+    assert [path.name for path in tmp_path.rglob("*")] == ["out"]
+
+
+@pytest.mark.parametrize("inside", ["", "part"])
+@pytest.mark.parametrize("is_result", [True, False])
+def test_a_folder_is_not_replaced_by_who_stands_in_it(tmp_path, monkeypatch, inside, is_result):
+    write(tmp_path / "out")
+    monkeypatch.chdir(tmp_path / "out" / inside)
+    for folder in (Path(os.path.relpath(tmp_path / "out")), tmp_path / "out"):
+        with pytest.raises(ConfigError), replace_folder(folder, is_result) as fresh:
+            (fresh / "new").touch()
+    assert not find_foreign(tmp_path / "out") and Path.cwd() == tmp_path / "out" / inside
+
+
 # --- a process that is killed while it writes --------------------------------------------------------
 
 WRITES = """

@@ -264,5 +264,10 @@ def test_init_copies_once_into_a_folder_of_its_own_and_never_overwrites(tmp_path
             new_project(folder)
     assert [path.name for path in (tmp_path / "notes").iterdir()] == ["thesis.docx"]
     (tmp_path / "new").mkdir()
-    new_project(tmp_path / "new")
+    monkeypatch.chdir(tmp_path / "new")
+    before = Path.cwd().stat().st_ino
+    new_project(Path())
+    assert len(list((tmp_path / "new").iterdir())) == 3 and Path.cwd().stat().st_ino == before
+    with pytest.raises(ConfigError):
+        new_project(Path())
     assert len(list((tmp_path / "new").iterdir())) == 3

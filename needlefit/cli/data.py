@@ -34,7 +34,8 @@ def new_project(
         for part in PROJECT_FOLDERS:
             shutil.copytree(shipped_folder() / part, fresh / part, ignore=ignored)
     screen.print_written(folder)
-    screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
+    enter = "" if folder == Path() else f"{shlex.join(('cd', str(folder)))} && "
+    screen.print_note(f"edit them, then: {enter}needlefit validate study3")
 
 
 def new_workbook(

@@ -194,7 +194,8 @@ def _is_as_written(path: Path, digest: object) -> bool:
 def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None = None) -> None:
     """Raise ConfigError unless `folder` may be written to: missing, empty, or needlefit's own result.
 
-    `find` returns what is foreign in a folder of another kind.
+    A result is not replaced while the working folder is in it: the shell would stand in a folder that is
+    gone. `find` returns what is foreign in a folder of another kind.
     """
     require_writable(folder)
     if (place := folder.resolve()).exists() or place.is_symlink():
@@ -205,6 +206,13 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
                 where=str(folder),
                 expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
                 fix="move those files away, or choose another folder with --out",
+            )
+        if Path.cwd().is_relative_to(place) and not _is_empty(place):
+            raise ConfigError(
+                "is not replaced: it is the working folder, or holds it",
+                where=str(folder),
+                expected="a folder of results in which you do not stand",
+                fix="run the command from another folder, or choose another folder with --out",
             )
 
 
@@ -273,7 +281,8 @@ def replace_folder(folder: Path, is_result: bool = True) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
-    what a killed process left the next one removes. A block that writes nothing replaces nothing.
+    what a killed process left the next one removes. A block that writes nothing replaces nothing. An empty
+    folder is not replaced but filled: it may be the working folder.
     `is_result`: it gets a manifest, and may replace a result; else it is the user's, and must be new.
 
     ConfigError if nothing can be written there, another process is writing there, or `folder` holds anything
@@ -289,6 +298,9 @@ def replace_folder(folder: Path, is_result: bool = True) -> Iterator[Path]:
             if is_result:
                 write_manifest(fresh)
             check(folder)  # something may have been put there meanwhile
+            if _is_empty(folder):
+                _move_into(folder, fresh)
+                return
             if folder.exists():
                 folder.rename(old)
             try:
@@ -299,11 +311,29 @@ def replace_folder(folder: Path, is_result: bool = True) -> Iterator[Path]:
                 raise
 
 
+def _is_empty(folder: Path) -> bool:
+    """Return whether there is a folder without anything in it."""
+    return folder.is_dir() and not any(folder.iterdir())
+
+
+def _move_into(folder: Path, fresh: Path) -> None:
+    """Move all that `fresh` holds into an empty folder; after a failure that is empty again.
+
+    The manifest goes first: what a killed process leaves then is needlefit's, and may be replaced.
+    """
+    moved: list[Path] = []
+    try:
+        for path in sorted(fresh.iterdir(), key=lambda path: path.name != MANIFEST):
+            moved.append(path.rename(folder / path.name))
+    except BaseException:
+        for path in moved:
+            path.rename(fresh / path.name)
+        raise
+
+
 def require_new(folder: Path) -> None:
     """Raise ConfigError if `folder` holds something, or is a file."""
-    if folder.is_dir() and not any(folder.iterdir()):
-        return
-    if folder.exists() or folder.is_symlink():
+    if not _is_empty(folder) and (folder.exists() or folder.is_symlink()):
         raise ConfigError(
             "exists already",
             where=str(folder),

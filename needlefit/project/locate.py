@@ -210,7 +210,7 @@ def is_path(name: str) -> bool:
 
 def format_path(path: Path) -> str:
     """Return a path as a command takes it: for no name."""
-    return str(path) if path.is_absolute() else f"./{path}"
+    return str(path) if path.is_absolute() or path == Path() else f"./{path}"
 
 
 def _name(kind: FileKind, path: Path) -> str:
