@@ -17,6 +17,7 @@ import pytest
 
 from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
+from needlefit.cli.options import name_changes
 from needlefit.cli.progress import report_lines, show_progress
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
@@ -85,6 +86,16 @@ def test_a_wrong_command_line_has_its_exit_code(words, code, expected, capsys):
     captured = capsys.readouterr()
     assert captured.out == "" and re.search(expected, captured.err)
     assert captured.err.replace("\n", "").isprintable()
+
+
+def test_what_is_changed_of_a_prediction_names_its_folder():
+    assert name_changes(None, [], None) == ""
+    assert name_changes(60.0, [], None) == "-depth_mm=60" == name_changes(None, ["depth_mm = 60"], None)
+    assert name_changes(40.25, ["bevel.side=-1"], "same") == "-bevel.side=-1-depth_mm=40.25-specimen=same"
+    assert name_changes(None, ["a=1", "b="], None) == name_changes(None, ["b=", "a=1"], None) == "-a=1-b="
+    odd = [f"title={text}" for text in ("a/b", "a?b", "a_b", "x" * 300, "x" * 301)]
+    names = [name_changes(None, [one], None) for one in odd]
+    assert len({*names}) == len(names) and all(re.fullmatch(r"[\w.=-]{1,100}", name) for name in names)
 
 
 @pytest.mark.parametrize(

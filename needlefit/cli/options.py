@@ -1,5 +1,8 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
+import hashlib
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -139,6 +142,25 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
         return file_label(path), record
     where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
     return where, check(override(read_toml(path), pairs, file_label(path)), SceneRecord, where)
+
+
+MAX_CHANGES_CHARACTERS = 80  #: of the name of a folder
+
+
+def name_changes(depth: float | None, assignments: Sequence[str], specimen: str | None) -> str:
+    """Return what these options change of a prediction, as the end of the name of its folder.
+
+    It does not depend on their order. Where characters cannot stand in a name, or are too many, a digest of
+    all of them follows.
+    """
+    changes = dict(map(split_pair, assignments))
+    if depth is not None:
+        changes["depth_mm"] = repr(depth).removesuffix(".0")
+    if specimen is not None:
+        changes["specimen"] = specimen
+    words = "".join(f"-{key}={changes[key]}" for key in sorted(changes))
+    plain = re.sub(r"[^A-Za-z0-9_.=+-]+", "_", words)[:MAX_CHANGES_CHARACTERS]
+    return plain if plain == words else f"{plain}-{hashlib.sha256(words.encode()).hexdigest()[:8]}"
 
 
 def split_pair(text: str, words: str = "--set") -> tuple[str, str]:

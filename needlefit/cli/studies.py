@@ -8,7 +8,7 @@ import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
-from needlefit.cli.options import argument, option, scene_record, split_pair
+from needlefit.cli.options import argument, name_changes, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
@@ -216,7 +216,8 @@ def predict(
     of the TARGET's posterior: the sampled posterior if there is one, else importance-weighted draws about a
     new fit. For a new specimen the spread between specimens is added. What the scene states of the rules must
     agree with the fit. Repeats the verdict and failed checks of OUT/TARGET, prints the tip with its
-    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports).
+    intervals, and writes shape and figure to OUT/predict-TARGET-SCENE/ (default: ./reports). With --depth,
+    --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
@@ -233,7 +234,8 @@ def predict(
             medium, _ = load_medium(fitted)
         make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
         require_file_name(Path(scene).stem, scene)
-        name = f"predict-{target_name.removesuffix('-tune')}-{Path(scene).stem}"
+        about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
+        name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"
         execution.prepare([name])
         stored = None if file.suffix == ".toml" else file.parent  # of the run that the target is
         tuned = stored or execution.folder(target_name)
