@@ -49,14 +49,14 @@ from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.study import FitRecord
 from needlefit.studies.job import Inputs, Job, Settings, change_fit, group_insertions, prepare, set_priors
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
-from needlefit.studies.kinds.prediction import require_same_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.score import Scorer, make_predictors
 from needlefit.studies.store import restore_run
+from needlefit.studies.stored_fit import reopen_fit
 from needlefit.studies.study_files import check_study, load_study, load_target
 
 Name = str | Path
@@ -373,12 +373,13 @@ def predict(
     """
     if not isinstance(specimen, str | None):
         raise ConfigError(f"`specimen` is {specimen!r:.60}", expected='"new", "same", or a name')
+    run: Run | None
     if isinstance(target, Run):
-        fitted = _reopen(target)
-        about = fitted.name
-        inputs = replace(fitted.inputs, target=(about, _require_fit(fitted.record)), judged=target)
+        fitted, run = _reopen(target), target
+        about, inputs = fitted.name, fitted.inputs
     else:
-        about, inputs = load_target(spell_name(target))[0], Inputs()
+        about, _, inputs, _, run = load_target(spell_name(target))
+    inputs = replace(inputs, judged=run)
     planned, scene_name = read_given("scene", scene, SceneRecord)
     about = about.removesuffix("-tune")
     record = find_kind("prediction").make_record(
@@ -660,8 +661,8 @@ def _open_fit(target: Name | Dataset | Run, medium: Medium | None, stored: bool 
         raise ConfigError("a dataset alone cannot be fitted", fix=fix)
     if isinstance(target, Run):
         return _reopen(target)
-    name, record, file = load_target(spell_name(target))
-    return _Study(name, record, file=file)
+    name, record, inputs, file, _ = load_target(spell_name(target))
+    return _Study(name, record, inputs, file)
 
 
 def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _Study:
@@ -789,26 +790,8 @@ def _change_fit(
 
 
 def _reopen(run: Run) -> _Study:
-    """Return the fit of a run with its medium, recipe and posterior; ConfigError if its data were changed."""
-    record = run.record
-    if not isinstance(record, FitRecord):
-        raise ConfigError(
-            f"`{run.name}` is a run of kind {run.kind}, no fit",
-            expected="a run of `fit`, `sample`, or of a study that fits and scores",
-        )
-    where = f"run `{run.name}`"
-    medium, recipe = (
-        check(run.run["medium"], MediumRecord, where),
-        check(run.run["recipe"], RecipeRecord, where),
-    )
-    inputs = Inputs(medium=medium, recipe=recipe)
-    job = prepare(run.name, record, Settings(inputs=inputs))
-    require_same_configuration(job, run.run, where)
-    one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
-    inputs = replace(inputs, dataset=job.dataset, posterior=run.posterior if one_fit else None)
-    if isinstance(record, StudyRecord):
-        return _Study(f"{run.name}-tune", record.tuning(), inputs)
-    return _Study(run.name, record, inputs)
+    """Return the fit of a run, with its data, medium, recipe and posterior."""
+    return _Study(*reopen_fit(run, f"run `{run.name}`"))
 
 
 def _read_recipe(value: Recipe) -> tuple[RecipeRecord, str]:

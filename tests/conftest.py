@@ -118,10 +118,10 @@ def _read_twin_once() -> None:
 
     inspect_any, known = reading.inspect, {}
 
-    def inspected(path):
+    def inspected(path, root=None):
         file = find_dataset_file(path).resolve()
-        if not file.is_relative_to(TWIN):
-            return inspect_any(path)
+        if root is not None or not file.is_relative_to(TWIN):
+            return inspect_any(path, root)
         if str(path) not in known:
             known[str(path)] = inspect_any(path)
         return known[str(path)]

@@ -89,7 +89,7 @@ def test_a_run_that_is_killed_resumes_to_the_same_bytes_with_other_jobs_in_other
 def test_the_folder_of_a_run_names_the_fit_that_was_made_there(world):
     with chdir(world.folder):
         for kind, named in (("cross_validation", "held_out"), ("fit", "gel")):
-            name, record, path = load_target(str(world.find(kind)))
+            name, record, _, path, _ = load_target(str(world.find(kind)))
             assert (name, record) == load_target(named)[:2]
             assert path == world.find(kind) / "run.json"
         with pytest.raises(ConfigError, match="calibration"):

@@ -48,14 +48,14 @@ def tune(
     """
     with begin(context) as execution:
         from needlefit.project.toml import add_file_context
-        from needlefit.studies.job import Inputs
         from needlefit.studies.study_files import load_target
 
-        name, record, file = load_target(target)
+        name, record, inputs, file, _ = load_target(target)
+        execution = replace(execution, inputs=inputs)
         if design:
             about = f"{name.removesuffix('-tune')}-design"
             execution.prepare([about])
-            given = replace(execution, inputs=Inputs(target=(name, record)))
+            given = replace(execution, inputs=replace(inputs, target=(name, record)))
             with add_file_context(file):
                 found = given.run_kind("identification", about, target=target)
             show_runs(execution, [found])
@@ -114,8 +114,12 @@ def calibrate(
     with begin(context) as execution:
         from needlefit.studies.study_files import load_target
 
+        about = load_target(target)
         ending = "-synthetic" if truth == "synthetic" else ""
-        name = f"calibrate-{load_target(target)[0].removesuffix('-tune')}{ending}"
+        name = f"calibrate-{about.name.removesuffix('-tune')}{ending}"
+        if about.run is not None:  # with what it holds out, which a synthetic truth predicts
+            fit = about.run.record if truth == "synthetic" else about.record
+            execution = replace(execution, inputs=replace(about.inputs, target=(about.name, fit)))
         execution.prepare([name], [name])
         found = execution.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
         execution.write_reference([found])
@@ -223,25 +227,25 @@ def predict(
         from needlefit.project.input_files import is_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.job import Inputs, load_medium
+        from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
         from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
 
         scene_name, planned = scene_record(scene, depth, set_ or [])
-        target_name, fitted, file = load_target(target)
+        target_name, fitted, inputs, file, run = load_target(target)
         with add_file_context(file):
-            medium, _ = load_medium(fitted)
+            medium = inputs.medium or load_medium(fitted)[0]
         make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
         require_file_name(Path(scene).stem, scene)
         about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"
         execution.prepare([name])
-        stored = None if file.suffix == ".toml" else file.parent  # of the run that the target is
-        tuned = stored or execution.folder(target_name)
-        judged = stored or execution.folder(target_name.removesuffix("-tune"))
-        inputs = Inputs(judged=restore_run(judged) if is_file(judged / RESULTS_FILE) else None)
-        found = replace(execution, inputs=inputs).run_kind(
+        tuned = execution.folder(target_name) if run is None else file.parent
+        judged = execution.folder(target_name.removesuffix("-tune"))
+        if run is None and is_file(judged / RESULTS_FILE):
+            run = restore_run(judged)
+        found = replace(execution, inputs=replace(inputs, judged=run)).run_kind(
             "prediction",
             name,
             target=target,

@@ -9,6 +9,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
+from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
@@ -195,6 +196,8 @@ class Dataset:
         What the measurement does to a shape before its points are stored.
     planes : int
         1 where needles are simulated and compared in their planes, 2 in space.
+    files : DatasetFiles or None
+        What it was read from; None where it was made in memory.
     """
 
     name: str
@@ -241,6 +244,7 @@ class Dataset:
     centerline_format: str = ""
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT
     planes: int = 1
+    files: DatasetFiles | None = field(default=None, repr=False, compare=False)
 
 
 # Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than

@@ -53,7 +53,7 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.needles import find_needle_faults, find_unknown_needle, make_needles
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import find_operator_faults, find_sections
-from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folder
+from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project.locate import read_toml
@@ -104,16 +104,21 @@ class _Reading:
             return None
 
 
-def inspect(path: Path) -> Inspection:
-    """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings."""
+def inspect(path: Path, root: Path | None = None) -> Inspection:
+    """Return the dataset whose folder or `dataset.toml` is `path`, or its faults, and its warnings.
+
+    `root`: where its other files lie, in place of what it states. Only those that are read need lie there:
+    the checksums that it states are not verified.
+    """
     file, of_tracks = find_dataset_file(path), holds_tracks(path)
     record: DatasetRecord | TrackDatasetRecord
     try:
         record = load(file, TrackDatasetRecord) if of_tracks else load(file, DatasetRecord)
-        reading = _Reading(file, record, find_folder(record, file))
+        reading = _Reading(file, record, root or find_folder(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (from_error(error),))
-    reading.faults += find_checksum_faults(record.checksums, reading.root)
+    if root is None:
+        reading.faults += find_checksum_faults(record.checksums, reading.root)
     reading.faults += find_record_faults(record, file)
     reading.warnings += find_record_warnings(record, file)
     insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
@@ -121,6 +126,8 @@ def inspect(path: Path) -> Inspection:
         places = {fault.where for fault in reading.faults}
         remaining = tuple(one for one in reading.warnings if one.where not in places)
         return Inspection(None, tuple(dict.fromkeys(reading.faults)), remaining)
+    names = sorted(str(path.relative_to(reading.root)) for path in files)
+    sources = DatasetFiles(file.absolute(), reading.root.absolute(), tuple(names))
     needles = [
         (f"Needle {name}: " if name else "Needle: ", one.note) for name, one in list_needles(record).items()
     ]
@@ -133,7 +140,8 @@ def inspect(path: Path) -> Inspection:
         media=tuple(record.media),
         noise=make_noise(record.noise),
         path=file,
-        digest=compute_digest(file, reading.root, files),
+        digest=sources.digest(),
+        files=sources,
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
         **own,
@@ -475,28 +483,29 @@ def _find_run_faults(
 # ---- what others call
 
 
-def read(path: Path) -> Dataset:
-    """Return the dataset, of shapes or tip tracks, whose folder or `dataset.toml` is `path`.
+def read(path: Path, root: Path | None = None) -> Dataset:
+    """Return the dataset, of shapes or tip tracks, whose folder or `dataset.toml` is `path`; see `inspect`.
 
     DataError listing every fault that `check` finds.
     """
-    found = inspect(path)
+    found = inspect(path, root)
     if found.dataset is None:
         raise as_error(found.faults, find_dataset_file(path))
     return found.dataset
 
 
 def read_shapes(path: Path) -> Dataset:
-    """Return `read(path)` for what works on whole shapes alone.
+    """Return `read(path)` for what works on whole shapes alone; DataError as of `require_shapes`."""
+    return require_shapes(read(path))
 
-    DataError listing every fault that `check` finds, or because it holds tip tracks.
-    """
-    if holds_tracks(path):
+
+def require_shapes(dataset: Dataset) -> Dataset:
+    """Return a dataset of shapes; DataError if it holds tip tracks."""
+    if dataset.pose == "tracker":
         what = "holds tip tracks, no shapes"
-        where = str(find_dataset_file(path))
         fix = "tune, calibrate and predict take it; this does not"
-        raise DataError(what, where=where, expected="a dataset with [centerlines]", fix=fix)
-    return read(path)
+        raise DataError(what, where=str(dataset.path), expected="a dataset with [centerlines]", fix=fix)
+    return dataset
 
 
 def check(path: Path) -> list[Fault]:

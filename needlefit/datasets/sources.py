@@ -2,12 +2,14 @@
 
 import hashlib
 import os
+import shutil
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.project.folders import sha256
+from needlefit.project.folders import list_all_files, sha256
 from needlefit.project.input_files import is_dir, is_file
 from needlefit.project.locate import read_toml
 from needlefit.schemas.dataset import SourceRecord
@@ -15,7 +17,7 @@ from needlefit.schemas.dataset import SourceRecord
 
 def find_dataset_file(path: Path) -> Path:
     """Return the `dataset.toml` of `path`, which is a dataset's folder or that file."""
-    return path / "dataset.toml" if is_dir(path) else path
+    return path / DATASET_FILE if is_dir(path) else path
 
 
 def find_folder(record: SourceRecord, path: Path) -> Path:
@@ -67,11 +69,62 @@ def compute_digest(path: Path, root: Path, files: Iterable[Path]) -> str:
 
     Names are relative to the folder of the data, `root`, so that a copy elsewhere has the same digest.
     """
-    named = {"dataset.toml": path} | {str(file.relative_to(root)): file for file in files}
+    named = {DATASET_FILE: path} | {str(file.relative_to(root)): file for file in files}
     total = hashlib.sha256()
     for name, file in sorted(named.items()):
         total.update(f"{name}\0{sha256(file)}\n".encode())
     return total.hexdigest()
+
+
+DATASET_FILE = "dataset.toml"
+
+
+@dataclass(frozen=True)
+class DatasetFiles:
+    """The files that a dataset was read from: its `dataset.toml`, and the others, by name, below `root`.
+
+    Both are absolute: they are found from any working folder.
+    """
+
+    file: Path
+    root: Path
+    names: tuple[str, ...]
+
+    @classmethod
+    def of_copy(cls, folder: Path) -> "DatasetFiles":
+        """Return the files of a copy that `copy_to` made."""
+        names = tuple(name for name in list_all_files(folder) if name != DATASET_FILE)
+        return cls(folder.absolute() / DATASET_FILE, folder.absolute(), names)
+
+    @property
+    def can_be_copied(self) -> bool:
+        """Whether every file lies below `root`, as its name states."""
+        return not any(".." in Path(name).parts for name in self.names)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files; OSError if one is missing."""
+        return sum(path.stat().st_size for path in (self.file, *self._others()))
+
+    def digest(self) -> str:
+        """Return the digest of the files as they are now; OSError if one is missing."""
+        return compute_digest(self.file, self.root, self._others())
+
+    def copy_to(self, folder: Path) -> None:
+        """Copy all files to a folder, under their names; OSError if one is missing."""
+        folder.mkdir(exist_ok=True)
+        shutil.copyfile(self.file, folder / DATASET_FILE)
+        for name in self.names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(self.root / name, folder / name)
+
+    def differ_from(self, file: Path) -> bool:
+        """Return whether another `dataset.toml`, or a file beside it, differs from that of the same name."""
+        pairs = [(self.file, file), *((self.root / name, file.parent / name) for name in self.names)]
+        return any(is_file(other) and sha256(other) != sha256(own) for own, other in pairs)
+
+    def _others(self) -> list[Path]:
+        return [self.root / name for name in self.names]
 
 
 def digest_folders(path: Path) -> str:

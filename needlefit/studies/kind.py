@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -80,9 +81,10 @@ class StudyKind:
 
 
 def describe_surroundings(begin: float) -> dict[str, str]:
-    """Return what does not change a result: the command line, the platform and the date (UTC)."""
+    """Return what does not change a result: the command line and its folder, the platform, the date (UTC)."""
     return {
         "command": shlex.join(sys.argv),
+        "folder": str(Path.cwd()),
         "platform": platform.platform(),
         "started": datetime.fromtimestamp(begin, UTC).isoformat(timespec="seconds"),
     }

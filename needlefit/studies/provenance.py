@@ -1,7 +1,7 @@
 """What decides a result: versions of packages, data, configuration, rules of the model."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -9,11 +9,13 @@ from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
 from needlefit.datasets.needles import tabulate_needles
 from needlefit.datasets.sections import describe_measurement
+from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
+from needlefit.project.json_values import to_json_values
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
@@ -39,6 +41,23 @@ def describe_configuration(job: Job) -> dict[str, Any]:
         "rules": describe_model_options(job.medium),
         "planes": job.dataset.planes,
     }
+
+
+def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
+    ours = describe_configuration(job)
+    pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
+    recipe = recorded.get("recipe")
+    theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
+    pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
+    for key, (found, wanted) in pairs.items():
+        if found != to_json_values(wanted):
+            raise ConfigError(
+                f"its posterior is of another {key}",
+                where=where,
+                expected=f"the {key} that {job.name} names now",
+                fix="tune again: `needlefit tune TARGET`",
+            )
 
 
 def describe_dataset(dataset: Dataset) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
 
 import pandas as pd
 
+from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
@@ -83,6 +84,8 @@ class Run:
         Why something in it is not to be trusted.
     posteriors : mapping
         Sampled posteriors, by name of the fit or fold.
+    data : DatasetFiles or None
+        The files of the dataset that was fitted to; None of other kinds.
     """
 
     kind: str
@@ -96,6 +99,7 @@ class Run:
     interrupted: bool = False
     faults: tuple[RunFault, ...] = ()
     posteriors: Mapping[str, Posterior] = field(default_factory=dict, repr=False)
+    data: DatasetFiles | None = field(default=None, repr=False, compare=False)
     #: what `once_per_run` keeps
     derived: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ValidationError
 
+from needlefit.datasets.sources import DATASET_FILE, DatasetFiles
 from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.project.folders import TIMING_FILE, require_unchanged
@@ -34,17 +35,19 @@ from needlefit.studies.kind import KINDS, find_kind
 from needlefit.studies.run import Frames, Run
 
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
+DATA_FOLDER = "dataset"  #: of a copy of the data that were fitted to
 
 FORMAT_VERSION = 9  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
+MAX_DATA_BYTES = 64 * 2**20  #: of the data that are copied; the synthetic dataset has 0.8 MB
 MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
 
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "run")
 
 
 def store_run(result: Run, folder: Path) -> Path:
-    """Write a result without its times to `folder`; return the file of results."""
+    """Write a result without its times to `folder`, and a copy of its data; return the file of results."""
     files = posterior_file_names(len(result.posteriors))
     for posterior, file in zip(result.posteriors.values(), files, strict=True):
         save(posterior, folder / file)
@@ -55,7 +58,17 @@ def store_run(result: Run, folder: Path) -> Path:
         "faults": [{"kind": one.kind.name, "what": one.what} for one in result.faults],
         "frames": {name: _pack_frame(frame) for name, frame in result.frames.items()},
     }
+    if result.data is not None and _can_be_kept(result.data, result.run["dataset"]["sha256"]):
+        result.data.copy_to(folder / DATA_FOLDER)
     return pack(table, folder)
+
+
+def _can_be_kept(data: DatasetFiles, digest: str) -> bool:
+    """Return whether data are small enough to be copied, and still those with the digest."""
+    try:
+        return data.can_be_copied and data.size <= MAX_DATA_BYTES and data.digest() == digest
+    except OSError:  # a file is gone
+        return False
 
 
 def posterior_file_names(count: int) -> tuple[str, ...]:
@@ -90,8 +103,14 @@ def restore_run(folder: Path) -> Run:
             timing=read_timing(folder),
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             faults=tuple(faults),
+            data=_find_data(folder / DATA_FOLDER),
             **about,
         )
+
+
+def _find_data(folder: Path) -> DatasetFiles | None:
+    """Return the copy of a run's data, if it has one."""
+    return DatasetFiles.of_copy(folder) if is_file(folder / DATASET_FILE) else None
 
 
 def read_run(folder: Path) -> dict[str, Any]:

@@ -4,8 +4,9 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
+from needlefit.datasets.sources import DATASET_FILE
 from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
@@ -16,11 +17,12 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
-from needlefit.studies.store import RUN_FILE, read_run
+from needlefit.studies.store import RUN_FILE, restore_run
+from needlefit.studies.stored_fit import reopen_fit
 
 PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
@@ -125,16 +127,31 @@ def _find_files(table: Mapping[str, object]) -> None:
                 _find_files(inner)
 
 
-def load_target(target: str) -> tuple[str, FitRecord, Path]:
-    """Return the name of the results of a fit, the fit, and the file that it stands in.
+class Target(NamedTuple):
+    """A fit that a study is about: the name of its results, the fit, and the file that it stands in.
 
-    The folder of a run means what was fitted there. Of a study of tip tracks with several fits, STUDY:FIT
-    names one.
-
-    Raises ConfigError if there is no such study or fit, or it does more than tune.
+    Of a run, `inputs` are what it has stored of the fit.
     """
-    if is_file(stored := Path(target) / RUN_FILE) and not is_file(Path(target) / "dataset.toml"):
-        return _load_stored_target(stored)
+
+    name: str
+    record: FitRecord
+    inputs: Inputs
+    file: Path
+    run: Run | None = None
+
+
+def load_target(target: str) -> Target:
+    """Return the fit that a name, a path or the folder of a run means: what was fitted there.
+
+    Of a study of tip tracks with several fits, STUDY:FIT names one.
+
+    Raises ConfigError if there is no such study or fit, or it does more than tune. DataError if a run is
+    damaged, or its dataset is missing or was changed.
+    """
+    folder = Path(target)
+    if is_file(folder / RUN_FILE) and not is_file(folder / DATASET_FILE):
+        run = restore_run(folder)
+        return Target(*reopen_fit(run, str(folder)), folder / RUN_FILE, run)
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)
     record = load_fit(path) if kind == "fit" else load_study(path)
@@ -142,7 +159,7 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
         wanted = wanted if study else ""
         for one in record.fits:
             if one.name == wanted or (not wanted and len(record.fits) == 1):
-                return f"{path.stem}-{one.name}-tune", record.tuning(one), path
+                return Target(f"{path.stem}-{one.name}-tune", record.tuning(one), Inputs(), path)
         raise ConfigError(
             f"is a study of {len(record.fits)} fits" + (f", none of them {wanted}" if wanted else ""),
             where=str(path),
@@ -152,43 +169,31 @@ def load_target(target: str) -> tuple[str, FitRecord, Path]:
     if study:
         find_study_or_fit(target)  # says that there is none of that name
     if kind == "fit" and isinstance(record, FitRecord):
-        return path.stem, record, path
+        return Target(path.stem, record, Inputs(), path)
     if not isinstance(record, StudyRecord):
         raise ConfigError(
             "is a study that does more than tune, and is not tuned by itself",
             where=str(path),
             fix=f"use: needlefit validate {target}",
         )
-    return f"{path.stem}-tune", record.tuning(), path
-
-
-def _load_stored_target(path: Path) -> tuple[str, FitRecord, Path]:
-    """Return the same of the fit that a run has stored, its paths relative to the working folder."""
-    run = read_run(path.parent)
-    if run["kind"] == "fit":
-        return run["name"], check(run["study"], FitRecord, path), path
-    if run["kind"] == "cross_validation":
-        return f"{run['name']}-tune", check(run["study"], StudyRecord, path).tuning(), path
-    raise ConfigError(
-        f"is of kind {run['kind']}, no fit",
-        where=str(path.parent),
-        expected="a run of `needlefit tune`, or of `needlefit validate` that fits and predicts",
-    )
+    return Target(f"{path.stem}-tune", record.tuning(), Inputs(), path)
 
 
 def target_name(record: TargetRecord, settings: Settings) -> str:
     """Return the name of the results of the fit that a record names."""
     given = settings.inputs.target
-    return load_target(record.target)[0] if given is None else given[0]
+    return load_target(record.target).name if given is None else given[0]
 
 
 def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the fit that a record names; `name` keys its random numbers."""
     if settings.inputs.target is not None:
         return prepare(name, settings.inputs.target[1], settings)
-    _, fit, file = load_target(record.target)
-    with add_file_context(file):
-        return prepare(name, fit, settings)
+    found = load_target(record.target)
+    if found.run is not None:
+        settings = replace(settings, inputs=found.inputs)
+    with add_file_context(found.file):
+        return prepare(name, found.record, settings)
 
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:

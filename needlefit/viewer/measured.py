@@ -9,7 +9,7 @@ import pandas as pd
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.planes import set_planes
-from needlefit.datasets.read import read_shapes
+from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.compared_points import select_points
@@ -145,6 +145,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
     from needlefit.studies.report import recall
     from needlefit.studies.store import restore_run, unpack
+    from needlefit.studies.stored_fit import read_data
 
     kind = unpack(view_target.path).get("kind")
     if kind not in FIT_KINDS:
@@ -155,14 +156,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             fix="name such a run, or a scene or an insertion of a dataset",
         )
     results = restore_run(view_target.path)
-    dataset = read_shapes(find_file("dataset", results.record.dataset))
-    if dataset.digest != results.run["dataset"]["sha256"]:
-        raise DataError(
-            f"its dataset, {dataset.name}, has changed since",
-            where=str(view_target.path),
-            expected=f"{dataset.path} as it was then",
-            fix=f"run {results.name} again, or restore the data",
-        )
+    dataset = require_shapes(read_data(results, str(view_target.path)))
     dataset = set_planes(dataset, (), results.run["planes"])
     folds: list[Mapping[str, Any]] = results.run["folds"]  # held-out insertions come first
     held = {id_: (fold["name"], "without this insertion") for fold in folds for id_ in fold["validate"]}

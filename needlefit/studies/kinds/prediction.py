@@ -48,7 +48,7 @@ from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_spe
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import simulate_scene, vary_bevels
-from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.provenance import require_same_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
@@ -282,23 +282,6 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
         )
     require_same_configuration(job, run.run, where)
     return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
-
-
-def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
-    ours = describe_configuration(job)
-    pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
-    recipe = recorded.get("recipe")
-    theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
-    pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
-    for key, (found, wanted) in pairs.items():
-        if found != to_json_values(wanted):
-            raise ConfigError(
-                f"its posterior is of another {key}",
-                where=where,
-                expected=f"the {key} that {job.name} names now",
-                fix="tune again: `needlefit tune TARGET`",
-            )
 
 
 # ---- the run

@@ -122,6 +122,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         },
         timing={"dataset": str(job.dataset.path)},
         interrupted=going.interrupted,
+        data=job.dataset.files,
     )
     unconverged = [fault for posterior in going.posteriors.values() for fault in posterior.faults]
     faults = find_faults(found.frames["errors"], going.search_faults, unconverged)

@@ -1,0 +1,124 @@
+"""Reopen the fit of a run: data, tissue model, recipe and posterior as they were, wherever its folder lies.
+
+A run keeps a copy of its data (`store`), so that its folder can be moved alone. Where there is none, as of
+earlier versions and of large data, the dataset is looked for where it was, then by its name.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.read import read
+from needlefit.datasets.sources import find_dataset_file
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.input_files import is_file
+from needlefit.project.locate import find_file, is_path
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import check
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.job import Inputs, Settings, prepare
+from needlefit.studies.provenance import require_same_configuration
+from needlefit.studies.run import Run
+
+
+class StoredFit(NamedTuple):
+    """The fit of a run: the name of its results, the fit, and what stands for the files that it names."""
+
+    name: str
+    record: FitRecord
+    inputs: Inputs
+
+
+def reopen_fit(run: Run, where: str) -> StoredFit:
+    """Return the fit of a run, of a study that which it begins with; errors name the run by `where`.
+
+    Raises ConfigError if the run is no fit, or this version makes another one of it. DataError as of
+    `read_data`.
+    """
+    record = run.record
+    if not isinstance(record, FitRecord):
+        raise ConfigError(
+            f"is of kind {run.kind}, no fit",
+            where=where,
+            expected="a run of `needlefit tune`, or of `needlefit validate` that fits and predicts",
+        )
+    inputs = Inputs(
+        dataset=read_data(run, where),
+        medium=check(run.run["medium"], MediumRecord, where),
+        recipe=check(run.run["recipe"], RecipeRecord, where),
+    )
+    job = prepare(run.name, record, Settings(inputs=inputs))
+    require_same_configuration(job, run.run, where)
+    one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
+    name = run.name
+    if isinstance(record, StudyRecord):
+        name, record = f"{name}-tune", record.tuning()
+    posterior = run.posterior if one_fit else None
+    return StoredFit(name, record, replace(inputs, target=(name, record), posterior=posterior))
+
+
+def read_data(run: Run, where: str) -> Dataset:
+    """Return the dataset of a run: its own copy, else the files that it was read from, if they are the same.
+
+    A copy that differs from those files has a warning. Raises DataError if there is neither; it names
+    `where`, the run.
+    """
+    digest, before = run.run["dataset"]["sha256"], _find_earlier_file(run)
+    if run.data is not None and is_file(run.data.file):
+        dataset = read(run.data.file, root=run.data.root)
+        if dataset.digest == digest:
+            return _warn_changed(dataset, run, before)
+    changed: Path | None = None
+    for file in _list_files(run, before):
+        dataset = read(file)
+        if dataset.digest == digest:
+            return dataset
+        changed = changed or file
+    name = run.record.dataset
+    if changed is not None:
+        raise DataError(
+            f"its dataset, {name}, has changed since",
+            where=where,
+            expected=f"{changed} as it was then",
+            fix=f"run {run.name} again, or restore the data",
+        )
+    was = str(before.parent) if before.is_absolute() else f"{before.parent}, below the folder of that command"
+    looked = Path.cwd() / (name if is_path(name) else f"data/{name}")
+    raise DataError(
+        f"its dataset, {name}, is not found, and the run holds no copy of it",
+        where=where,
+        expected=f"the folder of the dataset where it was: {was}, or where it was looked for: {looked}",
+        fix=f"copy the dataset to one of these, or run {run.name} again: its folder then holds a copy",
+    )
+
+
+def _find_earlier_file(run: Run) -> Path:
+    """Return the `dataset.toml` that a run was computed with, where it was."""
+    file = Path(run.timing.get("folder", ""), run.timing.get("dataset", ""))
+    return file if file.suffix == ".toml" else file / "dataset.toml"
+
+
+def _list_files(run: Run, before: Path) -> Iterator[Path]:
+    """Yield the datasets that may be that of a run: where it was, and by its name."""
+    if is_file(before):
+        yield before
+    try:
+        found = find_dataset_file(find_file("dataset", run.record.dataset))
+    except ConfigError:
+        return
+    if found.absolute() != before.absolute():
+        yield found
+
+
+def _warn_changed(dataset: Dataset, run: Run, before: Path) -> Dataset:
+    """Return the copy of a run's dataset, with a warning if that has changed since."""
+    if dataset.files is None or not dataset.files.differ_from(before):
+        return dataset
+    what = f"the dataset has changed since {run.name} was computed, which uses its copy of it"
+    fix = f"run {run.name} again to use the data as they are now"
+    warning = ResultWarning("data_changed", what, str(before), fix)
+    return replace(dataset, warnings=(*dataset.warnings, warning))

@@ -1,0 +1,191 @@
+"""A run whose folder was moved alone: it holds its data, or its dataset is looked for and named."""
+
+import json
+import shutil
+from contextlib import chdir
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from refusals import refusal
+from test_cli import run
+
+import needlefit
+from needlefit.datasets.sources import DatasetFiles
+from needlefit.errors import DataError
+from needlefit.project.folders import write_manifest
+from needlefit.studies import store
+from needlefit.studies.stored_fit import read_data
+from needlefit.studies.study_files import load_target
+from needlefit.viewer.opening import open_target
+
+RUNS = ("gel", "held_out")
+OPTIONS = ("--quiet", "--jobs", 1)
+
+
+pytestmark = pytest.mark.usefixtures("blank_figures")
+
+
+@pytest.fixture
+def places(world, tmp_path, monkeypatch):
+    """Copies of the project and of its runs, moved elsewhere; the third folder is the working folder."""
+    found = SimpleNamespace(project=tmp_path / "project", moved=tmp_path / "moved", here=tmp_path / "here")
+    for kind in ("fit", "cross_validation"):
+        folder = world.find(kind)
+        shutil.copytree(folder, found.moved / folder.name)
+        timing = found.moved / folder.name / "timing.json"  # where the copy of the project is
+        timing.write_text(timing.read_text().replace(str(world.folder), str(found.project)))
+    for part in ("configs", "data", "studies"):
+        shutil.copytree(world.folder / part, found.project / part)
+    found.here.mkdir()
+    shutil.copy(world.folder / "configs/scenes/ahead.toml", found.here)
+    monkeypatch.chdir(found.here)
+    return found
+
+
+def drop_copy(folder: Path) -> None:
+    """Make a run as one of an earlier version, which holds no data."""
+    shutil.rmtree(folder / "dataset")
+    write_manifest(folder)
+
+
+def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
+    for kind in ("fit", "cross_validation"):
+        folder = world.find(kind)
+        kept = store.restore_run(folder)
+        copied = {
+            path.relative_to(folder / "dataset").as_posix() for path in (folder / "dataset").rglob("*.*")
+        }
+        assert copied == {"dataset.toml", *kept.data.names} and "layers/gel.stl" in copied
+        assert kept.data.digest() == kept.run["dataset"]["sha256"]
+        assert json.loads((folder / "timing.json").read_text())["folder"] == str(world.folder)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *[("report", f"../moved/{name}", *out) for name in RUNS for out in ((), ("--out", "again"))],
+        ("diff", "../moved/gel", "../moved/gel"),
+        ("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS),
+        ("predict", "../moved/held_out", "--scene", "./ahead.toml", *OPTIONS),
+        ("tune", "../moved/held_out", "--no-sample", *OPTIONS),
+        ("tune", "../moved/gel", "--design", *OPTIONS),
+        ("plan", "../moved/held_out", "--target", "28,1", "--turns", 0),
+        ("plan", "../moved/gel/needle-1", "--target", "28,1", "--turns", 0),
+    ],
+)
+def test_every_command_takes_a_run_that_was_moved_alone(words, places, capsys):
+    shutil.rmtree(places.project)
+    assert run(*words) in (0, 5)
+    assert capsys.readouterr().out
+
+
+def test_a_moved_run_is_opened_with_its_measured_needle_and_draws(places):
+    shutil.rmtree(places.project)
+    shown = open_target("../moved/held_out/needle-2")
+    assert shown.measured.id == "needle-2" and shown.spread is not None
+
+
+@pytest.mark.sweep
+def test_a_moved_run_is_calibrated(world, places):
+    with chdir(world.folder):
+        assert run("tune", "meat", "--no-sample", "--out", places.moved, *OPTIONS) in (0, 5)
+    assert run("calibrate", "../moved/meat-tune", "--replicates", 2, *OPTIONS) == 5
+
+
+def test_a_moved_run_predicts_what_it_predicted_where_it_was(world, places):
+    shutil.rmtree(places.project)
+    found = {}
+    for words in ((), ("--depth", 25), ("--set", "bevel.side=-1")):
+        assert run("predict", "../moved/held_out", "--scene", "./ahead.toml", *words, *OPTIONS) in (0, 5)
+    for path in Path("reports").glob("predict-*/forecast.csv"):
+        found[path.parent.name.removeprefix("predict-held_out-ahead")] = pd.read_csv(path).filter(like="_mm")
+    before = pd.read_csv(world.find("prediction") / "forecast.csv").filter(like="_mm")
+    pd.testing.assert_frame_equal(found[""], before)
+    ends = {name: frame["s_mm"].max() for name, frame in found.items()}
+    assert ends == {"": 32.0, "-depth_mm=25": 25.0, "-bevel.side=-1": 32.0}
+    stored = json.loads(Path("reports/predict-held_out-ahead/run.json").read_text())
+    assert str(places.moved.parent) not in json.dumps(stored)
+
+
+def test_a_moved_run_is_predicted_with_and_sampled_in_python(places):
+    shutil.rmtree(places.project)
+    kept = needlefit.load_run(places.moved / "held_out")
+    by_run = needlefit.predict(kept, places.here / "ahead.toml", jobs=1)
+    by_folder = needlefit.predict(places.moved / "held_out", places.here / "ahead.toml", jobs=1)
+    assert by_run.run["fit_verdict"] and by_run.run["fit_verdict"] == by_folder.run["fit_verdict"]
+    for name, column in by_run.frames["forecast"].filter(like="_mm").items():
+        np.testing.assert_array_equal(column, by_folder.frames["forecast"][name])
+    saved = needlefit.sample(kept, jobs=1).save(places.here / "sampled")
+    assert needlefit.load_run(saved).data.digest() == kept.data.digest()
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda folder: load_target(str(folder)),
+        lambda folder: open_target(str(folder)),
+        lambda folder: needlefit.predict(needlefit.load_run(folder), "./ahead.toml"),
+    ],
+)
+def test_a_dataset_that_is_missing_is_named_with_both_folders(places, use):
+    folder = places.moved / "gel"
+    drop_copy(folder)
+    assert use(folder)  # where it was
+    shutil.rmtree(places.project)
+    fault = refusal(DataError, "needles", lambda: use(folder))
+    assert str(places.project / "data/needles") in fault.expected
+    assert str(places.here / "data/needles") in fault.expected
+    assert run("report", "../moved/gel") == 0  # which needs no data
+
+
+def test_a_missing_dataset_is_found_where_the_message_looked_for_it(places):
+    drop_copy(places.moved / "gel")
+    shutil.move(places.project / "data", places.here / "data")
+    assert load_target("../moved/gel").inputs.dataset.digest
+    file = places.here / "data/needles/dataset.toml"
+    file.write_text(f"# later\n{file.read_text()}")
+    fault = refusal(DataError, "changed", lambda: load_target("../moved/gel"))
+    assert str(file) in fault.expected
+
+
+def test_data_that_changed_since_are_named_and_the_copy_is_used(places, capsys):
+    kinds = [one.kind for one in load_target("../moved/gel").inputs.dataset.warnings]
+    assert "data_changed" not in kinds
+    file = places.project / "data/needles/dataset.toml"
+    file.write_text(f"# later\n{file.read_text()}")
+    dataset = load_target("../moved/gel").inputs.dataset
+    (warning,) = [one for one in dataset.warnings if one.kind == "data_changed"]
+    assert warning.where == str(file)
+    assert run("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS) in (0, 5)
+    assert "explain data-changed" in capsys.readouterr().err
+    assert [one for one in open_target("../moved/gel").warnings if one.kind == "data_changed"] == [warning]
+
+
+@pytest.mark.parametrize("change", ["large", "gone", "changed", "outside"])
+def test_data_that_are_too_large_or_not_as_they_were_are_not_kept(places, tmp_path, monkeypatch, change):
+    kept = store.restore_run(places.moved / "gel")
+    data = DatasetFiles(
+        places.project / "data/needles/dataset.toml", places.project / "data/needles", kept.data.names
+    )
+    object.__setattr__(kept, "data", data)
+    if change == "large":
+        monkeypatch.setattr(store, "MAX_DATA_BYTES", 100)
+    elif change == "gone":
+        (data.root / data.names[0]).unlink()
+    elif change == "changed":
+        (data.root / data.names[0]).write_text("")
+    else:
+        names = tuple(f"../needles/{name}" for name in data.names)
+        object.__setattr__(kept, "data", DatasetFiles(data.file, data.root, names))
+    store.store_run(kept, tmp_path)
+    assert not (tmp_path / "dataset").exists()
+
+
+def test_a_run_in_memory_finds_its_data_from_another_working_folder(places, monkeypatch):
+    monkeypatch.chdir(places.project)
+    found = needlefit.fit("./configs/fits/gel.toml", jobs=1)
+    monkeypatch.chdir(places.here)
+    assert read_data(found, "run").digest == found.run["dataset"]["sha256"]
