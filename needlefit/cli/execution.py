@@ -4,7 +4,7 @@ import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -39,12 +39,25 @@ class StudyTask:
 class Execution:
     """How runs of a command go; results go to `OUT/<name>/`, checkpoints to `OUT/<name>.partial/`.
 
-    `stop`: whether to end early. `inputs` takes the place of files that are named.
+    `stop`: whether to end early. `inputs` takes the place of files that are named. `sources` are the files of
+    which each result is made, by its name; `prepare` fills them.
     """
 
     invocation: Invocation
     stop: Callable[[], bool] = never_stop
     inputs: "Inputs | None" = None
+    sources: "dict[str, Sequence[str]]" = field(default_factory=dict)
+
+    def prepare_result(self, name: str, sources: Sequence[str], record: "FileRecord | None" = None) -> None:
+        """Make sure, as `prepare`, that the result of some files, and of a study or fit, can be written.
+
+        ConfigError also if it would replace the result of others.
+        """
+        from needlefit.studies.result_sources import require_same_sources
+
+        self.prepare([name])
+        require_same_sources(self.folder(name), sources, record)
+        self.sources[name] = sources
 
     def prepare(self, names: Iterable[str], referenced: Iterable[str] = ()) -> None:
         """Make sure, before hours of work, that the results can be written, and reference results if wanted.
@@ -109,10 +122,13 @@ class Execution:
 
     def write(self, result: "Run") -> Path:
         from needlefit.studies.report import write_run
+        from needlefit.studies.result_sources import store_sources
 
         with show_progress(self.invocation.quiet) as report:
             report(f"{result.name}: tables, figures and report", 0, 1)
-            return write_run(result, self.folder(result.name))
+            folder = self.folder(result.name)
+            sources = store_sources(self.sources.get(result.name, ()), folder)
+            return write_run(replace(result, timing={**result.timing, **sources}), folder)
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""

@@ -50,18 +50,19 @@ def tune(
         from needlefit.project.toml import add_file_context
         from needlefit.studies.study_files import load_target
 
-        name, record, inputs, file, _ = load_target(target)
+        fit = load_target(target)
+        name, record, inputs, file, _ = fit
         execution = replace(execution, inputs=inputs)
         if design:
             about = f"{name.removesuffix('-tune')}-design"
-            execution.prepare([about])
+            execution.prepare_result(about, fit.sources)
             given = replace(execution, inputs=replace(inputs, target=(name, record)))
             with add_file_context(file):
                 found = given.run_kind("identification", about, target=target)
             show_runs(execution, [found])
             return
-        execution.prepare([name])
         with add_file_context(file):
+            execution.prepare_result(name, fit.sources, None if inputs.dataset else record)
             results = execution.run(name, record, sample=not no_sample)
         if results.interrupted and "fitted" not in set(results.frames["errors"]["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
@@ -121,6 +122,7 @@ def calibrate(
             fit = about.run.record if truth == "synthetic" else about.record
             execution = replace(execution, inputs=replace(about.inputs, target=(about.name, fit)))
         execution.prepare([name], [name])
+        execution.prepare_result(name, about.sources)
         found = execution.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
         execution.write_reference([found])
     show_runs(execution, [found])
@@ -165,8 +167,9 @@ def validate(
     """
     with begin(context) as execution:
         from needlefit.project.locate import EVERY_STUDY, PAPER_FITS, find_file, find_studies
-        from needlefit.project.toml import load
+        from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
+        from needlefit.studies.result_sources import name_source
         from needlefit.studies.study_files import load_study
 
         combined = [study] if study == EVERY_STUDY else []
@@ -175,6 +178,9 @@ def validate(
         todo += [StudyTask(name, load(path, FitRecord), path) for name, path in fits]
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)
+        for work in todo:
+            with add_file_context(work.file):
+                execution.prepare_result(work.name, [name_source(work.file)], work.record)
         runs = run_studies(execution, todo)
         if combined:
             from needlefit.studies.combined_report import write_combined
@@ -225,22 +231,25 @@ def predict(
     """
     with begin(context) as execution:
         from needlefit.project.input_files import is_file
+        from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
+        from needlefit.studies.result_sources import name_source
         from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
 
         scene_name, planned = scene_record(scene, depth, set_ or [])
-        target_name, fitted, inputs, file, run = load_target(target)
+        fit = load_target(target)
+        target_name, fitted, inputs, file, run = fit
         with add_file_context(file):
             medium = inputs.medium or load_medium(fitted)[0]
         make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
         require_file_name(Path(scene).stem, scene)
         about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"
-        execution.prepare([name])
+        execution.prepare_result(name, [*fit.sources, name_source(find_file("scene", scene))])
         tuned = execution.folder(target_name) if run is None else file.parent
         judged = execution.folder(target_name.removesuffix("-tune"))
         if run is None and is_file(judged / RESULTS_FILE):

@@ -39,6 +39,9 @@ class TimingTable(_StoredTable):
 
     seconds: float = Field(default=0.0, ge=0)
     jobs: int = 1
+    dataset: str = ""
+    folder: str = ""
+    sources: list[str] = []
 
 
 class FrameTable(_StoredTable):

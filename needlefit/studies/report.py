@@ -27,6 +27,7 @@ from needlefit.reporting.text import KindText
 from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
+from needlefit.studies.result_sources import read_sources, store_sources
 from needlefit.studies.run import Run, mark_faults, once_per_run
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
@@ -192,6 +193,9 @@ def rebuild(run: Path, folder: Path) -> Run:
     """
     with convert_stored_errors(run):
         result = restore_run(run)
+        if folder.resolve() != run.resolve():
+            sources = store_sources(read_sources(result.timing, run), folder)
+            result = replace(result, timing={**result.timing, **sources})
         write_run(result, folder)
         return result
 

@@ -20,6 +20,7 @@ from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.job import Inputs, Job, Settings, prepare
 from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
+from needlefit.studies.result_sources import name_source, read_sources
 from needlefit.studies.run import Run
 from needlefit.studies.store import RUN_FILE, restore_run
 from needlefit.studies.stored_fit import reopen_fit
@@ -138,6 +139,12 @@ class Target(NamedTuple):
     inputs: Inputs
     file: Path
     run: Run | None = None
+
+    @property
+    def sources(self) -> list[str]:
+        """The file that it stands in; of a run, the one of which that was made."""
+        found = [] if self.run is None else read_sources(self.run.timing, self.file.parent)
+        return found or [name_source(self.file)]
 
 
 def load_target(target: str) -> Target:

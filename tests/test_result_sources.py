@@ -1,0 +1,111 @@
+"""A result of one study is not replaced by that of another one, or of another dataset."""
+
+import json
+import shutil
+
+import pytest
+from test_cli import run
+
+from needlefit.cli import execution
+from needlefit.errors import ConfigError
+from needlefit.studies.report import rebuild
+from needlefit.studies.result_sources import name_source, read_sources, require_same_sources
+
+OPTIONS = ("--quiet", "--jobs", 1)
+
+
+class StopError(Exception):
+    """Raised where the work would begin."""
+
+
+@pytest.fixture
+def project(world, tmp_path, monkeypatch):
+    """A copy of the project with the results of a fit, a study and a prediction."""
+    for kind in ("fit", "cross_validation", "prediction"):
+        folder = world.find(kind)
+        shutil.copytree(folder, tmp_path / "project/reports" / folder.name)
+    for part in ("configs", "data", "studies"):
+        shutil.copytree(world.folder / part, tmp_path / "project" / part)
+    monkeypatch.chdir(tmp_path / "project")
+
+    def stop(*_, **__):
+        raise StopError
+
+    monkeypatch.setattr(execution.Execution, "run", stop)
+    return tmp_path / "project"
+
+
+def is_refused(*words) -> bool:
+    """Return whether a command is refused before its work begins."""
+    code = run(*words, *OPTIONS)
+    assert code in (1, 3)  # 1: of `StopError`
+    return code == 3
+
+
+def test_the_same_studies_may_replace_their_results_also_in_a_copy_of_the_project(project):
+    commands = (
+        ("tune", "gel"),
+        ("tune", "./configs/fits/gel.toml"),
+        ("tune", "reports/gel"),
+        ("validate", "held_out"),
+        ("predict", "held_out", "--scene", "ahead"),
+        ("predict", "reports/held_out", "--scene", "./configs/scenes/ahead.toml"),
+        ("tune", "gel", "--design"),  # no result yet
+    )
+    for words in commands:
+        assert not is_refused(*words), words
+
+
+def test_another_study_of_the_same_name_is_refused_and_both_are_named(project, capsys):
+    for place in ("other", "other/scenes"):
+        (project / place).mkdir()
+    shutil.copy("studies/held_out.toml", "other/held_out.toml")
+    shutil.copy("configs/fits/gel.toml", "other/gel.toml")
+    shutil.copy("configs/scenes/ahead.toml", "other/scenes/ahead.toml")
+    before = {path: path.read_bytes() for path in project.glob("reports/*/*.json")}
+    for words, then, now in (
+        (("validate", "other/held_out.toml"), "studies/held_out.toml", "other/held_out.toml"),
+        (("tune", "other/gel.toml"), "configs/fits/gel.toml", "other/gel.toml"),
+        (
+            ("predict", "held_out", "--scene", "other/scenes/ahead.toml"),
+            "configs/scenes/ahead.toml",
+            "other/scenes/ahead.toml",
+        ),
+    ):
+        capsys.readouterr()
+        assert is_refused(*words)
+        printed = capsys.readouterr().err
+        assert str(project / then) in printed and str(project / now) in printed and "--out" in printed
+        assert not is_refused(*words, "--out", "elsewhere")
+    assert before == {path: path.read_bytes() for path in project.glob("reports/*/*.json")}
+
+
+def test_another_dataset_of_the_same_study_is_refused(project, capsys):
+    shutil.copytree("data/needles", "data/others")
+    file = project / "data/others/dataset.toml"
+    text = file.read_text()
+    file.write_text(text.replace('name = "needles"', 'name = "others"'))
+    assert file.read_text() != text
+    study = project / "studies/held_out.toml"
+    study.write_text(study.read_text().replace('dataset = "needles"', 'dataset = "others"'))
+    assert is_refused("validate", "held_out")
+    assert "dataset needles" in capsys.readouterr().err
+    study.write_text(study.read_text().replace('dataset = "others"', 'dataset = "needles"'))
+    (project / "data/needles/insertions.csv").touch()  # the data themselves may change
+    assert not is_refused("validate", "held_out")
+
+
+def test_a_result_made_again_elsewhere_keeps_its_sources_and_older_ones_have_none(project):
+    rebuild(project / "reports/held_out", project / "again/deep/held_out")
+    timing = json.loads((project / "again/deep/held_out/timing.json").read_text())
+    assert timing["sources"] == ["../../../studies/held_out.toml"]
+    own, other = name_source(project / "studies/held_out.toml"), name_source(project / "studies/meat.toml")
+    assert read_sources(timing, project / "again/deep/held_out") == [own]
+    for folder in (project / "reports/held_out", project / "again/deep/held_out"):
+        require_same_sources(folder, [own])
+        with pytest.raises(ConfigError):
+            require_same_sources(folder, [other])
+    (project / "reports/held_out/timing.json").write_text("{}")
+    require_same_sources(project / "reports/held_out", [other])
+    (project / "reports/held_out/run.json").write_text("{")
+    require_same_sources(project / "reports/held_out", [other])
