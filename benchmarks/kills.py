@@ -100,8 +100,9 @@ def contents(out: Path) -> dict[str, bytes]:
 
 def kept(out: Path) -> str:
     """Return how far a killed run had come, by its checkpoint."""
-    blocks = list(out.glob("*.partial/*.h5"))
-    starts = sum(path.read_text().count("{") for path in out.glob("*.partial/*.jsonl"))
+    rows = [path.read_text() for path in out.glob("*.partial/*.jsonl")]
+    blocks = sum(text.count('"begin":') for text in rows)
+    starts = sum(text.count("{") for text in rows)
     return "sampling" if blocks else "starts ended" if starts else "nothing kept yet"
 
 

@@ -94,7 +94,7 @@ class ConfigError(NeedlefitError):
 
 
 class UnfinishedWorkError(ConfigError):
-    """An interrupted run left work that this run would replace."""
+    """A run has left finished work, with which `--resume` goes on."""
 
 
 class DataError(NeedlefitError):

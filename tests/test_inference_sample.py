@@ -1,7 +1,11 @@
 """How the sampler runs: when it ends, what it goes on from, what it keeps, and when draws have converged."""
 
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -107,36 +111,62 @@ def test_a_stopped_run_goes_on_from_its_last_block(tmp_path, whole, stopped, lef
     assert len(steps) == left
 
 
-@pytest.mark.parametrize("damage", ["torn", "flipped", "foreign", "empty", "without its row"])
-def test_a_damaged_chain_is_sampled_again(tmp_path, whole, damage):
+def flip(line: bytes) -> bytes:
+    """Change one bit in the middle."""
+    middle = len(line) // 2
+    return line[:middle] + bytes([line[middle] ^ 1]) + line[middle + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "begin", "noted"),
+    [
+        (lambda first, second: (first, second[:-40]), 10, 1),
+        (lambda first, second: (flip(first), second), 0, 1),
+        (lambda first, second: (first, flip(second)), 10, 1),
+        (lambda first, second: (second,), 0, 0),
+        (lambda first, second: (), 0, 0),
+    ],
+    ids=["torn", "first flipped", "second flipped", "first gone", "both gone"],
+)
+def test_a_damaged_block_is_sampled_again_with_all_that_follow(tmp_path, whole, damage, begin, noted):
     draw(GAUSSIAN, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
-    (chain,), (rows,) = tmp_path.glob("*.h5"), tmp_path.glob("*.jsonl")
-    before = chain.read_bytes()
-    if damage == "without its row":
-        rows.unlink()
-    elif damage == "foreign":
-        with h5py.File(chain, "w") as file:
-            file.create_group("mcmc").attrs["iteration"] = 20
-    else:
-        middle = len(before) // 2
-        flipped = before[:middle] + bytes([before[middle] ^ 1]) + before[middle + 1 :]
-        chain.write_bytes({"torn": before[:middle], "flipped": flipped, "empty": b""}[damage])
+    (file,) = tmp_path.glob("*.jsonl")
+    file.write_bytes(b"\n".join(damage(*file.read_bytes().split(b"\n")[1::2])))
     notes, steps = [], []
     count = Callbacks(step=lambda done, most: steps.append(done))
     assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path, notes.append), **SHORT), whole)
-    assert steps == list(range(1, 36)) and len(notes) == 1
+    assert steps == list(range(begin + 1, 36)) and len(notes) == noted
+    # what was sampled again stands behind what was damaged
+    assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path), **SHORT), whole)
+    assert len(steps) == 35 - begin
 
 
-def test_a_kill_between_the_row_and_its_chain_leaves_the_block_before(tmp_path, whole):
-    draw(GAUSSIAN, BEGIN, stop_after(15), reopen(tmp_path), **SHORT)
-    (chain,) = tmp_path.glob("*.h5")
-    before = chain.read_bytes()
-    draw(GAUSSIAN, BEGIN, stop_after(25), reopen(tmp_path), **SHORT)
-    chain.write_bytes(before)  # the row of the second block is there, its chain is not
-    steps, notes = [], []
-    count = Callbacks(step=lambda done, most: steps.append(done))
-    assert_equal(draw(GAUSSIAN, BEGIN, count, reopen(tmp_path, notes.append), **SHORT), whole)
-    assert steps[0] == 11 and notes == []
+@pytest.mark.skipif(os.name != "posix", reason="a limit on the size of files")
+def test_draws_that_a_full_disk_cannot_keep_are_an_error_and_no_crash(tmp_path):
+    """Beyond a limit on the size of files a write fails, as on a full disk."""
+    words = [sys.executable, "-c", FULL_DISK, str(tmp_path)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=Path(__file__).parent)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == ["UnfinishedWorkError", "OSError"]
+
+
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+from test_inference_sample import BEGIN, GAUSSIAN, SHORT, draw, reopen
+from needlefit.inference.sampling.posterior import save
+checkpoint = reopen(Path(sys.argv[1]) / "c")
+posterior = draw(GAUSSIAN, BEGIN, **SHORT)
+resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
+for write in (
+    lambda: draw(GAUSSIAN, BEGIN, checkpoint=checkpoint, **SHORT),
+    lambda: save(posterior, Path(sys.argv[1]) / "posterior.nc"),
+):
+    try:
+        write()
+    except Exception as error:
+        print(type(error).__name__)
+"""
 
 
 # ---- convergence of chains whose values are known

@@ -1,5 +1,6 @@
 """How a command ends: its exit code, its error message, and what Ctrl-C does."""
 
+import errno
 import os
 import shlex
 import signal
@@ -79,7 +80,7 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
         return int(error.exit_code)  # type: ignore[attr-defined]
     if invocation.verbose:
         traceback.print_exception(error)
-    error = _to_user_error(error)
+    error = _to_user_error(error, invocation)
     if isinstance(error, NeedlefitError):
         print(f"needlefit: {error}", file=sys.stderr)
         if isinstance(error, UnfinishedWorkError):
@@ -93,14 +94,16 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
 _EXTRAS = {"aiohttp": "view", "distributed": "cluster"}  # of packages that needlefit works without
 
 
-def _to_user_error(error: BaseException) -> BaseException:
+def _to_user_error(error: BaseException, invocation: Invocation) -> BaseException:
     """Return an error of Python's of which it is known what a user can do, as one that states it."""
     if isinstance(error, OSError):
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        advice = "free some space" if full else "check the path and its permissions"
         return ConfigError(
             f"cannot be read or written: {error.strerror or error}",
-            where=str(error.filename or ""),
+            where=str(error.filename or (invocation.out if full else "")),
             expected="a place that exists, with space left, that you may read and write",
-            fix="check the path and its permissions, or choose another folder",
+            fix=f"{advice}, or choose another folder",
         )
     if isinstance(error, MemoryError):
         return ConfigError(

@@ -1,9 +1,8 @@
 """The checkpoint of a running command, `NAME.partial`: what is finished, from which `--resume` goes on.
 
-Each kind of work has a file of rows there: lines of JSON, with arrays as base64. A row is appended at once,
-so that a kill leaves whole rows, and perhaps the beginning of one, which is no row. Beside its rows a work
-may keep one file that a library writes (HDF5), as a whole. No file holds code. One process at a time may use
-the folder.
+Each kind of work has a file of rows there: lines of JSON with a digest, arrays as base64. A row is
+appended at once, so that a kill leaves whole rows, and perhaps the beginning of one, which is no row. No file
+holds code. One process at a time may use the folder.
 """
 
 import base64
@@ -11,7 +10,6 @@ import hashlib
 import io
 import json
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,7 +29,6 @@ from needlefit.project.folders import (
     list_all_files,
     read_manifest,
     require_replaceable,
-    sha256,
     take_lock,
 )
 from needlefit.project.input_files import parse_json, read_bytes
@@ -42,7 +39,8 @@ if TYPE_CHECKING:
 
 MAX_CHECKPOINT_BYTES = 2**31  # size of a file of rows
 ARRAYS_KEY = "arrays"  # of a row: its arrays by name
-FILE_KEY = "file"  # of a row: the digest of the file that was kept with it
+DIGEST_KEY = "sha256"  # of a row: the digest of the rest of it
+# HDF5 is of earlier versions
 _OWN_FILE = re.compile(rf"{LOCK_NAME}|{re.escape(MANIFEST)}|[0-9a-f]{{16}}\.(jsonl|h5(\.part)?)")
 
 _held: "dict[Path, BaseFileLock]" = {}
@@ -72,7 +70,10 @@ class Checkpoint:
     def keep_row(
         self, work: str, row: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
     ) -> None:
-        """Store a row of JSON values, and arrays, under its key `arrays`; every float survives exactly."""
+        """Store a row of JSON values, and arrays, under its key `arrays`; every float survives exactly.
+
+        UnfinishedWorkError if it cannot be written.
+        """
         if self.folder is None:
             return
         if arrays is not None:
@@ -82,40 +83,21 @@ class Checkpoint:
                 np.save(written, array, allow_pickle=False)
                 stored[name] = base64.b64encode(written.getvalue()).decode("ascii")
             row = {**row, ARRAYS_KEY: stored}
-        with self._file(work).open("ab") as file:
-            file.write(b"\n" + json.dumps(row).encode("ascii") + b"\n")  # the line before may be torn
+        line = json.dumps({**row, DIGEST_KEY: _digest_row(row)})
+        try:
+            with self._file(work).open("ab") as file:
+                file.write(b"\n" + line.encode("ascii") + b"\n")  # the line before may be torn
+        except OSError as error:  # a full disk
+            raise UnfinishedWorkError(
+                f"what is finished cannot be kept: {error.strerror}",
+                where=str(self.folder),
+                expected="a disk with space left",
+                fix="free some space; what was kept before is not lost",
+            ) from error
 
-    def open_file(self, work: str, keys: Sequence[str]) -> tuple[Path, dict[str, Any]]:
-        """Return the file that a work writes to, as it was kept last, and the row kept with it, with `keys`.
-
-        Without a kept file, or with a damaged one, there is neither.
-        """
-        kept = self._file(work, "h5")
-        working = kept.with_name(f"{kept.name}.part")
-        working.unlink(missing_ok=True)
-        if kept.is_file():
-            digest = sha256(kept)
-            for row in self.rows(work, (FILE_KEY, *keys)):
-                if row[FILE_KEY] == digest:
-                    shutil.copyfile(kept, working)
-                    return working, row
-            self.note(f"{kept} was damaged: its work begins again")
-        return working, {}
-
-    def keep_file(self, work: str, row: Mapping[str, Any]) -> None:
-        """Keep the file that a work writes to as it is now, with a row.
-
-        A kill leaves the file that was kept before, or this one, each with its row.
-        """
-        kept = self._file(work, "h5")
-        working = kept.with_name(f"{kept.name}.part")
-        self.keep_row(work, {**row, FILE_KEY: sha256(working)})
-        working.replace(kept)
-        shutil.copyfile(kept, working)
-
-    def _file(self, work: str, ending: str = "jsonl") -> Path:
+    def _file(self, work: str) -> Path:
         assert self.folder is not None
-        return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.{ending}"
+        return self.folder / f"{hashlib.sha256(work.encode()).hexdigest()[:16]}.jsonl"
 
 
 NO_CHECKPOINT = Checkpoint(None)  # keeps nothing
@@ -125,13 +107,17 @@ def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
     """Return the row in a line; None if it is not whole."""
     try:
         row = parse_json(line.decode("ascii"), "")
-        if isinstance(row, dict) and row.keys() >= set(keys):
+        if row.pop(DIGEST_KEY) == _digest_row(row) and row.keys() >= set(keys):
             if ARRAYS_KEY in row:
                 row[ARRAYS_KEY] = {name: _decode_array(one) for name, one in row[ARRAYS_KEY].items()}
             return row
-    except (AttributeError, DataError, MemoryError, TypeError, ValueError):
+    except (AttributeError, DataError, KeyError, MemoryError, TypeError, ValueError):
         pass
     return None
+
+
+def _digest_row(row: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(row, sort_keys=True).encode("ascii")).hexdigest()
 
 
 def _decode_array(text: str) -> NDArray[Any]:

@@ -118,10 +118,11 @@ def _results(folder: Path) -> object:
 
 def _checkpoint(folder: Path) -> object:
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    chain, row = kept.open_file("chain", ("failures", "failed"))
-    if row:
-        import_module("emcee").backends.HDFBackend(chain).get_last_sample()
-    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), row
+    backend = import_module("emcee").backends.Backend()
+    backend.reset(4, 2)
+    rows = kept.rows("chain", import_module("needlefit.inference.sampling.sample").BLOCK_KEYS)
+    _late("inference.sampling.sample._restore_chain")(backend, rows)
+    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), backend.iteration
 
 
 # ---- texts

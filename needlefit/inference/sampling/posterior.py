@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,7 +97,8 @@ def save(posterior: Posterior, path: Path) -> None:
     import h5netcdf  # xarray takes 0.7 s to load
     import h5py
 
-    with h5netcdf.File(path, "w") as file:
+    written = BytesIO()  # to a disk that is full HDF5 cannot write: it ends the interpreter
+    with h5netcdf.File(written, "w") as file:
         for name, (variables, coordinates, header) in _list_groups(posterior).items():
             group = file.create_group(name)
             group.attrs.update(header)
@@ -106,6 +108,7 @@ def save(posterior: Posterior, path: Path) -> None:
                 group.create_variable(dimension, (dimension,), kind, np.asarray(values, kind))
             for variable, (dimensions, values, attributes) in variables.items():
                 group.create_variable(variable, dimensions, data=values).attrs.update(attributes)
+    path.write_bytes(written.getvalue())
 
 
 def load(path: Path) -> Posterior:

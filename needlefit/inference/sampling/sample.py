@@ -7,6 +7,7 @@ stand where the mixture is too thin.
 """
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,7 @@ from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
+from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 BLOCK_STEPS = 10  #: between two checks of convergence; the chain is stored at each
@@ -62,11 +63,9 @@ def sample(
     if nodes is not None:
         nodes.fixed = True
     evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
-    backend, work = None, f"posterior of {name}"
-    if checkpoint.folder is not None:
-        file, row = checkpoint.open_file(work, ("failures",))
-        backend = emcee.backends.HDFBackend(file)
-        evaluator.failures = row.get("failures", 0)
+    work, backend = f"posterior of {name}", emcee.backends.Backend()
+    backend.reset(walkers, len(problem.names))
+    evaluator.failures = _restore_chain(backend, checkpoint.rows(work, BLOCK_KEYS))
     sampler = emcee.EnsembleSampler(
         walkers, len(problem.names), evaluator, moves=make_moves(proposal), backend=backend, vectorize=True
     )
@@ -98,13 +97,36 @@ def sample(
             return found and replace(found, draws=problem.tabulate_values(found.draws))
         first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
         state, count = sampler.get_last_sample() if steps else first, min(BLOCK_STEPS, most - steps)
+        block = slice(steps, steps + count)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
             steps += 1
             callbacks.step(steps, most)
             if stopped := callbacks.stop():
                 break
-        if checkpoint.folder is not None and not stopped:
-            checkpoint.keep_file(work, {"failures": evaluator.failures})
+        if not stopped:  # HDF5 would keep it too, but ends the interpreter where the disk is full
+            kind, words, *rest = backend.random_state
+            row = {"begin": block.start, "failures": evaluator.failures, "random": [kind, *rest]}
+            arrays = {"chain": backend.chain[block], "log_prob": backend.log_prob[block]}
+            checkpoint.keep_row(work, row, arrays | {"accepted": backend.accepted, "random": words})
+
+
+BLOCK_KEYS = ("begin", "failures", "random", ARRAYS_KEY)  #: of a row that keeps some steps of a chain
+
+
+def _restore_chain(backend: Any, rows: Iterable[Mapping[str, Any]]) -> int:  # noqa: ANN401  (emcee's backend)
+    """Fill an empty backend with the blocks of a chain, up to one that is missing; return its failures."""
+    chains, densities, failures = [backend.chain], [backend.log_prob], 0
+    for row in rows:
+        if row["begin"] == sum(map(len, chains)):
+            arrays = row[ARRAYS_KEY]
+            chains.append(arrays["chain"])
+            densities.append(arrays["log_prob"])
+            kind, *rest = row["random"]
+            backend.accepted, backend.random_state = arrays["accepted"], (kind, arrays["random"], *rest)
+            failures = row["failures"]
+    backend.chain, backend.log_prob = np.concatenate(chains), np.concatenate(densities)
+    backend.iteration = len(backend.chain)
+    return failures
 
 
 def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
