@@ -1,7 +1,6 @@
 """Commands of single analyses: `tune --design`, `view`."""
 
 import json
-import signal
 import subprocess
 import sys
 import urllib.request
@@ -15,6 +14,7 @@ import pytest
 from test_cli import run
 from test_viewer_recording import recorded
 
+from needlefit.cli.exit_codes import STOP_SIGNALS
 from needlefit.studies import job
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.recording import read_recording
@@ -83,14 +83,15 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()
 
 
-def test_view_serves_its_page_and_ends_on_a_signal(tmp_path):
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_view_serves_its_page_and_ends_on_a_signal(tmp_path, number):
     command = [sys.executable, "-m", "needlefit", "view", "study2", "--no-browser", "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         address = process.stdout.readline()
         page, token = address.strip().split("#token=")
         with urllib.request.urlopen(page) as answer:
             text = answer.read().decode()
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         out, _ = process.communicate(timeout=20)
     assert page.startswith("http://127.0.0.1:") and len(token) >= 32
     assert "<title>needlefit" in text and token not in text

@@ -3,6 +3,8 @@
 import asyncio
 import json
 import logging
+import socket
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 from server_cases import served
 
 from needlefit.mechanics.scene import Scene
+from needlefit.viewer import server as server_module
 from needlefit.viewer.messages import read_message as read_message
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
@@ -94,6 +97,12 @@ class RunningServer:
     @property
     def base(self) -> str:
         return f"http://127.0.0.1:{self.access.port}"
+
+    def post(self, length: int) -> bytes:
+        """The headers of a request of the page with so many bytes."""
+        head = f"POST /law HTTP/1.1\r\nHost: 127.0.0.1:{self.access.port}\r\nOrigin: {self.base}\r\n"
+        head += f"Authorization: Bearer {self.access.token}\r\nContent-Length: {length}\r\n\r\n"
+        return head.encode()
 
     async def connect(self, **headers):
         return await self.client.ws_connect(f"{self.base}/ws", headers={"Origin": self.base} | headers)
@@ -182,6 +191,48 @@ async def test_malformed_http_is_answered_and_logs_nothing(server, page) -> None
     await asyncio.sleep(0.3)
     logging.getLogger("aiohttp.server").removeHandler(handler)
     assert records == []
+
+
+@visit
+async def test_requests_that_are_not_sent_to_their_end_time_out(server, page) -> None:
+    """No headers, half of them, half a body; a connection that has sent a whole request is kept."""
+    server.patch.setattr(server_module, "REQUEST_TIMEOUT_S", 0.3)
+    server.patch.setattr(server_module, "CHECK_INTERVAL_S", 0.1)
+    place = ("127.0.0.1", server.access.port)
+    await asyncio.sleep(1.0)  # the pause that began before
+    for begun in (b"", b"GET / HTTP/1.1\r\nHo"):
+        reader, writer = await asyncio.open_connection(*place)
+        writer.write(begun)
+        assert await asyncio.wait_for(reader.read(), 5) == b""
+        writer.close()
+    reader, writer = await asyncio.open_connection(*place)
+    writer.write(server.post(100) + b"{")
+    assert (await reader.readline()).split()[1] == b"408"
+    assert await asyncio.wait_for(reader.read(), 5)  # to its end: the connection is closed
+    writer.close()
+    await asyncio.sleep(0.6)
+    await page.insert(1.0)
+    assert not page.refused
+
+
+@visit
+async def test_a_request_that_is_cut_logs_nothing(server, page) -> None:
+    handler, records = logging.Handler(), []
+    handler.emit = records.append
+    logging.getLogger("aiohttp.server").addHandler(handler)
+    for content, reset in ((b"", False), (b"{", False), (b"{", True)):
+        _, writer = await asyncio.open_connection("127.0.0.1", server.access.port)
+        writer.write(server.post(100) + content)
+        await asyncio.sleep(0.1)
+        if reset:
+            linger = struct.pack("ii", 1, 0)
+            writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        writer.close()
+    await asyncio.sleep(0.3)
+    logging.getLogger("aiohttp.server").removeHandler(handler)
+    assert records == []
+    await page.insert(1.0)
+    assert not page.refused
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """`needlefit view`: interactive simulation in the browser."""
 
 import shlex
+import signal
 import threading
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.exit_codes import STOP_SIGNALS
 from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_writable
 from needlefit.project.locate import find_view_target
@@ -76,7 +78,18 @@ def _serve(page: "SteeringPage", port: int, browser: bool) -> None:
             threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
     async def stop() -> None:
-        await asyncio.Event().wait()  # for ever: Ctrl-C ends it
+        """Wait for Ctrl-C, SIGTERM or SIGHUP."""
+        ended, loop = asyncio.Event(), asyncio.get_running_loop()
+        # not `add_signal_handler`, which Windows has not
+        before = {
+            number: signal.signal(number, lambda *_: loop.call_soon_threadsafe(ended.set))
+            for number in STOP_SIGNALS
+        }
+        try:
+            await ended.wait()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     with suppress(KeyboardInterrupt):
         asyncio.run(serve(page, port, ready, stop))

@@ -9,11 +9,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from socket import create_server
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
+from aiohttp.web_protocol import RequestHandler
 
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project.json_values import parse_json
@@ -28,6 +30,8 @@ KERNEL_FILES = ("needle.js", "memory.js", "kernel.wasm")
 LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 1024  #: size limit of a message; the largest from the page are steps
 TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
+#: time in which a request must have come whole, s, and pause between two looks at the connections
+REQUEST_TIMEOUT_S, CHECK_INTERVAL_S = 10.0, 1.0
 CLOSE_NO_TOKEN = 4401  #: code for closing a socket of which the token is missing or wrong
 
 #: headers of every answer: the page runs only code of this server, and connects only to it
@@ -42,6 +46,9 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+
+#: connections that have sent the headers of a request
+_HEARD: web.AppKey[set[RequestHandler]] = web.AppKey("heard", set)
 
 
 @dataclass(frozen=True)
@@ -100,15 +107,39 @@ async def serve(
     access = AccessControl(listening.getsockname()[1])
     app = _make_application(access, page)
     logging.getLogger("aiohttp.server").addFilter(_is_own_fault)
-    runner = web.AppRunner(app, access_log=None, shutdown_timeout=2.0)
+    runner = web.AppRunner(
+        app,
+        access_log=None,
+        shutdown_timeout=2.0,
+        keepalive_timeout=REQUEST_TIMEOUT_S,
+        lingering_time=CHECK_INTERVAL_S,  # for the rest of a request that was answered
+    )
+    closing = None
     try:
         await runner.setup()
         await web.SockSite(runner, listening).start()
+        closing = asyncio.create_task(_close_silent(runner, app))
         ready(access)
         await stop()
     finally:
+        if closing is not None:
+            closing.cancel()
         await runner.cleanup()
         listening.close()  # also where the setup failed before anything was served
+
+
+async def _close_silent(runner: web.AppRunner, app: web.Application) -> None:
+    """Close connections that have not sent the headers of a first request in time: they hold a place."""
+    since: dict[RequestHandler, float] = {}
+    while True:
+        await asyncio.sleep(CHECK_INTERVAL_S)
+        assert runner.server is not None
+        here, now = set(runner.server.connections), monotonic()
+        since = {one: since.get(one, now) for one in here}
+        app[_HEARD].intersection_update(here)
+        for one, began in since.items():
+            if one not in app[_HEARD] and now - began > REQUEST_TIMEOUT_S:
+                one.force_close()
 
 
 def _make_application(access: AccessControl, page: "SteeringPage") -> web.Application:
@@ -117,6 +148,7 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
     @web.middleware
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
         """Keep out who calls this server by another name, and who has no token where one is due."""
+        request.app[_HEARD].add(request.protocol)
         if request.headers.get("Host", "") not in access.names:
             raise web.HTTPMisdirectedRequest(text="this server answers to 127.0.0.1 and localhost alone")
         if request.method == "POST":
@@ -126,6 +158,13 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
         own = [f"http://{name}" for name in access.names]
         if (request.method == "POST" or request.path == "/ws") and request.headers.get("Origin") not in own:
             raise web.HTTPForbidden(text="only the page that this server gave out may ask for that")
+        try:
+            async with asyncio.timeout(REQUEST_TIMEOUT_S):
+                await request.read()  # kept for the handler
+        except TimeoutError:
+            raise web.HTTPRequestTimeout(text="the request was not sent to its end") from None
+        except (ConnectionError, web.RequestPayloadError):
+            raise web.HTTPBadRequest(text="the request was cut, or is not encoded as it states") from None
         try:
             return await handler(request)
         except OSError:
@@ -142,7 +181,7 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
             content = await request.json(loads=parse_json)
             if not isinstance(content, dict):
                 raise ValueError
-        except (ValueError, LookupError, web.RequestPayloadError):  # no JSON, or of no known charset
+        except (ValueError, LookupError):  # no JSON, or of no known charset
             raise web.HTTPBadRequest(text="the request is no JSON") from None
         try:
             return await page.answer(request.path.strip("/"), content)
@@ -158,6 +197,7 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
         response.headers.update(HEADERS)
 
     app = web.Application(middlewares=[guard], client_max_size=MAX_MESSAGE_BYTES)
+    app[_HEARD] = set()
     app.router.add_get("/", send_index)
     app.router.add_static("/page", PAGE)
     app.router.add_post("/{name:.+}", answer)
