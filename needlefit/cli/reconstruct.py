@@ -122,6 +122,7 @@ def reconstruct(
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
         from needlefit.studies.kinds.reconstruction.report import write_reconstruction, write_refused
+        from needlefit.studies.result_sources import name_source, require_same_sources
 
         moved = corrections or []
         wanted = correct_scans(_scans(scans, named), moved)
@@ -134,6 +135,9 @@ def reconstruct(
         require_own_checkpoint(keep)
         for folder in (out, refused):
             require_replaceable(folder)
+        # the first names the folder; what is no path is a name
+        sources = [name_source(scans[0]) if scans[0].exists() else str(scans[0])]
+        require_same_sources(out, sources)
         require_no_inputs_within(out, [*scans, *moved, *(path for one in wanted for path in one.files)])
         record = load(find_file("reconstruction", recipe), ReconstructionRecord)
         checkpoint = open_checkpoint(keep, invocation.resume, CHECKPOINT_WORK, print_remark)
@@ -152,7 +156,7 @@ def reconstruct(
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, scenes=slicer_scene
+                        out, ones, record, about, report, refused=failed, scenes=slicer_scene, sources=sources
                     )
                 except DataError as error:  # it belongs to no single scan
                     faulty = [

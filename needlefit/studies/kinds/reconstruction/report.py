@@ -33,6 +33,7 @@ from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
 from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
+from needlefit.studies.result_sources import store_sources
 from needlefit.studies.run import Run
 from needlefit.studies.slicer import write_scan
 from needlefit.studies.slicer_scene import write_control_points, write_slicer_scene
@@ -270,6 +271,7 @@ def write_reconstruction(
     progress: Progress,
     refused: Sequence[ReconstructionFailure] = (),
     scenes: bool = False,
+    sources: Sequence[str] = (),
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
 
@@ -277,7 +279,7 @@ def write_reconstruction(
 
     The dataset, with a table of scans that has a row for each needle of divided ones; `quality/<id>.pdf`;
     `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; a first study of several
-    insertions; `scenes/<id>.toml`; the files of every run.
+    insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
     anything that needlefit did not write, or that was changed since.
@@ -307,6 +309,7 @@ def write_reconstruction(
         for insertion in dataset.insertions:
             write_scene(fresh / "scenes" / f"{insertion.id}.toml", dataset, insertion)
         result = tabulate_batch(description.name, record, kept, dataset.warnings)
+        result = replace(result, timing=store_sources(sources, folder))
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
             for failure in refused:
