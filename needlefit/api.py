@@ -209,6 +209,8 @@ def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
 def load_run(folder: Name) -> Run:
     """Return the run that `Run.save` or a command wrote to `folder`, or to `reports/<folder>`.
 
+    The folder of a fit holds its data, so that it can be moved before it is predicted with.
+
     Raises
     ------
     ConfigError, DataError
