@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pandas as pd
 import pytest
+from light_runs import draw_blank
 from refusals import refusal
 from test_cli import run
 
@@ -25,13 +26,11 @@ RUNS = ("gel", "held_out")
 OPTIONS = ("--quiet", "--jobs", 1)
 
 
-pytestmark = pytest.mark.usefixtures("blank_figures")
-
-
 @pytest.fixture
 def places(world, tmp_path, monkeypatch):
     """Copies of the project and of its runs, moved elsewhere; the third folder is the working folder."""
     found = SimpleNamespace(project=tmp_path / "project", moved=tmp_path / "moved", here=tmp_path / "here")
+    world.find("prediction")  # with its figures: other tests read it
     for kind in ("fit", "cross_validation"):
         folder = world.find(kind)
         shutil.copytree(folder, found.moved / folder.name)
@@ -42,6 +41,7 @@ def places(world, tmp_path, monkeypatch):
     found.here.mkdir()
     shutil.copy(world.folder / "configs/scenes/ahead.toml", found.here)
     monkeypatch.chdir(found.here)
+    draw_blank(monkeypatch)
     return found
 
 
