@@ -1,6 +1,5 @@
 """Run studies as options state: progress, folders of results and checkpoints, what is printed of them."""
 
-import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
     from needlefit.datasets.insertion import Dataset
     from needlefit.project.tasks import TaskPool
     from needlefit.schemas.base import FileRecord
+    from needlefit.studies.answer import Advice
     from needlefit.studies.job import Inputs
     from needlefit.studies.run import Run
 
@@ -230,7 +230,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     """
     from needlefit.reporting.table import drop_repeated
     from needlefit.studies.kind import find_kind
-    from needlefit.studies.report import lay_out_checks, subtitle
+    from needlefit.studies.report import DETERMINED, lay_out_checks, subtitle
 
     answer, checks = result.answer, lay_out_checks(result.answer)
     screen.print_text(f"{f'{result.name}: ' if named else ''}{subtitle(result)}")
@@ -242,9 +242,10 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     screen.print_line()
     for table in shown:
         screen.show_display(replace(table, breaks=()), notes=False)
-    for head, words in (("What to do.", answer.advice), ("What the fit determined.", answer.determined)):
-        if words:
-            screen.print_text(f"{head} {place_folders(words, result.name, folder)}")
+    if answer.advice is not None:
+        show_advice(answer.advice, folder.parent)
+    if answer.determined:
+        screen.print_text(f"{DETERMINED} {answer.determined}")
     if invocation.explain:
         named_tables = {table.name for table in shown}
         further = [
@@ -259,14 +260,16 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     screen.print_written(folder)
 
 
-def place_folders(words: str, name: str, folder: Path) -> str:
-    """Return what a result of a name advises, with the paths of folders where it lies in `folder`.
+def show_advice(advice: "Advice", results: Path) -> None:
+    """Print what to do, and under it the command, on a line of its own to be copied whole.
 
-    It names folders of results as if they were in ./reports, and that of a reconstruction as if in this one.
+    `results`: the folder that holds the folders of results.
     """
-    words = re.sub(r"(?<= )reports/([\w.-]+)", lambda m: shlex.quote(str(folder.parent / m[1])), words)
-    own = shlex.quote(format_path(folder))
-    return re.sub(rf"(?<= )\./{re.escape(name)}(?=/|\s|$)", lambda _: own, words)
+    from needlefit.studies.report import WHAT_TO_DO
+
+    screen.print_text(f"{WHAT_TO_DO} {advice.sentence}")
+    if advice.command:
+        screen.print_line(f"  {advice.format_command(results)}")
 
 
 def show_next_steps(dataset: "Dataset", folder: Path, scene: str) -> None:

@@ -123,13 +123,21 @@ Changes = Annotated[
 
 def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
     """Return where the scene stands and what it holds, with what the options change."""
-    pairs = [split_pair(text) for text in assignments]
     from needlefit.project.locate import file_label, find_file, read_toml
-    from needlefit.project.toml import check, load, override
-    from needlefit.schemas.scene import SceneRecord
 
     path = find_file("scene", name)
-    record = load(path, SceneRecord)
+    return change_scene(read_toml(path), file_label(path), depth, assignments)
+
+
+def change_scene(
+    scene: dict[str, Any], label: str, depth: float | None, assignments: list[str]
+) -> tuple[str, "SceneRecord"]:
+    """Return the keys of a scene, checked, with what the options change, and what messages call it."""
+    pairs = [split_pair(text) for text in assignments]
+    from needlefit.project.toml import check, override
+    from needlefit.schemas.scene import SceneRecord
+
+    record = check(scene, SceneRecord, label)
     if depth is not None:
         if record.steps:
             raise typer.BadParameter(
@@ -139,9 +147,9 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
             )
         pairs.append(("depth_mm", repr(depth)))
     if not pairs:
-        return file_label(path), record
-    where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, file_label(path)), SceneRecord, where)
+        return label, record
+    where = f"{label}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
+    return where, check(override(scene, pairs, label), SceneRecord, where)
 
 
 MAX_CHANGES_CHARACTERS = 80  #: of the name of a folder

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import begin, open_pool, place_folders, print_remark, show_next_steps
+from needlefit.cli.execution import begin, open_pool, print_remark, show_advice, show_next_steps
 from needlefit.cli.options import argument, option
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
@@ -224,8 +224,8 @@ def _show(
             screen.show_display(table, notes=False)
         for remark in REPORT.summarize(found)[1:]:
             screen.print_text(remark)
-        # to be copied whole
-        screen.print_line(f"What to do. {place_folders(found.answer.advice, found.name, out)}")
+        if found.answer.advice is not None:
+            show_advice(found.answer.advice, out.parent)
         pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
         screen.print_written(out, f" (pictures: {pictures})")
 

@@ -8,7 +8,7 @@ import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
-from needlefit.cli.options import argument, name_changes, option, scene_record, split_pair
+from needlefit.cli.options import argument, change_scene, name_changes, option, scene_record, split_pair
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
@@ -204,9 +204,9 @@ def predict(
     context: typer.Context,
     target: options.Target,
     scene: Annotated[
-        str,
-        option("The planned insertion: a name or a path.", "SCENE"),
-    ],
+        str | None,
+        option("The planned insertion: a name or a path (default: as the deepest fitted one).", "SCENE"),
+    ] = None,
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
@@ -235,21 +235,28 @@ def predict(
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
         from needlefit.studies.job import load_medium
-        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene
+        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene, plan_like_deepest
         from needlefit.studies.result_sources import name_source
         from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
 
-        scene_name, planned = scene_record(scene, depth, set_ or [])
         fit = load_target(target)
         target_name, fitted, inputs, file, run = fit
         with add_file_context(file):
             medium = inputs.medium or load_medium(fitted)[0]
+            like = plan_like_deepest(fitted, inputs, medium) if scene is None else None
+        if like is not None:
+            scene, table, source = like
+            scene_name, planned = change_scene(table, scene, depth, set_ or [])
+        else:
+            assert scene is not None
+            scene_name, planned = scene_record(scene, depth, set_ or [])
+            source = find_file("scene", scene)
         make_scene(planned, scene_name, medium, [key for key, value in map(split_pair, set_ or []) if value])
         require_file_name(Path(scene).stem, scene)
         about = f"{target_name.removesuffix('-tune')}-{Path(scene).stem}"
         name = f"predict-{about}{name_changes(depth, set_ or [], specimen)}"
-        execution.prepare_result(name, [*fit.sources, name_source(find_file("scene", scene))])
+        execution.prepare_result(name, [*fit.sources, name_source(source)])
         tuned = execution.folder(target_name) if run is None else file.parent
         judged = execution.folder(target_name.removesuffix("-tune"))
         if run is None and is_file(judged / RESULTS_FILE):

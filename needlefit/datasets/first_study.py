@@ -1,5 +1,6 @@
 """Write a first study and scenes of a dataset that was imported or reconstructed."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset, Insertion
@@ -7,12 +8,17 @@ from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord, list_needles
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
-from needlefit.schemas.scene import SceneRecord, StepRecord
+from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
 from needlefit.schemas.study import StudyRecord
 
 TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
 MODULUS_BOUNDS_PA = [1e3, 1e9]
 SCENE_MU_PA, SCENE_ALPHA = 2e5, 1.0  # of a scene before any fit
+SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
+    "tangent": {"offset_mm": 0.05},
+    "path_angle": {"cut_angle_deg": 1.0},
+}
+"""Its bevel, by the rule of advance."""
 
 
 def name_study_file(name: str) -> str:
@@ -22,28 +28,32 @@ def name_study_file(name: str) -> str:
 
 def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
     """Write an insertion of a dataset as a scene, to be simulated, planned, viewed and predicted."""
+    scene = describe_scene(dataset, insertion, _choose_advance(dataset))
+    check(scene, SceneRecord, file.name)
+    file.write_bytes(dumps(scene).encode())
+
+
+def describe_scene(dataset: Dataset, insertion: Insertion, advance: Advance) -> dict[str, object]:
+    """Return an insertion of a dataset as the keys of a scene, under a rule of advance."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
-    _, advance, bevel = _choose_advance(dataset)
     needles = list_needles(load(dataset.path, DatasetRecord)).values()
     needle = next(one for one in needles if Needle.from_record(one) == insertion.needle)
     path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
     if insertion.turns:
         path = {"steps": [one.model_dump(exclude_defaults=True) for one in record_steps(insertion)]}
-    scene: dict[str, object] = {
-        "schema": 2,
+    return {
+        "schema": SceneRecord.SCHEMA,
         "title": f"A planned insertion as {insertion.id} of {dataset.name}",
         "note": "Parameters are made up: `needlefit predict` replaces them by fitted ones.",
         **path,
         "needle": needle.model_dump(exclude_defaults=True),
-        "bevel": {**bevel, "side": insertion.side},
-        **({"rules": advance} if advance else {}),
+        "bevel": {**SCENE_BEVELS[advance], "side": insertion.side},
+        **({"rules": {"advance": advance}} if advance == "path_angle" else {}),
         "layers": [
             {"name": f"layer {layer}", "top_mm": top, "mu_pa": SCENE_MU_PA, "alpha": SCENE_ALPHA}
             for top, layer in zip(tops, insertion.sequence, strict=True)
         ],
     }
-    check(scene, SceneRecord, file.name)
-    file.write_bytes(dumps(scene).encode())
 
 
 def record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
@@ -60,16 +70,14 @@ def record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
     return tuple(steps)
 
 
-def _choose_advance(dataset: Dataset) -> tuple[str, dict[str, str], dict[str, float]]:
-    """Return the bevel's parameter, the key of the rule of advance, and the bevel of a scene.
+def _choose_advance(dataset: Dataset) -> Advance:
+    """Return the rule of advance of a dataset before any fit.
 
     Needles that leave their planes were turned, and advance by the path angle: after a turn the rule along
     the tangent, the default, keeps a part of the curvature before it.
     """
     left = "bevel_plane" in {one.kind for one in dataset.warnings} and dataset.pose == "known"
-    if left or any(one.turns for one in dataset.insertions):
-        return "cut_angle_deg", {"advance": "path_angle"}, {"cut_angle_deg": 1.0}
-    return "bevel_mm", {}, {"offset_mm": 0.05}
+    return "path_angle" if left or any(one.turns for one in dataset.insertions) else "tangent"
 
 
 def write_starter_study(folder: Path, dataset: Dataset) -> bool:
@@ -83,12 +91,13 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
         return False
     layers = max(max(one.sequence) for one in dataset.insertions)
     numbers = range(1, layers + 1)
-    bevel, advance, _ = _choose_advance(dataset)
+    advance = _choose_advance(dataset)
+    bevel = "cut_angle_deg" if advance == "path_angle" else "bevel_mm"
     tissue: dict[str, object] = {
         "schema": 1,
         "title": f"Tissue of {dataset.name}",
         "layers": layers,
-        **advance,
+        **({"advance": advance} if advance == "path_angle" else {}),
         "parameters": {
             **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
             **{f"alpha{n}": {"fixed": 1.0} for n in numbers},

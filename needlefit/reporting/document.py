@@ -74,10 +74,10 @@ def note(words: Words) -> Block:
     return {"kind": "note", "text": _prose_block(words)}
 
 
-def paragraph(head: str, words: str) -> Block:
-    """Return a paragraph that begins with a few words in bold type."""
-    runs = [{"text": head, "style": "strong", "target": ""}, {"text": f" {words}", "style": "", "target": ""}]
-    return text(runs)
+def paragraph(head: str, words: str, command: str = "") -> Block:
+    """Return a paragraph that begins with a few words in bold type, and may end with a command."""
+    parts = [(head, "strong"), (f" {words}", ""), *([(" ", ""), (command, "code")] if command else [])]
+    return text([{"text": part, "style": style, "target": ""} for part, style in parts])
 
 
 def page_break() -> Block:

@@ -3,14 +3,17 @@
 Words are made from them once, by the text of the kind; nothing reads these words again.
 """
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Literal
 
 import pandas as pd
 
 from needlefit.inference.predict import Draws
+from needlefit.project.locate import format_path
 from needlefit.reporting.table import TableLayout
 
 Status = Literal["none", "pass", "warn", "fail"]
@@ -79,8 +82,41 @@ class Finding:
     named: str = ""  #: the best curve, or the kinds of the warnings about the data, with commas
     trials: int | None = None  #: tips, of coverages
     fits: int | None = None  #: by which they were predicted
+    missing: int = 0  #: held-out tips that have no interval
     beyond: int | None = None  #: tips that deflect more than their predictive medians
     deflection_mm: float | None = None  #: median of the tips' deflections
+    closer: int | None = None  #: curves whose tip error is smaller
+
+    @property
+    def is_below(self) -> bool:
+        """Whether the value is below the threshold."""
+        return self.value is not None and self.threshold is not None and self.value < self.threshold
+
+
+RESULTS = "reports"  #: the folder that holds the folders of results, unless a command states another
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do next."""
+
+    finding: str  #: what it follows from: a row of the table in `studies/advice.py`
+    words: str  #: a sentence without its stop
+    command: tuple[str, ...] = ()  #: words of the command that does it; empty if there is none
+    results: str = RESULTS  #: the folder of folders of results in these words
+
+    @property
+    def sentence(self) -> str:
+        """The words with what ends them: the command follows a colon."""
+        return f"{self.words}{':' if self.command else '.'}"
+
+    def format_command(self, results: Path | None = None) -> str:
+        """Return the command as it is typed where the folders of results are in `results`."""
+        here, words = f"{self.results}/", list(self.command)
+        if results is not None:
+            placed = {word: results / word.removeprefix(here) for word in words if word.startswith(here)}
+            words = [format_path(placed[word]) if word in placed else word for word in words]
+        return shlex.join(words)
 
 
 @dataclass(frozen=True)
@@ -91,7 +127,7 @@ class Answer:
     tables: Sequence[TableLayout] = ()
     about: str = ""  #: what was fitted and what was predicted
     checks: Sequence[Finding] = ()
-    advice: str = ""  #: what to do
+    advice: Advice | None = None  #: what to do
     determined: str = ""  #: what the fit determined
 
 

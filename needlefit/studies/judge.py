@@ -8,7 +8,7 @@ distribution has the smaller CRPS, and a wrong spread is seen in CRPS alone: bot
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -18,6 +18,7 @@ import scipy
 
 from needlefit.inference.baselines import BASELINES
 from needlefit.project.result_warnings import read_warnings
+from needlefit.studies.advice import list_doubts
 from needlefit.studies.answer import Check, Finding, Status
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
@@ -32,8 +33,6 @@ SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller a
 MIN_COVERED_95, COVERED_50 = 0.9, (0.25, 0.75)  #: shares of tips in their intervals that pass
 MIN_TIPS_50 = 4  #: tips below which their share in 50 % intervals cannot be judged
 CRPS = "tip_crps_mm"  #: column of the table "predictive": continuous ranked probability score of a tip
-#: kinds of warnings that are about the computation or about single parameters, not about the data
-_OTHER_WARNINGS = ("validity",)
 
 Outcome = Literal[
     "predicts", "in part", "does not predict", "generalises", "not shown", "does not generalise"
@@ -223,6 +222,6 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
 
 
 def check_data(results: Run) -> Finding:
-    kinds: Sequence[str] = list(dict.fromkeys(one.kind for one in read_warnings(results.run)))
-    named = [kind for kind in kinds if kind not in _OTHER_WARNINGS]
+    """Return whether any warning casts doubt on the data or on a parameter."""
+    named = [one.kind for one in list_doubts(read_warnings(results.run))]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))

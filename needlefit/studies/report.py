@@ -24,7 +24,7 @@ from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies.answer import Answer, Status, Verdict, answer_to_json, tabulate_checks
+from needlefit.studies.answer import Advice, Answer, Status, Verdict, answer_to_json, tabulate_checks
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
@@ -156,16 +156,24 @@ def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Bloc
     """
     answer, checks = result.answer, lay_out_checks(result.answer)
     verdict = [document.verdict(f"{one.sentence}.", one.status) for one in answer.verdicts[:1]]
-    ends = (("What to do.", answer.advice), ("What the fit determined.", answer.determined))
     return [
         *state_blocks(result),
         *verdict,
         *(document.table(replace(one, notes=())) for one in answer.tables),
         *pictures,
         *([document.table(checks)] if checks else []),
-        *(document.paragraph(head, words) for head, words in ends if words),
+        *([] if answer.advice is None else [_compose_advice(answer.advice)]),
+        *([document.paragraph(DETERMINED, answer.determined)] if answer.determined else []),
         *(document.warning(f"{one.kind}: {one}.") for one in result.faults),
     ]
+
+
+#: how the last paragraphs of a first page begin
+WHAT_TO_DO, DETERMINED = "What to do.", "What the fit determined."
+
+
+def _compose_advice(advice: Advice) -> Block:
+    return document.paragraph(WHAT_TO_DO, advice.sentence, advice.format_command())
 
 
 def write_run(result: Run, folder: Path) -> Path:

@@ -192,6 +192,11 @@ def target_name(record: TargetRecord, settings: Settings) -> str:
     return load_target(record.target).name if given is None else given[0]
 
 
+def is_study(target: str) -> bool:
+    """Return whether what was fitted is named by a study, which also holds insertions out."""
+    return not is_file(Path(target) / RUN_FILE) and find_study_or_fit(target.partition(":")[0])[0] == "study"
+
+
 def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the fit that a record names; `name` keys its random numbers."""
     if settings.inputs.target is not None:
@@ -217,9 +222,11 @@ def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -
 def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
     """Return a run without frames: what it is about, and all that decides its result.
 
-    Of a target that was named by its path, the name is kept.
+    Of a target that was named by an absolute path, the name alone is kept.
     """
-    named = {"target": Path(record.target).stem, "title": record.title or title}
+    path = Path(record.target)
+    target = path.stem if path.is_absolute() else record.target
+    named = {"target": target, "title": record.title or title}
     stored = record.model_copy(update=named)
     work: dict[str, Any] = {
         **describe_configuration(job),

@@ -45,7 +45,8 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies import rank_statistics
-from needlefit.studies.answer import Answer, FaultKind, RunFault, Status
+from needlefit.studies.advice import advise
+from needlefit.studies.answer import Advice, Answer, FaultKind, RunFault, Status
 from needlefit.studies.fold_draws import Specimens
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings, prepare
@@ -77,6 +78,8 @@ from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import POPULATION, PlannedInsertion, draw_specimen, list_planned_insertions
 
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
+#: name of the dataset whose insertions `plan_synthetic` knows
+SYNTHETIC_DATASET = "twin"
 PRINTED_LEVELS = (0.50, 0.95)  #: central intervals whose coverage is printed
 
 
@@ -490,7 +493,20 @@ def find_answer(found: Run) -> Answer:
         "not_calibrated": ", ".join(found.run["not_calibrated"]),
     }
     answer = answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
-    return replace(answer, advice=TEXT.sentence("advice", describe(found)))
+    return replace(answer, advice=_find_advice(found))
+
+
+def _find_advice(found: Run) -> Advice | None:
+    """Return what to do: more truths, or a test of the model, which the synthetic dataset allows."""
+    study, synthetic = found.run["study"], found.run["study"]["truth"] == "synthetic"
+    if not found.run["conclusive"]:
+        finding = ["synthetic_truths_too_few" if synthetic else "truths_too_few"]
+    elif not found.run["passes"]:
+        finding = ["not_calibrated"]
+    else:
+        has_synthetic = found.run["dataset"]["name"] == SYNTHETIC_DATASET and len(found.run["folds"]) == 1
+        finding = [] if synthetic else ["computation_calibrated" if has_synthetic else "prior_calibrated"]
+    return advise(finding, {"target": study["target"], "replicates": DEFAULT_REPLICATES})
 
 
 REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

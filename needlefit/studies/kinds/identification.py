@@ -18,6 +18,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
+from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
 from needlefit.studies.fit_frames import COLUMNS
@@ -125,7 +126,9 @@ def find_answer(found: Run) -> Answer:
     count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
     verdict = Verdict(TEXT.sentence("answer", values), "pass" if count == total else "warn", numbers=numbers)
-    about, advice = (TEXT.sentence(block, values) for block in ("about", "advice"))
+    best = values["best"]
+    ranked = [] if best is None else ["repeat_best" if best["role"] == "repeat" else "insertion_best"]
+    about, advice = TEXT.sentence("about", values), advise(ranked, values)
     return Answer([verdict], REPORT.lay_out(found)[:1], about, advice=advice)
 
 

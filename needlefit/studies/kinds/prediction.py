@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +21,10 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
+from needlefit.datasets.first_study import describe_scene
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import pad_planes, turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
@@ -42,18 +45,20 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.studies.answer import Answer, RunFault, Verdict, find_fault_kind
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.advice import advise
+from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
-from needlefit.studies.job import Job, Settings
-from needlefit.studies.kind import StudyKind
+from needlefit.studies.job import Inputs, Job, Settings, find_named
+from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.planned_draws import simulate_scene, vary_bevels
 from needlefit.studies.provenance import require_same_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, restore_run
-from needlefit.studies.study_files import begin_run, prepare_target, target_name
+from needlefit.studies.study_files import begin_run, is_study, prepare_target, target_name
 
 
 class PredictionRecord(TargetRecord):
@@ -75,6 +80,9 @@ class PredictionRecord(TargetRecord):
 KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
 
 
+#: advice on a fit with which it may be used all the same
+MAY_BE_USED = ("predictable", "parameters_undetermined")
+
 FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
 PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose bands are printed
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
@@ -91,6 +99,19 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 
 
 # ---- the scene under the rules of the fit
+
+
+def plan_like_deepest(
+    fit: FitRecord, inputs: Inputs, medium: MediumRecord
+) -> tuple[str, dict[str, Any], Path]:
+    """Return the deepest insertion of a fit: its id, the keys of a scene like it, the file of the dataset.
+
+    Raises ConfigError or DataError if the data of the fit are missing or wrong.
+    """
+    dataset = inputs.dataset or read(find_named("dataset", fit.dataset))
+    fitted = select_insertions(dataset, fit.tune, fit.layer_count_rule)
+    deepest = max(fitted, key=lambda one: one.depth)
+    return deepest.id, describe_scene(dataset, deepest, medium.advance), dataset.path
 
 
 #: keys of a scene whose values the draws replace
@@ -342,6 +363,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "draws": len(found.across),
             "specimen": "others" if into is None else where,
             "fit_verdict": None if judged is None else recall(judged),
+            "fit_run": None if judged is None else judged.name,
+            "fit_advice": None if judged is None else _recall_advice(judged),
+            "held_out_by_target": settings.inputs.target is None and is_study(record.target),
             "failed_solves": found.failed,
             "outside_validity": found.outside,
             "not_converged": list(draws.faults),
@@ -369,7 +393,6 @@ def describe(found: Run) -> dict[str, Any]:
         "scene": study["scene_name"],
         "target": study["target"],
         "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
-        "wide": MAX_AIMING_WIDTH_MM,
     }
 
 
@@ -387,8 +410,35 @@ def find_answer(found: Run) -> Answer:
         "fail" if found.faults else "none",
         numbers={key: values[key] for key in (keys[:1] if found.faults else keys)},
     )
-    about, advice = (TEXT.sentence(block, values) for block in ("about", "advice"))
+    about, advice = TEXT.sentence("about", values), _find_advice(found)
     return Answer([verdict], REPORT.lay_out(found), about, advice=advice)
+
+
+def _find_advice(found: Run) -> Advice | None:
+    """Return what to do: settle what the fit needs first, test it, narrow the interval, or plan a path."""
+    stated, tip = found.run, find_tip(found)
+    if found.faults:
+        finding = "not_converged"
+    elif stated["fit_advice"] is not None:
+        return Advice(**{**stated["fit_advice"], "command": tuple(stated["fit_advice"]["command"])})
+    elif stated["fit_run"] is None:
+        finding = "study_unvalidated" if stated["held_out_by_target"] else "fit_untested"
+    elif tip["needle_95_high_mm"] - tip["needle_95_low_mm"] > MAX_AIMING_WIDTH_MM:
+        finding = "prediction_wide"
+    else:
+        finding = "tip_predicted"
+    axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
+    place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
+    values = {"target": stated["study"]["target"], "tip": place}
+    return advise([finding], values, stated["fit_run"] or "")
+
+
+def _recall_advice(judged: Run) -> dict[str, Any] | None:
+    """Return what a fit needs before its predictions are used; None if it may be used."""
+    advice = find_kind(judged.kind).report.answer(judged).advice
+    if advice is None or advice.finding in MAY_BE_USED:
+        advice = advise(["fit_untested"], {}) if judged.kind == "fit" else None
+    return None if advice is None else asdict(advice)
 
 
 def tabulate(found: Run) -> list[Table]:

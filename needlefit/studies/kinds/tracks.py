@@ -38,6 +38,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
+from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.fold_draws import PREDICTION_DRAWS
@@ -369,7 +370,7 @@ def find_answer(results: Run) -> Answer:
         REPORT.lay_out(results)[:1],
         TEXT.sentence("about", about | {"title": results.dataset_title}),
         [*checks, check_data(results)],
-        "" if status == "pass" else TEXT.sentence("advice", about),
+        None if status == "pass" else advise(["tracks_missed"], about),
     )
 
 

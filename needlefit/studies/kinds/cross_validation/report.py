@@ -10,9 +10,12 @@ from typing import Any
 import pandas as pd
 
 from needlefit.grouping import group_values
+from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
+from needlefit.project.help_pages import read_sections
+from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_bare_symbol, format_metric, format_quantity_range
@@ -20,7 +23,8 @@ from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.answer import Answer, Check, Status, Verdict
+from needlefit.studies.advice import advise, find_doubt, find_failures
+from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role
 from needlefit.studies.fit_tables import TEXT
@@ -86,7 +90,6 @@ def find_answer(results: Run) -> Answer:
     judged = None if group is None else judge(results, group)
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
-    gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     determined, intervals = _list_determined(results)
     flat, space = (group.get(one, method=choose_method(results)) for one in (scores.TE, scores.TE_IN_SPACE))
     noise = group.get(scores.TE_IN_SPACE, "floor") or 0.0
@@ -97,8 +100,6 @@ def find_answer(results: Run) -> Answer:
         "judged": judged,
         "space_mm": space,
         "insertions": group.head["insertions"],
-        "checks": {str(one.check): one for one in checks},
-        "gain": None if pd.isna(gain) else float(gain),
         "determined": determined,
         "intervals": intervals,
         "opening": "",
@@ -126,8 +127,36 @@ def find_answer(results: Run) -> Answer:
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
         sentence, status = TEXT.sentence("predicted", words), STATUS[judged.outcome]
         table = fit_tables.lay_out_summary(results)
-    about, advice, known = (TEXT.sentence(block, words) for block in ("about", "advice", "determined"))
+    about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
+    advice = find_advice(results, checks, [word for word, _ in determined])
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
+
+
+def find_advice(results: Run, checks: Sequence[Finding], determined: Sequence[str]) -> Advice | None:
+    """Return what to do: it follows from faults, checks and what the fit determined."""
+    role, media = find_scored_role(results.frames["errors"]), collect_values(results)["media"]
+    by_check = {one.check: one for one in checks}
+    other = [name for name in media["validate"] if name not in media["tune"]]
+    gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
+    width, curves = by_check.get(Check.WIDTH), by_check.get(Check.CURVES)
+    doubt = find_doubt(read_warnings(results.run))
+    found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
+    if results.faults or results.interrupted:
+        found.append("not_converged")
+    if doubt is not None:
+        found.append(doubt[0])
+    if role == "tune" and set(determined) - {"yes"}:
+        found.append("parameters_undetermined")
+    values = {
+        "dataset": str(results.record.dataset),
+        "doubt": "" if doubt is None else doubt[1],
+        "doubt_title": "" if doubt is None else read_sections()[doubt[1]].title.lower(),
+        "other_medium": other[0] if other else "",
+        "curve": BASELINES[curves.named].description if curves and curves.named else "",
+        "width": None if width is None else width.value,
+        "gain": None if pd.isna(gain) or width is None else float(gain),
+    }
+    return advise(found, values, results.name)
 
 
 def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:

@@ -28,6 +28,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
 from needlefit.studies.kinds.reconstruction import KIND, ReconstructionBatchRecord
@@ -207,7 +208,6 @@ def describe(found: Run) -> dict[str, Any]:
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
         "synthetic": found.synthetic,
-        "folder": f"./{found.name}",
     }
 
 
@@ -240,8 +240,11 @@ def find_answer(found: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
     tables = [replace(lay_out_reconstructions(found), name="scans")]
-    about, advice = (_TEXT.sentence(block, describe(found)) for block in ("about", "advice"))
-    return replace(answer, tables=tables, about=about, advice=advice)
+    values = describe(found)
+    lost = values["unregistered"]
+    finding, scan = ("scan_unregistered", lost[0]["id"]) if lost else ("scans_reconstructed", "")
+    advice = advise([finding], {"scan": scan}, found.name, results=".")
+    return replace(answer, tables=tables, about=_TEXT.sentence("about", values), advice=advice)
 
 
 def draw(found: Run) -> dict[str, Drawing]:

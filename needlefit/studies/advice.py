@@ -1,0 +1,117 @@
+"""What to do after a run: one table from what was found to advice.
+
+A kind of study lists what it found in its run; of these the row that stands first in the table is the advice.
+Its sentence is the block of this name in `reporting/text/advice.md.j2`; its command runs as it is printed.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.reporting.text import KindText
+from needlefit.studies.answer import RESULTS, Advice, Check, Finding
+
+TEXT = KindText("advice")
+
+COMMANDS: Mapping[str, str] = {
+    # of every run
+    "not_converged": "explain not-converged",
+    # of fits and cross-validations; doubts about the data forbid a good word as they forbid a bad one
+    "dataset_doubtful": "check {dataset}",
+    "result_doubtful": "explain {doubt}",
+    "other_medium_missed": "",
+    "curve_closer": "explain closer-than-curves",
+    "closer_undecided": "explain closer-than-curves",
+    "intervals_miss": "explain coverage",
+    "intervals_wide": "tune {run} --design",
+    "beyond_noise": "explain within-noise",
+    "parameters_undetermined": "tune {run} --design",
+    "predictable": "predict {run}",
+    # of predictions
+    "study_unvalidated": "validate {target}",
+    "fit_untested": "explain held-out",
+    "prediction_wide": "tune {run} --design",
+    "tip_predicted": "plan {run} --target {tip}",
+    # of calibrations
+    "truths_too_few": "calibrate {target} --replicates {replicates}",
+    "synthetic_truths_too_few": "calibrate {target} --truth synthetic --replicates {replicates}",
+    "not_calibrated": "",
+    "computation_calibrated": "calibrate {target} --truth synthetic",
+    "prior_calibrated": "explain held-out",
+    # of designs
+    "repeat_best": "",
+    "insertion_best": "",
+    # of tip tracks
+    "tracks_missed": "explain closer-than-curves",
+    # of reconstructions
+    "scan_unregistered": "predict phantom1 --scene {run}/scenes/{scan}.toml",
+    "scans_reconstructed": "check {run}",
+}
+"""Words of the command by finding, the most urgent finding first; "" where there is none to run."""
+
+
+def advise(
+    found: Iterable[str], values: Mapping[str, Any], name: str = "", results: str = RESULTS
+) -> Advice | None:
+    """Return the advice on what a run found, whose text and command take `values`; None if nothing has any.
+
+    The command takes `results/name`, the folder of a run, too.
+    """
+    listed = set(found)
+    finding = next((one for one in COMMANDS if one in listed), None)
+    if finding is None:
+        return None
+    known = {**values, "run": f"{results}/{name}"}
+    words = [word.format_map(known) for word in COMMANDS[finding].split()]
+    command = ("needlefit", *words) if words else ()
+    return Advice(finding, TEXT.sentence(finding, values), command, results)
+
+
+#: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
+_OF_DATASETS = frozenset(
+    {
+        *("assumed", "bevel_side", "copy", "curvature", "no_noise", "noise", "reversed", "surfaces"),
+    }
+)
+
+
+#: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
+_NO_DOUBTS = frozenset({"placeholder", "validity"})
+
+
+def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
+    """Return the warnings that cast doubt on the data or on a parameter, the first of each kind."""
+    first = {one.kind: one for one in reversed(tuple(warnings))}
+    return [one for one in first.values() if one.kind not in _NO_DOUBTS][::-1]
+
+
+def find_doubt(warnings: Iterable[ResultWarning]) -> tuple[str, str] | None:
+    """Return what the first doubt found, and its key in the help; None without any."""
+    doubts = list_doubts(warnings)
+    if not doubts:
+        return None
+    kind = doubts[0].kind
+    return ("dataset_doubtful" if kind in _OF_DATASETS else "result_doubtful"), doubts[0].help_key
+
+
+def find_failures(checks: Mapping[Check, Finding], other_medium: bool) -> list[str]:
+    """Return what failed checks of fits and predictions found.
+
+    `other_medium`: whether the insertions are into a medium that was not fitted.
+    """
+    failed = {one for one, found in checks.items() if found.passed is False}
+    found = []
+    if other_medium and failed & {Check.CURVES, Check.NOISE}:
+        found.append("other_medium_missed")
+    if Check.CURVES in failed:
+        found.append("curve_closer")
+    elif (curves := checks.get(Check.CURVES)) and curves.passed is None and curves.fits:
+        found.append("closer_undecided")
+    half = checks.get(Check.COVERAGE_50)
+    if Check.COVERAGE_95 in failed or (Check.COVERAGE_50 in failed and half and half.is_below):
+        found.append("intervals_miss")
+    if Check.WIDTH in failed:
+        found.append("intervals_wide")
+    if Check.NOISE in failed:
+        found.append("beyond_noise")
+    return found
