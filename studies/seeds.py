@@ -82,7 +82,7 @@ def main() -> None:
         found = score_twin(seed, *((STUDIES[4:], 1) if options.quick else (STUDIES, 4)))
         rows = pd.concat([rows, found], ignore_index=True) if len(rows) else found
         rows.to_csv(file, index=False)
-        print(f"twin {seed}: {rows['seed'].nunique()} of {end - first}", flush=True)
+        print(f"twin {seed} is scored ({rows['seed'].nunique()} of {end - first} twins)", flush=True)
     fitted = rows[rows["method"] == "fitted"].groupby(["study", "seed"])
     means = fitted[["ipe_mean_mm", "te_mm", "floor_ipe_mean_mm", "floor_te_mm"]].mean()
     of_study = means.groupby("study")

@@ -1,5 +1,6 @@
 """Commands that make and check data: new, import, check."""
 
+import math
 import shlex
 import shutil
 import sys
@@ -220,6 +221,23 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 
 
+MAX_NAMED_NEEDLES = 8
+MAX_EXPECTED_SD = 3.0  #: off the plane of the bevel, in standard deviations, up to which errors explain it
+
+
+def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
+    """Return how far needles are off the plane of their bevels, or off their turns; worst first.
+
+    Needles are listed only where errors do not explain it.
+    """
+    away = [f"{name} {mm:.2f} mm ({sds:.1f} SD)" for name, mm, sds in planes if sds > MAX_EXPECTED_SD]
+    if away:
+        return f"Out of plane by more than errors explain: {join_names(away, MAX_NAMED_NEEDLES)}."
+    (_, _, worst), most = planes[0], max(mm for _, mm, _ in planes)
+    known = not math.isnan(worst)
+    return f"Out of plane: at most {most:.2f} mm" + (f" ({worst:.1f} SD), as expected." if known else ".")
+
+
 def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.faults import merge_like
     from needlefit.datasets.needles import describe_needles, tabulate_needles
@@ -266,7 +284,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             least, most = (one.map("{:.2f}".format) for one in (groups[column].min(), groups[column].max()))
             shown[label] = least + " to " + most
         screen.show_frame(shown.reset_index(), "")
-        if away := [f"{name} {mm:.2f} mm = {sds:.1f} SD" for name, mm, sds in planes]:
-            screen.print_text(f"Off the plane, or the turns, of the bevel: {join_names(away, 8)}.")
+        if planes:
+            screen.print_text(_describe_planes(planes))
     if faults:
         raise typer.Exit(DataError.exit_code)

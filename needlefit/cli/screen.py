@@ -42,7 +42,9 @@ def _wrap(text: str, stream: TextIO, piped_width: int | None = None) -> str:
     width = shutil.get_terminal_size().columns if stream.isatty() else piped_width
     if width is None:
         return text
-    return "\n".join(
+    from needlefit.reporting.number_format import NO_BREAK, bind_numbers
+
+    wrapped = "\n".join(
         textwrap.fill(
             line,
             width,
@@ -50,8 +52,9 @@ def _wrap(text: str, stream: TextIO, piped_width: int | None = None) -> str:
             break_on_hyphens=False,
             break_long_words=False,
         )
-        for line in text.splitlines()
+        for line in bind_numbers(text).splitlines()
     )
+    return wrapped.replace(NO_BREAK, " ")  # as it is searched for, and copied
 
 
 def print_note(text: str) -> None:
@@ -94,6 +97,9 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
         print_text(line)
 
 
+_RICH_NO_BREAK = "\ue000"  #: stands for a no-break space in rich, which breaks lines there
+
+
 def _show(
     columns: Sequence[tuple[str, bool]],
     rows: Sequence[Sequence[str]],
@@ -105,6 +111,11 @@ def _show(
     To keep to the width of a terminal, or to `SCREEN_COLUMNS`, words are wrapped, not numbers; in a pipe a
     table whose numbers and longest words need more is wider.
     """
+    from needlefit.reporting.number_format import NO_BREAK, bind_numbers
+
+    def bind(words: str) -> str:
+        return bind_numbers(words).replace(NO_BREAK, _RICH_NO_BREAK)
+
     from rich import box
     from rich.align import Align
     from rich.console import Console
@@ -114,22 +125,23 @@ def _show(
 
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
     for head, is_right in columns:
-        words = re.sub(r"(\d) %", "\\1\u00a0%", head)  # a number stays with its sign
-        text = "\n".join(re.split("[ \n]+", words.strip(" \n"))) if is_right else head.strip()
+        words = bind(head.strip(" \n"))
+        text = "\n".join(re.split("[ \n]+", words)) if is_right else words
         side: Literal["left", "right"] = "right" if is_right else "left"
         heading = Align(Text(text, justify=side), side, vertical="bottom")
         table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
     for number, row in enumerate(rows, start=1):
         style = "bold" if number - 1 in strong else None
-        table.add_row(*map(Text, row), style=style, end_section=number in breaks)
+        table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in breaks)
     console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
     unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
     if Measurement.get(console, unlimited, table).maximum > console.width:
         table.padding = (0, 0, 0, 0)
     if not sys.stdout.isatty():
         console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, table).minimum)
-    console.print(table)
-    print_line()
+    with console.capture() as printed:
+        console.print(table)
+    print(printed.get().replace(_RICH_NO_BREAK, " "))
 
 
 def _cell(value: object) -> tuple[str, bool]:

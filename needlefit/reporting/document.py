@@ -21,6 +21,7 @@ from markupsafe import Markup, escape
 
 from needlefit.reporting import needle_page
 from needlefit.reporting.needle_page import PageData
+from needlefit.reporting.number_format import bind_numbers
 from needlefit.reporting.sheet import compile_sheet
 from needlefit.reporting.table import TableLayout
 
@@ -124,15 +125,30 @@ def compile_pdf(document: Document) -> bytes:
         if "path" in block:
             block["file"] = f"{block['id']}.pdf"
             pictures[block["file"]] = block.pop("path")
-    head = {key: getattr(document, key) for key in ("title", "subtitle", "synthetic")}
+    head = {key: _bind_words(getattr(document, key)) for key in ("title", "subtitle", "synthetic")}
     payload = head | {"version": find_version(), "blocks": blocks}
     return compile_template("report.typ", payload, pictures)
+
+
+def _bind_words(value: Any) -> Any:  # noqa: ANN401 - text, runs of text, or what a block holds of them
+    """Return text in which numbers are not broken from their units; commands stay as they are typed."""
+    if isinstance(value, str):
+        return bind_numbers(value)
+    if isinstance(value, list | tuple):
+        return [_bind_words(one) for one in value]
+    if isinstance(value, dict) and value.get("style") != "code":
+        return {key: _bind_words(one) if key in _WORDS_KEYS else one for key, one in value.items()}
+    return value
+
+
+_WORDS_KEYS = ("text", "items", "caption", "notes", "rows", "columns", "label", "unit")
+"""Of blocks, and of what they hold: keys whose values are printed."""
 
 
 def _number_blocks(document: Document) -> Iterator[Block]:
     """Yield copies of the blocks, with a place to link to; empty tables are left out."""
     counts = {"heading": 0, "figure": 0, "table": 0}
-    for block in document.blocks:
+    for block in map(_bind_words, document.blocks):
         kind = block["kind"]
         if kind == "table" and not block["rows"]:
             continue
@@ -229,7 +245,7 @@ def _render_html(template: str, document: Document) -> str:
     environment.filters["powers"] = _raise_exponents
     return environment.get_template(template).render(
         title=document.title,
-        subtitle=document.subtitle,
+        subtitle=_bind_words(document.subtitle),
         synthetic=document.synthetic,
         version=find_version(),
         first=first,

@@ -5,6 +5,7 @@ from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
+from needlefit.reporting.number_format import NO_BREAK, bind_numbers
 from needlefit.reporting.table import TableLayout
 
 _ESCAPES = {
@@ -29,6 +30,7 @@ _ESCAPES = {
     "≈": r"$\approx$",
     "½": r"$\frac12$",
     "–": "--",
+    NO_BREAK: "~",
     "…": r"\ldots{}",
     "’": "'",
     "“": "``",
@@ -91,7 +93,7 @@ def escape_latex(text: str) -> str:
     """Return text that LaTeX prints literally, in any font encoding."""
     # Character by character: escaping in several passes would escape the backslashes of the pass before. Only
     # then are exponents recognised, by their escaped form.
-    escaped = "".join(_ESCAPES.get(sign, sign) for sign in text)
+    escaped = "".join(_ESCAPES.get(sign, sign) for sign in bind_numbers(text))
     escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
     escaped = re.sub("[₀₁₂₃₄₅₆₇₈₉]+", lambda m: f"$_{{{m[0].translate(_LOWERED)}}}$", escaped)

@@ -117,6 +117,16 @@ def join_metrics(values: Mapping[str, float | None]) -> str:
     return join_words(each)
 
 
+NO_BREAK = "\u00a0"  #: the space at which no line is broken
+_UNITS = "mm²|mm|cm|%|kPa|MPa|GPa|Pa|N|HU|°|degrees|SD|nats|times"
+_BOUND_PATTERN = re.compile(rf"(?<=\d) (?=(?:{_UNITS})(?!\w)|[±×] \d)|(?<=[±×]) (?=\d)")
+
+
+def bind_numbers(words: str) -> str:
+    """Return words in which no line is broken between a number and its unit, or about ± and ×."""
+    return _BOUND_PATTERN.sub(NO_BREAK, words)
+
+
 def join_words(words: Sequence[str]) -> str:
     """Return words as text: "a", "a and b", "a, b and c"."""
     return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)

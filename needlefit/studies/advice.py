@@ -7,6 +7,7 @@ Its sentence is the block of this name in `reporting/text/advice.md.j2`; its com
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from needlefit.project.help_pages import read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.text import KindText
 from needlefit.studies.answer import RESULTS, Advice, Check, Finding
@@ -85,13 +86,16 @@ def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
     return [one for one in first.values() if one.kind not in _NO_DOUBTS][::-1]
 
 
-def find_doubt(warnings: Iterable[ResultWarning]) -> tuple[str, str] | None:
-    """Return what the first doubt found, and its key in the help; None without any."""
-    doubts = list_doubts(warnings)
-    if not doubts:
-        return None
-    kind = doubts[0].kind
-    return ("dataset_doubtful" if kind in _OF_DATASETS else "result_doubtful"), doubts[0].help_key
+def classify_doubt(doubt: ResultWarning) -> str:
+    """Return what a doubt about the data found."""
+    return "dataset_doubtful" if doubt.kind in _OF_DATASETS else "result_doubtful"
+
+
+def name_doubt(kind: str) -> str:
+    """Return what a kind of warning is about, as its section of the help is titled."""
+    section = read_sections().get(kind.replace("_", "-"))
+    title = kind.replace("_", " ") if section is None else section.title
+    return title[:1].lower() + title[1:]
 
 
 def find_failures(checks: Mapping[Check, Finding], other_medium: bool) -> list[str]:

@@ -37,6 +37,7 @@ from needlefit.studies.fit_frames import (
     MEDIAN_METHOD,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
+    find_scored_role,
     select_fitted,
     select_free,
 )
@@ -90,16 +91,20 @@ def lay_out_tuning(*results: Run) -> TableLayout:
 def lay_out_summary(results: Run) -> TableLayout:
     """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
 
-    Groups are those held out, or of a run without any those fitted to. The paper's parameters are scored on
-    our data; its result is of its own needles.
+    Groups are those held out, or of a run without any those fitted to; before several stand all together, of
+    which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
     """
     groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
     method, several = choose_method(results), len(groups) > 1
     ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
-    fitted_to = medium_name(str(results.record.medium))
+    fitted_to, media = str(results.record.medium), {str(one.head["medium"]) for one in groups}
+    of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
+    together = scores.pool_insertions(results, find_scored_role(results.frames["errors"]))
+    if several and together is not None:
+        groups = [together, *groups]
     paper = (
-        _RowKind(f"paper's parameters for {fitted_to}, these needles", "hand_tuned"),
-        _RowKind("paper's result, its own needles", column="paper"),
+        _RowKind(f"our needles, simulated with the paper's parameters{of_other}", "hand_tuned"),
+        _RowKind("paper's result, on its own needles", column="paper"),
     )
     blocks = []
     for group in groups:
@@ -173,28 +178,33 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 def _head(group: scores.ScoredGroup) -> Row:
     about = {"layers": str(group.head["layers"] or "all")}
+    if group.head["medium"] is None:  # all insertions together
+        about = {"medium": "all", "layers": ""}
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
 def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
     """Return one row per study and held-out group: our tip error, and what it compares with.
 
-    The verdict is the study's, on all its groups together.
+    The verdict is the study's: before several groups stands a row of all together, which alone has it.
     """
     rows: list[Row] = []
     for one in results:
-        together = scores.pool_insertions(one)
+        together, groups = scores.pool_insertions(one), scores.list_held_out_groups(one)
         verdict = together and judge(one, together)
-        for group in scores.list_held_out_groups(one):
+        if together is not None and len(groups) > 1:
+            groups = [together, *groups]
+        for number, group in enumerate(groups):
             judged = judge(one, group)
             rows.append(
                 {
                     **_head(group),
+                    "study": scores.study_label(one),
                     "te_mm": judged and judged.error_mm,
                     "noise_of_te": group.get(group.tip, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
                     "paper_te_mm": group.get(scores.TE, "paper"),
-                    "verdict": verdict.outcome if verdict else "not scored",
+                    "verdict": "" if number else verdict.outcome if verdict else "not scored",
                 }
             )
     columns = (

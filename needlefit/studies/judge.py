@@ -175,7 +175,7 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to.
 
-    A fit within the noise is not compared with curves: they were fitted to the same needles.
+    Of a fit within the noise a closer curve decides nothing: curves were fitted to the same needles.
     """
     group, found = pool_insertions(results, role), list[Finding]()
     judged = None if group is None else judge(results, group)
@@ -183,23 +183,32 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
         found.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
         ratio, error, curve = judged.noise_ratio, judged.error_mm, judged.curve_mm
-        if role != "tune" or ratio is None or ratio > 1:
-            closer = CLOSER.get(judged.outcome, None if curve is None else error < curve)
-            found.append(Finding(Check.CURVES, closer, error, curve, judged.curve, fits=judged.fits))
+        passed = CLOSER.get(judged.outcome, None if curve is None else error < curve)
+        if role == "tune" and ratio is not None and ratio <= 1:
+            passed = None
+        curves = (group.get(group.tip, method=name) for name in BASELINES.names()) if group else ()
+        closer = sum(one is not None and one < error for one in curves)
+        one = Finding(Check.CURVES, passed, error, curve, judged.curve, fits=judged.fits, closer=closer)
+        found.append(one)
         within = None if ratio is None else ratio <= MAX_NOISE_RATIO
         found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
-        found += check_intervals(predictive, results.run)
+        held_out = int(group.head["insertions"]) if group else 0
+        found += check_intervals(predictive, results.run, held_out)
     return (*found, check_data(results))
 
 
-def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield how many tips lie in their intervals, and how wide these are."""
+def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any], held_out: int = 0) -> Iterator[Finding]:
+    """Yield how many tips lie in their intervals, and how wide these are.
+
+    Of the `held_out` insertions those that could not be predicted have no interval.
+    """
     fits = predictive["fold"].nunique()
+    missing = max(0, held_out - len(predictive))
     for check, column in ((Check.COVERAGE_95, "tip_in_95"), (Check.COVERAGE_50, "tip_in_50")):
         found = count_covered(predictive, column)
-        one = Finding(check, None, found.hits, trials=found.trials, fits=fits)
+        one = Finding(check, None, found.hits, trials=found.trials, fits=fits, missing=missing)
         if check is Check.COVERAGE_95:
             needed = max(1, math.floor(MIN_COVERED_95 * found.trials))
             yield replace(one, passed=found.hits >= needed, threshold=needed)

@@ -24,7 +24,17 @@ from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
-from needlefit.studies.answer import Advice, Answer, Status, Verdict, answer_to_json, tabulate_checks
+from needlefit.studies.advice import name_doubt
+from needlefit.studies.answer import (
+    Advice,
+    Answer,
+    Check,
+    Finding,
+    Status,
+    Verdict,
+    answer_to_json,
+    tabulate_checks,
+)
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
@@ -124,9 +134,9 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
         return None
     rows = [
         {
-            "check": CHECKS.sentence(one.check, vars(one)),
-            "check_found": CHECKS.sentence(f"{one.check}_found", vars(one)),
-            "check_required": CHECKS.sentence(f"{one.check}_required", vars(one)),
+            "check": _word_check(one),
+            "check_found": _word_check(one, "_found"),
+            "check_required": _word_check(one, "_required"),
             "passed": "–" if one.passed is None else one.passed,
         }
         for one in answer.checks
@@ -134,11 +144,17 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
     return CHECKS.lay_out(Table("checks", rows, ("check", "check_found", "check_required", "passed")), {})
 
 
+def _word_check(one: Finding, part: str = "") -> str:
+    """Return the question of a check, or what was "_found" or is "_required"."""
+    doubts = [name_doubt(kind) for kind in one.named.split(", ")] if one.check is Check.DATA else []
+    return CHECKS.sentence(f"{one.check}{part}", {**vars(one), "is_below": one.is_below, "doubts": doubts})
+
+
 def recall(result: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
     answer = find_kind(result.kind).report.answer(result)
     opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
-    failed = [CHECKS.sentence(one.check, vars(one)) for one in answer.checks if one.passed is False]
+    failed = [_word_check(one) for one in answer.checks if one.passed is False]
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
     return f"{result.name}: {mark_faults(result.faults)}{opening.rstrip('.')}.{words}"
 

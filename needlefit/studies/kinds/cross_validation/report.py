@@ -14,7 +14,6 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
-from needlefit.project.help_pages import read_sections
 from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
@@ -23,10 +22,10 @@ from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.advice import advise, find_doubt, find_failures
+from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
-from needlefit.studies.fit_frames import find_scored_role
+from needlefit.studies.fit_frames import find_scored_role, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, list_checks
@@ -102,6 +101,7 @@ def find_answer(results: Run) -> Answer:
         "insertions": group.head["insertions"],
         "determined": determined,
         "intervals": intervals,
+        "bevel": _name_free_bevel(results),
         "opening": "",
     }
     numbers: dict[str, float | str | None] = {
@@ -139,18 +139,17 @@ def find_advice(results: Run, checks: Sequence[Finding], determined: Sequence[st
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     width, curves = by_check.get(Check.WIDTH), by_check.get(Check.CURVES)
-    doubt = find_doubt(read_warnings(results.run))
+    doubts = list_doubts(read_warnings(results.run))[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
     if results.faults or results.interrupted:
         found.append("not_converged")
-    if doubt is not None:
-        found.append(doubt[0])
+    found += map(classify_doubt, doubts)
     if role == "tune" and set(determined) - {"yes"}:
         found.append("parameters_undetermined")
     values = {
         "dataset": str(results.record.dataset),
-        "doubt": "" if doubt is None else doubt[1],
-        "doubt_title": "" if doubt is None else read_sections()[doubt[1]].title.lower(),
+        "doubt": "".join(one.help_key for one in doubts),
+        "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
         "other_medium": other[0] if other else "",
         "curve": BASELINES[curves.named].description if curves and curves.named else "",
         "width": None if width is None else width.value,
@@ -194,6 +193,12 @@ def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
             interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
             names[row["parameter"]] += f" {interval}"
     return list(group_values((words[name], label) for name, label in names.items()).items()), shown
+
+
+def _name_free_bevel(results: Run) -> str:
+    """Return the symbol of the bevel's parameter where it is free, else ""."""
+    free = set(select_free(results.frames["parameters"])["parameter"])
+    return next((format_bare_symbol(one) for one in ("bevel_mm", "cut_angle_deg") if one in free), "")
 
 
 # ---- tables and figures
