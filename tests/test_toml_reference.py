@@ -1,12 +1,12 @@
 """Every key of every TOML file has a meaning and an example in the reference of the site."""
 
 import json
-from importlib import import_module
 
 import pytest
 from docs_scripts import load_script
 from test_cli import run
 
+from needlefit.project import toml_reference as reference
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.studies.kind import list_records
@@ -21,32 +21,26 @@ def page():
         yield load_script(shipped_folder() / "docs" / "_site" / "toml_page.py")
 
 
-@pytest.fixture(scope="module")
-def reference(page):
-    """The module that it reads the schemas with."""
-    return import_module(page.list_files.__module__)
-
-
-def records_within(reference, record, found):
+def records_within(record, found):
     if record not in found:
         found.add(record)
         for field in record.model_fields.values():
             if inner := reference.find_record(field.annotation):
-                records_within(reference, inner, found)
+                records_within(inner, found)
     return found
 
 
-def test_every_key_has_a_meaning_and_an_example(page, reference):
+def test_every_key_has_a_meaning_and_an_example(page):
     files, records = [one for one in reference.list_files(list_records()) if page.list_examples(one)], set()
     for file in files:
-        records_within(reference, file.record, records)
+        records_within(file.record, records)
     keys = {(reference.find_owner(record, name), name) for record in records for name in record.model_fields}
     examples = {key for file in files for key in page.collect_examples(file)}
     assert {f"{record.__name__}.{name}" for record, name in keys - examples} == set()
     assert len(keys) > 200
 
 
-def test_every_example_loads(page, reference):
+def test_every_example_loads(page):
     for file in reference.list_files(list_records()):
         for path in page.list_examples(file):
             load(shipped_folder() / path, file.record)

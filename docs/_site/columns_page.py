@@ -1,15 +1,14 @@
 """Every column of the tables that needlefit reads and writes, and the words of the interactive simulation."""
 
-import csv
 import re
 from collections.abc import Iterator
 from importlib.resources import files
 from itertools import groupby
-from pathlib import Path
 
 from pages import keep
 from sphinx.application import Sphinx
 
+from needlefit.datasets.input_tables import read_input_columns
 from needlefit.metrics import list_metrics
 from needlefit.reporting.columns import METRIC_UNIT, Column, list_columns
 
@@ -31,10 +30,9 @@ def _page() -> Iterator[str]:
     for title, where in (("Columns of files", ""), ("Columns of printed tables alone", "print")):
         yield f"\n## {title}\n\n| column | heading | unit | meaning |\n|---|---|---|---|"
         yield from (_row(one) for one in columns if one.where == where)
-    text = Path(__file__).with_name("input_tables.csv").read_text(encoding="utf-8")
-    for table, members in groupby(csv.DictReader(text.splitlines()), lambda one: one["table"]):
+    for table, members in groupby(read_input_columns(), lambda one: one.table):
         yield f"\n## `{table}`, which you write\n\n| column | meaning | an empty cell |\n|---|---|---|"
-        yield from (f"| `{one['column']}` | {one['meaning']} | {one['default']} |" for one in members)
+        yield from (f"| `{one.column}` | {one.meaning} | {one.default} |" for one in members)
     yield "\n## On the page of the interactive simulation\n\n| word | meaning |\n|---|---|"
     script = files("needlefit.viewer").joinpath("page/definitions.js").read_text(encoding="utf-8")
     for word, meaning in re.findall(r'^  "([^"]+)": "([^"]+)",$', script, re.MULTILINE):

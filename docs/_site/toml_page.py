@@ -11,7 +11,10 @@ from typing import Any
 from pages import keep
 from pydantic import BaseModel
 from sphinx.application import Sphinx
-from toml_reference import (
+
+from needlefit.project.locate import read_toml, shipped_folder
+from needlefit.project.toml import dumps
+from needlefit.project.toml_reference import (
     FileKind,
     KeyDescription,
     TableDescription,
@@ -21,9 +24,6 @@ from toml_reference import (
     format_value,
     list_files,
 )
-
-from needlefit.project.locate import read_toml, shipped_folder
-from needlefit.project.toml import dumps
 from needlefit.studies.kind import list_records
 
 PAGE = "reference/toml.md"

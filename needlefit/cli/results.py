@@ -1,7 +1,6 @@
 """Commands about results: report, diff, explain, paper."""
 
 import difflib
-import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,6 @@ import typer
 from needlefit.cli import options, screen
 from needlefit.cli.execution import show_json_of, show_run, show_warnings
 from needlefit.cli.options import argument, option
-from needlefit.project.help_pages import Topic, read_sections, read_terms
 
 
 def report(
@@ -86,35 +84,27 @@ def explain(
     context: typer.Context,
     key: Annotated[
         list[str] | None,
-        argument("NAME", "A warning as printed (coverage), a term, or a column (te_mm)."),
+        argument(
+            "NAME", "A word of a page (coverage), a column (te_mm), a file (study) or its key (leave_out)."
+        ),
     ] = None,
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
-    """Explain a warning, term or column.
+    """Explain a word, a warning, a column, or a key of a file.
 
     Without a NAME all are listed.
     """
-    from needlefit.reporting.columns import find_column, list_columns
+    from needlefit.studies.explanations import find_topics, list_topics
 
-    name, columns = " ".join(key or ()), list_columns().values()
-    groups = {
-        "Warnings": [*read_sections().values()],
-        "Terms": read_terms(),
-        "Columns of tables": [
-            Topic(one.key, f"{one.label} ({one.unit})" if one.unit else one.label, (one.explanation,))
-            for one in columns
-        ],
-    }
+    name, groups = " ".join(key or ()), list_topics()
     topics = [one for group in groups.values() for one in group]
-    found = [one for one in topics if _fold(name) in (_fold(one.key), _fold(one.symbol))] if name else topics
-    if not found and (column := find_column(name)).explanation:  # its name has a number, such as mu3_pa
-        found = [Topic(name, column.label, (column.explanation,))]
+    found = find_topics(name) if name else topics
     if not found:
         near = difflib.get_close_matches(name, [one.key for one in topics], n=3)
         raise typer.BadParameter(
-            f"`{name}` is no warning, term or column"
-            + (f"; did you mean {' or '.join(near)}?" if near else "")
+            f"`{name}` is no warning, term, column or key"
+            + (f"; did you mean {' or '.join(dict.fromkeys(near))}?" if near else "")
         )
     if context.find_root().obj.json:
         screen.show_json([asdict(one) for one in found])
@@ -126,11 +116,6 @@ def explain(
             screen.print_line(f"\n{group}")
             for one in members:
                 screen.print_line(f"  {one.key:32}{one.title}")
-
-
-def _fold(name: str) -> str:
-    """Return a name without what words are joined by: noise-floor is noise floor."""
-    return re.sub("[-_ ]+", " ", name).casefold()
 
 
 def paper() -> None:

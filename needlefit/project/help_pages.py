@@ -28,6 +28,12 @@ class Topic:
     paragraphs: tuple[str, ...] = ()
     symbol: str = ""  # another key: TE of the tip error
 
+    @property
+    def names(self) -> frozenset[str]:
+        """What it is found by: the key, the symbol, the title; of a list with commas each member."""
+        listed = (self.key, self.symbol, self.title)
+        return frozenset(name for one in listed for name in (one, *one.split(", ")) if name)
+
 
 @cache
 def read_sections() -> dict[str, Topic]:
