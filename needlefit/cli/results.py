@@ -84,9 +84,7 @@ def explain(
     context: typer.Context,
     key: Annotated[
         list[str] | None,
-        argument(
-            "NAME", "A word of a page (coverage), a column (te_mm), a file (study) or its key (leave_out)."
-        ),
+        argument("NAME", "A word of a page (coverage), a column (te_mm), a file (study), a key (leave_out)."),
     ] = None,
     json: options.Json = False,
     plugins: options.Plugins = None,
