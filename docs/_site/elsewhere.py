@@ -14,8 +14,6 @@ PAGES = {
     "../needlefit/cli/application.py": "reference/commands.md",
     "../needlefit/api.py": "reference/api/index.md",
     "../studies": "reference/shipped.md",
-    "_site/toml_page.py": "reference/toml.md",
-    "_site/columns_page.py": "reference/columns.md",
     "notebooks/1_fit_your_csv.ipynb": "reference/notebooks.md",
     "notebooks/3_simulate.ipynb": "reference/notebooks.md",
 }
