@@ -60,7 +60,7 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
     aligns = ("p{5cm}" if one.wide else "l" if one.align == "left" else "r" for one in table.columns)
     return environment.from_string(template).render(
         environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
-        caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + table.caption),
+        caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + bind_numbers(table.caption)),
         label=table.name.replace("_", "-"),
         aligns="".join(aligns),
         heads=[escape_latex(column.label) for column in table.columns],
@@ -69,7 +69,7 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
             {"rule": i in table.breaks, "cells": [format_cell(cell) for cell in row]}
             for i, row in enumerate(table.rows)
         ],
-        notes=[escape_latex(note) for note in table.notes],
+        notes=[escape_latex(bind_numbers(note)) for note in table.notes],
     )
 
 
@@ -93,7 +93,7 @@ def escape_latex(text: str) -> str:
     """Return text that LaTeX prints literally, in any font encoding."""
     # Character by character: escaping in several passes would escape the backslashes of the pass before. Only
     # then are exponents recognised, by their escaped form.
-    escaped = "".join(_ESCAPES.get(sign, sign) for sign in bind_numbers(text))
+    escaped = "".join(_ESCAPES.get(sign, sign) for sign in text)
     escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
     escaped = re.sub("[₀₁₂₃₄₅₆₇₈₉]+", lambda m: f"$_{{{m[0].translate(_LOWERED)}}}$", escaped)
