@@ -115,7 +115,11 @@ class Advice:
         here, words = f"{self.results}/", list(self.command)
         if results is not None:
             placed = {word: results / word.removeprefix(here) for word in words if word.startswith(here)}
-            words = [format_path(placed[word]) if word in placed else word for word in words]
+            # a folder of this one needs its ./, else it is a name
+            paths = {
+                word: str(path) if len(path.parts) > 1 else format_path(path) for word, path in placed.items()
+            }
+            words = [paths.get(word, word) for word in words]
         return shlex.join(words)
 
 
