@@ -82,8 +82,10 @@ _NO_DOUBTS = frozenset({"placeholder", "validity"})
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
     """Return the warnings that cast doubt on the data or on a parameter, the first of each kind."""
-    first = {one.kind: one for one in reversed(tuple(warnings))}
-    return [one for one in first.values() if one.kind not in _NO_DOUBTS][::-1]
+    first: dict[str, ResultWarning] = {}
+    for one in warnings:
+        first.setdefault(one.kind, one)
+    return [one for kind, one in first.items() if kind not in _NO_DOUBTS]
 
 
 def classify_doubt(doubt: ResultWarning) -> str:

@@ -1,6 +1,7 @@
 """Load and check a study file of any kind, find the data that it needs, and prepare the fit that it names."""
 
 import os
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -181,7 +182,7 @@ def load_target(target: str) -> Target:
         raise ConfigError(
             "is a study that does more than tune, and is not tuned by itself",
             where=str(path),
-            fix=f"use: needlefit validate {target}",
+            fix=f"use: {shlex.join(('needlefit', 'validate', target))}",
         )
     return Target(f"{path.stem}-tune", record.tuning(), Inputs(), path)
 

@@ -129,7 +129,7 @@ def load(path: Path) -> Posterior:
         raise DataError(
             f"is not a posterior of needlefit, or a damaged one: {error}",
             where=str(path),
-            expected="the file as `needlefit tune TARGET` wrote it",
+            expected="the file as `needlefit tune` wrote it",
             fix="tune again, or take the file from a copy",
         ) from error
 

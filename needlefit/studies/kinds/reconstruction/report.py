@@ -69,7 +69,9 @@ _REFUSED_COLUMNS = ("id", "scan", "note")
 
 def run(name: str, record: ReconstructionBatchRecord, settings: Settings) -> Run:
     """Raise ConfigError: scans become a dataset, which a study file has no place for."""
-    raise ConfigError("is no study that can be run", where=name, fix="use: needlefit reconstruct SCAN...")
+    raise ConfigError(
+        "is no study that can be run", where=name, fix="name its scans after `needlefit reconstruct`"
+    )
 
 
 def tabulate_batch(

@@ -1,0 +1,146 @@
+"""Commands that the program prints run as they are printed, each in a folder of its own; advice follows from
+findings."""
+
+import re
+import shlex
+import shutil
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from light_runs import DRAWS, do_not_escalate, draw_blank, predict_by_few_draws
+from test_cli import run
+from test_cli_foreign_files import skip_figures
+from world import COMMANDS as KIND_COMMANDS
+
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.studies.advice import COMMANDS, TEXT, advise, classify_doubt, find_failures, list_doubts
+from needlefit.studies.answer import Check, Finding
+from needlefit.studies.kinds import calibration, prediction
+
+PRINTED = re.compile(r"(?:cd \S+ && )?needlefit (?!warning|unexpected)[a-z]+ [^`;()\n]*[^`;()\n.: ]")
+RUN_AS_PRINTED = (0, 5)  # done, or too short to converge in every respect
+START = {
+    "start": ("new", "workbook", "my needles.xlsx"),
+    "project": ("new", "project", "my project"),
+    "check": ("check", "held_out"),
+    "check a fit": ("check", "gel"),
+    "a table": ("check", "data/needles/insertions.csv"),
+    "a table alone": ("check", "points.csv"),
+    "a fit": ("validate", "gel"),
+    "a study": ("tune", "cohort"),
+}
+"""Command lines that print others."""
+VALUES = {
+    **{"dataset": "needles", "doubt": "copy", "doubt_title": "two insertions are the same"},
+    **{"other_medium": "phantom1", "curve": "a straight line", "width": 13.0, "gain": 3.6},
+    **{"target": "meat", "replicates": 2, "tip": "31.5,1.0", "scan": "sample"},
+    "best": {"insertion": "needle-2", "depth_mm": 30.0, "nats": 0.2},
+}
+
+
+@pytest.fixture
+def project(world, tmp_path, monkeypatch):
+    """A copy of the tiny world's project with its runs, as the working folder.
+
+    Its recipe is the tiny one by the name `default`, too. Predictions have few draws, figures and pages are
+    empty, and a calibration is that of the world.
+    """
+    for kind in KIND_COMMANDS:
+        world.find(kind)  # before anything is light: other tests read them
+    calibrated = world.restore("calibration")
+    monkeypatch.setattr(calibration, "run", lambda name, *_: replace(calibrated, name=name))
+    monkeypatch.setattr(prediction, "PREDICTION_DRAWS", DRAWS)
+    monkeypatch.setattr("needlefit.viewer.server.serve", lambda *_, **__: None)
+    for name in ("compile_pdf", "compile_html"):
+        monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
+    predict_by_few_draws(monkeypatch)
+    do_not_escalate(monkeypatch)
+    skip_figures(monkeypatch)
+    draw_blank(monkeypatch)
+    folder = tmp_path / "project"
+    shutil.copytree(world.folder, folder, ignore=shutil.ignore_patterns("*.partial"))
+    shutil.copyfile(folder / "configs/recipes/tiny.toml", folder / "configs/recipes/default.toml")
+    points = "".join(f"{x},{4e-4 * x**2},0\n" for x in range(40))
+    (folder / "points.csv").write_text(f"x_mm,y_mm,z_mm\n{points}")
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def run_all_printed(first, capsys):
+    """Run a command line, and all that it prints, and what those print; return those that were run."""
+    todo, done = deque([shlex.join(("needlefit", *first))]), {}
+    here = Path.cwd()
+    while todo:
+        line = todo.popleft()
+        with pytest.MonkeyPatch.context() as place:
+            for part in line.split(" && "):
+                words = shlex.split(part)
+                if words[0] == "cd":
+                    place.chdir(here / words[1])
+                else:
+                    done[line] = run(*words[1:])
+        printed = "".join(capsys.readouterr())
+        assert len(done) == 1 or done[line] in RUN_AS_PRINTED, f"{line}\n{printed}"
+        todo += [one for one in PRINTED.findall(printed) if one not in done and one not in todo]
+    return list(done)[1:]
+
+
+@pytest.mark.parametrize("kind", list(KIND_COMMANDS))
+@pytest.mark.usefixtures("project")
+def test_the_commands_that_a_run_prints_run(kind, capsys):
+    run_all_printed(("report", f"reports/{KIND_COMMANDS[kind].folder}"), capsys)
+
+
+@pytest.mark.usefixtures("project")
+@pytest.mark.parametrize("start", list(START))
+def test_the_commands_that_a_command_prints_run(start, capsys):
+    assert run_all_printed(START[start], capsys)
+
+
+@pytest.mark.parametrize("finding", [one for one, command in COMMANDS.items() if command])
+@pytest.mark.usefixtures("project")
+def test_every_command_of_the_table_of_advice_runs(finding, capsys):
+    command = advise([finding], VALUES, "scanned" if "scan" in finding else "held_out").format_command()
+    assert run(*shlex.split(command)[1:]) in RUN_AS_PRINTED, capsys.readouterr().err
+
+
+def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():
+    for finding in COMMANDS:
+        assert TEXT.sentence(finding, VALUES), finding
+    kinds = ("placeholder", "validity", "copy", "shared_residual", "copy")
+    doubts = list_doubts(ResultWarning(kind, "what") for kind in kinds)
+    assert [one.kind for one in doubts] == ["copy", "shared_residual"]
+    assert list(map(classify_doubt, doubts)) == ["dataset_doubtful", "result_doubtful"]
+
+
+PASSED = {one: Finding(one, True) for one in Check}
+
+
+@pytest.mark.parametrize(
+    ("changes", "other_medium", "finding"),
+    [
+        ({}, False, None),
+        ({Check.CURVES: {"passed": False}}, False, "curve_closer"),
+        ({Check.CURVES: {"passed": False}, Check.WIDTH: {"passed": False}}, True, "other_medium_missed"),
+        ({Check.NOISE: {"passed": False}}, True, "other_medium_missed"),
+        ({Check.NOISE: {"passed": False}}, False, "beyond_noise"),
+        ({Check.CURVES: {"passed": None, "fits": 6}}, False, "closer_undecided"),
+        ({Check.CURVES: {"passed": None}}, False, None),  # of a fit within the noise
+        ({Check.WIDTH: {"passed": False}, Check.NOISE: {"passed": False}}, False, "intervals_wide"),
+        ({Check.COVERAGE_95: {"passed": False}}, False, "intervals_miss"),
+        ({Check.COVERAGE_50: {"passed": False, "value": 1, "threshold": 3.5}}, False, "intervals_miss"),
+        ({Check.COVERAGE_50: {"passed": False, "value": 7, "threshold": 3.5}}, False, None),  # too wide
+    ],
+)
+def test_advice_follows_from_the_checks(changes, other_medium, finding):
+    checks = {**PASSED, **{one: replace(PASSED[one], **how) for one, how in changes.items()}}
+    advice = advise(find_failures(checks, other_medium), VALUES, "study")
+    assert (advice and advice.finding) == finding
+
+
+def test_doubts_stand_before_a_good_and_a_bad_word():
+    for others in (["predictable"], ["curve_closer", "other_medium_missed"], []):
+        assert advise(["dataset_doubtful", *others], VALUES).finding == "dataset_doubtful"
+    assert advise([], VALUES) is None
