@@ -22,46 +22,44 @@ HEAD = """\
 
 
 def write_table() -> str:
-    """Return the rows of all held-out groups, as the paper counts their layers."""
-    frames = [pd.read_csv(ROOT / f"reports/reference/study{n}/validation.csv") for n in range(1, 6)]
-    cells = pd.concat(frames)
-    cells = cells[(cells["boundaries"] == "measured") & (cells["grouping"] == "held_out")]
+    """Return the rows of all held-out groups, as the paper counts their layers.
+
+    The verdict is on all insertions of a study together: before several groups stands a row of these.
+    """
     lines = []
-    for (study, medium, layers), group in cells.groupby(["study", "medium", "layers"], sort=False):
-        by = group[group["method"] == MEDIAN_METHOD].set_index("metric")
-        curves = group[group["method"].isin(BASELINES.names()) & (group["metric"] == "te_mm")]
-        curve = curves.loc[curves["value"].idxmin()]
-        medium = re.sub(r"(?<=phantom)(?=\d)", " ", str(medium))
-        ours = by["value"]
-        held_out = f"{medium}, {layers} layer{'' if layers == 1 else 's'}"
-        best = f"{curve['value']:.2f} ({BASELINES[curve['method']].label})"
-        numbers = (
-            by["floor"]["te_mm"],
-            ours["ipe_mean_mm"],
-            by["paper"]["te_mm"],
-            by["paper"]["ipe_mean_mm"],
-        )
-        count, verdict = by["insertions"]["te_mm"], describe_study(study)
-        row = [
-            study,
-            held_out,
-            count,
-            verdict,
-            f"{ours['te_mm']:.2f}",
-            best,
-            *(f"{one:.2f}" for one in numbers),
-        ]
-        lines.append(f"| {' | '.join(map(str, row))} |\n")
+    for study in range(1, 6):
+        folder = ROOT / f"reports/reference/study{study}"
+        errors, cells = (pd.read_csv(folder / f"{name}.csv") for name in ("errors", "validation"))
+        held_out = errors[(errors["boundaries"] == "measured") & (errors["role"] == "validate")]
+        groups = cells[(cells["boundaries"] == "measured") & (cells["grouping"] == "held_out")]
+        ours = groups[groups["method"] == MEDIAN_METHOD].groupby(["medium", "layers"], sort=False)
+        several = len(ours) > 1
+        if several:
+            lines.append(write_row(study, "all", held_out, has_verdict=True))
+        for (medium, layers), group in ours:
+            inside = held_out[(held_out["medium"] == medium) & (held_out["layers"] == layers)]
+            name = re.sub(r"(?<=phantom)(?=\d)", " ", str(medium))
+            name += f", {layers} layer{'' if layers == 1 else 's'}"
+            paper = group.set_index("metric")["paper"]
+            lines.append(write_row(study, name, inside, has_verdict=not several, paper=paper))
     return HEAD + "".join(lines)
 
 
-def describe_study(study: int) -> str:
-    """Return the verdict on all insertions that a study held out, together."""
-    errors = pd.read_csv(ROOT / f"reports/reference/study{study}/errors.csv")
-    held_out = errors[(errors["boundaries"] == "measured") & (errors["role"] == "validate")]
-    means = held_out.groupby("method")[["te_mm", "floor_te_mm"]].mean()
-    ours, floor = means.loc[MEDIAN_METHOD]
-    return describe_fit(ours, ours / floor, means.loc[means.index.isin(BASELINES.names()), "te_mm"].min())
+def write_row(
+    study: int, name: str, errors: pd.DataFrame, *, has_verdict: bool, paper: "pd.Series[float] | None" = None
+) -> str:
+    """Return the row of some held-out insertions: our errors, the closest curve's, the paper's."""
+    means = errors.groupby("method")[["te_mm", "ipe_mean_mm", "floor_te_mm"]].mean()
+    ours, curves = means.loc[MEDIAN_METHOD], means.loc[means.index.isin(BASELINES.names()), "te_mm"]
+    verdict = describe_fit(ours["te_mm"], ours["te_mm"] / ours["floor_te_mm"], curves.min())
+    row = [
+        *(study, name, errors["insertion"].nunique(), verdict if has_verdict else ""),
+        f"{ours['te_mm']:.2f}",
+        f"{curves.min():.2f} ({BASELINES[str(curves.idxmin())].label})",
+        *(f"{ours[key]:.2f}" for key in ("floor_te_mm", "ipe_mean_mm")),
+        *("" if paper is None else f"{paper[key]:.2f}" for key in ("te_mm", "ipe_mean_mm")),
+    ]
+    return f"| {' | '.join(map(str, row))} |\n"
 
 
 def write_page() -> str:
