@@ -9,7 +9,7 @@ from reporting_results import study
 
 from needlefit.reporting import paper
 from needlefit.reporting.latex import escape_latex, format_cell
-from needlefit.reporting.number_format import format_number
+from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_tables import lay_out_parameters
@@ -143,3 +143,17 @@ def test_pivoted_rows_have_a_column_for_each_place():
     assert table.rows == (("a", "1.00", "30.0", "2.0", "4.0"), ("b", "2.00", "–", "–", "–"))
     heads = [(one.label, one.unit) for one in table.columns[1:]]
     assert heads == [("TE", "mm"), ("EDP", "%"), ("TE", "÷ floor"), ("EDP", "÷ floor")]
+
+
+@pytest.mark.parametrize(
+    ("words", "bound"),
+    [
+        ("narrows to 3.6 mm at 95 %, if", ["3.6 mm", "95 %,"]),
+        ("0.38 ± 0.07 mm and 2.13 × 10⁵ Pa", ["0.38 ± 0.07 mm", "2.13 × 10⁵ Pa"]),
+        ("5 needles in 3 media", []),
+    ],
+)
+def test_numbers_are_bound_to_their_units(words, bound):
+    parts = bind_numbers(words).split(" ")
+    found = [one.replace(NO_BREAK, " ") for one in parts if NO_BREAK in one]
+    assert found == bound and bind_numbers(words).replace(NO_BREAK, " ") == words

@@ -119,7 +119,7 @@ def join_metrics(values: Mapping[str, float | None]) -> str:
 
 NO_BREAK = "\u00a0"  #: the space at which no line is broken
 _UNITS = "mm²|mm|cm|%|kPa|MPa|GPa|Pa|N|HU|°|degrees|SD|nats|times"
-_BOUND_PATTERN = re.compile(rf"(?<=\d) (?=(?:{_UNITS})(?!\w)|[±×] \d)|(?<=[±×]) (?=\d)")
+_BOUND_PATTERN = re.compile(rf"(?<=[\d⁰¹²³⁴⁵⁶⁷⁸⁹]) (?=(?:{_UNITS})(?!\w)|[±×] \d)|(?<=[±×]) (?=\d)")
 
 
 def bind_numbers(words: str) -> str:
