@@ -1,5 +1,4 @@
-"""Commands that the program prints run as they are printed, each in a folder of its own; advice follows from
-findings."""
+"""Commands that the program prints run as they are printed; advice follows from findings."""
 
 import re
 import shlex
@@ -92,7 +91,7 @@ def run_all_printed(first, capsys):
 def test_the_commands_that_a_run_prints_run(kind, world, capsys):
     found = run_all_printed(("report", f"reports/{KIND_COMMANDS[kind].folder}"), capsys)
     advice = world.restore(kind).answer.advice
-    assert advice is None or not advice.command or advice.format_command() in found
+    assert advice is None or not advice.command or advice.format_command(Path("reports")) in found
 
 
 @pytest.mark.usefixtures("project")
