@@ -10,6 +10,7 @@ from reporting_results import stereo, study, with_predictions
 
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.studies.answer import Check, Verdict, worst_status
+from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
     compare_with_curves,
     describe_fit,
@@ -209,3 +210,32 @@ def test_tracks_of_several_fits_are_judged_and_those_of_one_described():
     assert judge_tracks(both, 0.5, 1.0) == "generalises"
     assert judge_tracks(runs.assign(fit="all"), 0.5, 1.0) == "in part"
     assert judge_tracks(runs.assign(fit="all"), 0.5, 0.4) == "does not predict"
+
+
+def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():
+    results = study(1)
+    pooled = judge(results, pool_insertions(results))
+    groups = len(results.frames["errors"].query("role == 'validate'")[["medium", "layers"]].drop_duplicates())
+    assert groups > 1
+    matrix, summary = lay_out_matrix([results]), lay_out_summary(results)
+    labels = [column.label for column in matrix.columns]
+    verdicts = [row[labels.index("Verdict")] for row in matrix.rows]
+    assert verdicts == [pooled.outcome] + [""] * groups
+    assert summary.rows[0][0] == "all" and f"{pooled.error_mm:.2f}" in summary.rows[0]
+    assert len(summary.breaks) == groups
+    curve = next(row for row in summary.rows if "closest curve" in " ".join(row))
+    assert f"{pooled.curve_mm:.2f}" in curve
+
+
+def test_a_fit_within_the_noise_shows_its_curves_and_is_not_judged_by_them():
+    results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
+    found = {one.check: one for one in list_checks(results, "tune")}[Check.CURVES]
+    assert (found.passed, found.closer, found.threshold) == (None, 1, pytest.approx(0.05))
+
+
+def test_tips_without_an_interval_are_counted():
+    results = with_predictions(study(3))
+    kept = results.with_frames(predictive=results.frames["predictive"].iloc[:-2])
+    for run, missing in ((results, 0), (kept, 2)):
+        found = {one.check: one for one in list_checks(run)}
+        assert found[Check.COVERAGE_95].missing == found[Check.COVERAGE_50].missing == missing
