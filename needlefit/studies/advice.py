@@ -69,15 +69,9 @@ def advise(
 
 
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
-_OF_DATASETS = frozenset(
-    {
-        *("assumed", "bevel_side", "copy", "curvature", "no_noise", "noise", "reversed", "surfaces"),
-    }
-)
-
-
+_OF_DATASETS = ("assumed", "bevel_side", "copy", "curvature", "no_noise", "noise", "reversed", "surfaces")
 #: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
-_NO_DOUBTS = frozenset({"placeholder", "validity"})
+_NO_DOUBTS = ("placeholder", "validity")
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:

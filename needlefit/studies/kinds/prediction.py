@@ -420,10 +420,10 @@ def _find_advice(found: Run) -> Advice | None:
     stated, tip = found.run, find_tip(found)
     if found.faults:
         finding = "not_converged"
-    elif stated["fit_advice"] is not None:
-        return Advice(**{**stated["fit_advice"], "command": tuple(stated["fit_advice"]["command"])})
-    elif stated["fit_run"] is None:
-        finding = "study_unvalidated" if stated["held_out_by_target"] else "fit_untested"
+    elif (recalled := stated.get("fit_advice")) is not None:  # results of earlier versions have none
+        return Advice(**{**recalled, "command": tuple(recalled["command"])})
+    elif stated.get("fit_run") is None:
+        finding = "study_unvalidated" if stated.get("held_out_by_target") else "fit_untested"
     elif tip["needle_95_high_mm"] - tip["needle_95_low_mm"] > MAX_AIMING_WIDTH_MM:
         finding = "prediction_wide"
     else:
@@ -431,7 +431,7 @@ def _find_advice(found: Run) -> Advice | None:
     axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
     values = {"target": stated["study"]["target"], "tip": place}
-    return advise([finding], values, stated["fit_run"] or "")
+    return advise([finding], values, stated.get("fit_run") or "")
 
 
 def _recall_advice(judged: Run) -> dict[str, Any] | None:
