@@ -14,6 +14,7 @@ from reporting_results import skip_figures
 from test_cli import run
 from world import COMMANDS as KIND_COMMANDS
 
+from needlefit.project.help_pages import read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.studies.advice import COMMANDS, TEXT, advise, classify_doubt, find_failures, list_doubts
 from needlefit.studies.answer import Check, Finding
@@ -112,6 +113,15 @@ def test_the_commands_that_a_command_prints_run(start, world, monkeypatch, capsy
 def test_every_command_of_the_table_of_advice_runs(finding, capsys):
     command = advise([finding], VALUES, "scanned" if "scan" in finding else "held_out").format_command()
     assert run(*shlex.split(command)[1:]) in RUN_AS_PRINTED, capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("project")
+def test_the_commands_that_explain_prints_run(capsys):
+    printed = "\n".join(part for topic in read_sections().values() for part in topic.paragraphs)
+    named = re.findall(r"`(needlefit [^`]* [^`]*)`", printed)
+    assert len(named) >= 2
+    for command in named:
+        assert run(*shlex.split(command)[1:]) in RUN_AS_PRINTED, capsys.readouterr().err
 
 
 def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():

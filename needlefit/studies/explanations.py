@@ -87,5 +87,5 @@ def _list_meanings(places: list[tuple[str, KeyDescription]]) -> Iterator[str]:
 
 
 def _plain(words: str) -> str:
-    """Return text of the reference without the marks of Markdown."""
-    return words.replace("**", "").replace("`", "")
+    """Return text of the reference without what marks strong words."""
+    return words.replace("**", "")
