@@ -56,7 +56,7 @@ def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str
                 f"its posterior is of another {key}",
                 where=where,
                 expected=f"the {key} that {job.name} names now",
-                fix="tune again: `needlefit tune TARGET`",
+                fix="tune again, with `needlefit tune`",
             )
 
 
