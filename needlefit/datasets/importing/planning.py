@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
@@ -31,11 +31,12 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import normalize
-from needlefit.geometry.shaft import ShaftAxis
+from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.schemas.dataset import ImportSource
+from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
 # Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
@@ -582,9 +583,10 @@ def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
 
 
 def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:
-    """Return the axis of a curve's shaft, which begins at the needle's base if all of it was measured."""
+    """Return the axis of a curve's shaft, which the needle's base holds."""
     if len(curve.shaft) < MIN_SHAFT_POINTS or arc_length(curve.shaft)[-1] < MIN_SHAFT_MM:
         raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
-    centred = curve.shaft - curve.shaft.mean(axis=0)
-    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    return axis * np.sign(axis @ centred[-1]), float(np.linalg.norm(centred))
+    s, rules = arc_length(curve.shaft), ReconstructionEntryRecord()
+    s, noise, turn_sd = s - s[-1], point_sd**2 * np.eye(len(s)), np.radians(rules.entry_tilt_sd_deg)
+    free = max(needle.length_mm - curve.length, -s[0])
+    return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))
