@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import (
-    NEEDLE,
     TRUTH,
     assert_one_density,
     dataset,
@@ -72,7 +71,7 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(planes)
     (known,), squares = q.density.observations, []
     wide = np.linalg.inv(known.covariance() + 1e3**2 * known.free @ known.free.T)
     for at in (theta, off):
-        shape = predict(q.values(at), record, NEEDLE, shifted)
+        shape = predict(q.values(at), record, shifted)
         left = known.stack(compute_positions(shape, known.nodes.s[0])) - known.stack(known.measured)
         squares.append(left @ wide @ left)
     rise = q.log_posterior(theta) - q.log_posterior(off)
