@@ -53,6 +53,8 @@ def steered(path: Path) -> None:
 def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     results = fitted(tmp_path, pose)
+    compared = {"known": "world", "direction": "shifted", "free": "aligned"}[pose]
+    assert {*results.frames["errors"]["comparison"]} == {compared}
     steered(tmp_path / "log.csv")
     outcome = replay_to_end(read_recording(tmp_path / "log.csv"))
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
