@@ -67,6 +67,12 @@ def measure(
     return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))
 
 
+def from_first_point(one: Insertion) -> Insertion:
+    """The insertion as it is known where its entry is its first point, which has moved with the needle."""
+    moved = one.with_planar(one.planar - [0.0, one.planar[0, 1]], one.out_of_plane - one.out_of_plane[0])
+    return replace(moved, pose_source="first_point")
+
+
 def dataset(insertions: Sequence[Insertion], noise: Noise = NOISE, pose: str = "known", drop: float = 0.0):
     return Dataset(
         "cases", "cases", "synthetic", tuple(insertions), ("test",), noise, pose, drop, Path(), "0"

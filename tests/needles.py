@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.columns import InsertionRow, PoseSource
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.frames import make_entry_frame
 from needlefit.geometry.surfaces import make_sheet
@@ -40,7 +40,7 @@ def record(origin: str = "synthetic") -> DatasetRecord:
     )
 
 
-def build(folder: Path, depths: tuple[float, ...] = DEPTHS) -> Path:
+def build(folder: Path, depths: tuple[float, ...] = DEPTHS, pose_source: PoseSource = "stage") -> Path:
     """Write the dataset; the interface is flat and normal to the needles, so its depth is exact in C."""
     rows, curves = [], {}
     tissue = Tissue(mu=np.array(MU), alpha=np.array([1.0, -1.0]), boundaries=np.array([INTERFACE]))
@@ -54,7 +54,7 @@ def build(folder: Path, depths: tuple[float, ...] = DEPTHS) -> Path:
         rows.append(
             InsertionRow(
                 id=id_, medium="gel", layers=2, depth=depth, specimen=f"piece{n // 2 + 1}", side=side,
-                entry=origin, direction=x, bevel=y, pose_source="stage",
+                entry=origin, direction=x, bevel=y, pose_source=pose_source,
             )
         )  # fmt: skip
     plane = make_sheet("gel", [INTERFACE, 0, 0], [1, 0, 0], 200.0, 2)

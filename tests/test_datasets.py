@@ -228,6 +228,12 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
     floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
     assert floor["te_mm"] == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor["ipe_mean_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.01)
+    # Where the entry is the first point a shift is taken off: half of the turn's error at the tip is left.
+    turned = dataclasses.replace(turned, pose_source="first_point", pose_shift_sd=0.4)
+    dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
+    assert dataset.insertions[0].pose_source == "first_point"
+    shifted = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    assert shifted["te_mm"] == pytest.approx(floor["te_mm"] / 2, rel=0.03)
     dataset = read(block(tmp_path, noise={}))
     assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1))["te_mm"])
 

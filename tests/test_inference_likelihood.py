@@ -3,13 +3,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, assert_one_density, dataset, insertion, measure, medium, problem
+from inference_cases import (
+    TRUTH,
+    assert_one_density,
+    dataset,
+    from_first_point,
+    insertion,
+    measure,
+    medium,
+    problem,
+)
 from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
+from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
-from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.inference.problem import make_problem
+from needlefit.mechanics.shape import compute_positions
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 
@@ -40,6 +52,32 @@ def test_a_free_pose_costs_nothing():
     p, q = (problem(record, [i], pose="free", drop=5.0) for i in (made, turned))
     theta = p.parameters.theta(TRUTH)
     assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
+
+
+@pytest.mark.parametrize("planes", [1, 2])
+def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(planes):
+    """It is the limit of a prior of it that is flat: densities differ as with a wide one."""
+    record, how = medium(1), LikelihoodRecord(bevel_spread=0.0)
+    made = from_first_point(measure(TRUTH, record, insertion(50.0), 31))
+    shifted = made.with_planar(made.planar + np.array([0.0, 0.3]), made.out_of_plane + (planes - 1) * 0.2)
+    p, q = (
+        make_problem(replace(dataset([one]), planes=planes), [one], record, WeightsRecord(), how)
+        for one in (made, shifted)
+    )
+    theta = p.parameters.theta(TRUTH)
+    assert q.log_posterior(theta) == pytest.approx(p.log_posterior(theta), abs=1e-3)
+    assert q.objective(theta) == pytest.approx(p.objective(theta), abs=1e-4)
+    off = p.parameters.theta({**TRUTH, "bevel_mm": 0.12})
+    (known,), squares = q.density.observations, []
+    wide = np.linalg.inv(known.covariance() + 1e3**2 * known.free @ known.free.T)
+    for at in (theta, off):
+        shape = predict(q.values(at), record, shifted)
+        left = known.stack(compute_positions(shape, known.nodes.s[0])) - known.stack(known.measured)
+        squares.append(left @ wide @ left)
+    rise = q.log_posterior(theta) - q.log_posterior(off)
+    assert rise == pytest.approx((squares[1] - squares[0]) / 2, rel=1e-3) and rise > 1.0
+    assert (known.rows, known.free.shape[1]) == (31 * planes - planes, planes)
+    assert_one_density(q, off)
 
 
 def test_densities_outside_the_bounds_and_of_many_thetas():

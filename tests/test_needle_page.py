@@ -133,7 +133,9 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
 @pytest.mark.sweep
 @NO_BROWSER
 @pytest.mark.usefixtures("few_draws")
-@pytest.mark.parametrize(("pose", "planes"), [("known", 1), ("free", 1), ("known", 2)])
+@pytest.mark.parametrize(
+    ("pose", "planes"), [("known", 1), ("direction", 1), ("free", 1), ("known", 2), ("direction", 2)]
+)
 def test_a_report_of_every_pose_computes_its_needles(pose, planes, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "report.html"

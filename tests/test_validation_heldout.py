@@ -86,6 +86,17 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
     assert tuple(row) == COLUMNS["predictive"] and row["draw_source"] == "importance" and row["certified"]
+    # of an entry that is the first point, a shift across leaves about half of the turn, whatever its size
+    errors = []
+    for shift in (0.0, 1.0):
+        moved = insertion.with_planar(insertion.planar + np.array([0.0, shift]), insertion.out_of_plane)
+        moved = replace(moved, pose_source="first_point")
+        (again,) = list_rows(job, of(job, moved), sure(known))
+        half = (again["tip_95_high_mm"] - again["tip_95_low_mm"]) / 2
+        least = 1.959964 * angle * insertion.planar[-1, 0] / 2
+        assert least < half < 1.2 * least
+        errors.append(again["tip_measured_mm"] - again["tip_median_mm"])
+    assert errors[0] == pytest.approx(errors[1], abs=1e-9)
 
 
 def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job, known):

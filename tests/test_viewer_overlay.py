@@ -102,6 +102,24 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     assert arc_length(one.points)[-1] == pytest.approx(35.0, abs=0.05)
 
 
+@needs_node
+def test_a_needle_whose_entry_is_its_first_point_is_compared_after_a_shift_across():
+    """It runs straight at an angle, from 3 mm beside the axis: a shift leaves half of the slope's error."""
+    angle = 0.05
+    one = oblique(angle)
+    one = dataclasses.replace(one.with_planar(one.planar + np.array([0.0, 3.0])), pose_source="first_point")
+    overlay = of(one)
+    assert overlay.points[:, 1].mean() == pytest.approx(0.0, abs=1e-9)  # it lies on the straight needle
+    for depth, found in zip((20.0, 40.0), page_errors(overlay, 20.0, 40.0), strict=True):
+        across, along = depth * math.sin(angle) / 2, depth * (1 - math.cos(angle))
+        assert found["te_mm"] == pytest.approx(math.hypot(across, along))
+        assert found["whole"] == (depth == 40.0)
+    flat = straight(40.0)
+    goal = select_points("known", 0.0, one)
+    expected = compare_curves(*align_points(goal, lambda s: compute_positions(flat, s)))
+    assert expected.tip_error == pytest.approx(found["te_mm"])
+
+
 SCENE = Scene.from_record(make_scene_record(TRUTH, medium(), dataset([PLAN]), PLAN))
 
 

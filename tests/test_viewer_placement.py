@@ -26,7 +26,8 @@ TURNED = "lps_to_world = [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30]]"
 
 def fitted(folder: Path, pose: str, planes: int | None = None):
     """Fit needles whose scan is turned in the world; return what the run found."""
-    file = needles.build(folder / "data" / "needles")
+    source = "first_point" if pose == "direction" else "stage"
+    file = needles.build(folder / "data" / "needles", pose_source=source)
     text = file.read_text().replace("[frame]", f"[frame]\n{TURNED}")
     if pose == "free":
         text = text.replace('pose = "known"', 'pose = "free"')
@@ -48,13 +49,15 @@ def steered(path: Path) -> None:
 
 
 @pytest.mark.usefixtures("few_draws")
-@pytest.mark.parametrize("pose", ["known", "free"])
+@pytest.mark.parametrize("pose", ["known", "direction", "free"])
 def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     results = fitted(tmp_path, pose)
+    compared = {"known": "world", "direction": "shifted", "free": "aligned"}[pose]
+    assert {*results.frames["errors"]["comparison"]} == {compared}
     steered(tmp_path / "log.csv")
     outcome = replay_to_end(read_recording(tmp_path / "log.csv"))
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
-    s = select_points(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
+    s = select_points(*(("free", 2.0) if pose == "free" else ("known", 0.0)), one, NEEDLE_POINTS).s
     found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
     np.testing.assert_allclose(found, read_needles(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6)

@@ -10,7 +10,9 @@ from typing import Literal, get_args
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
 
-PoseSource = Literal["stage", "shaft", "fitted", "none"]
+# Where an entry pose comes from. "first_point": its direction from stage or shaft, its place from the first
+# point of the inserted needle, which has moved with the needle. "none": of free shapes and tip tracks.
+PoseSource = Literal["stage", "shaft", "fitted", "first_point", "none"]
 
 POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
 SD_COLUMN = "sd_mm"  # the column of a centreline with the standard deviation of each point across the needle

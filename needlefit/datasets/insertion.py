@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Pose = Literal["known", "free", "tracker"]
+# What is known of the pose of one insertion: that of its dataset, or the direction alone.
+InsertionPose = Literal["known", "direction", "free", "tracker"]
 
 DEFAULT_MEASUREMENT = MeasurementRecord()
 
@@ -72,7 +74,7 @@ class Insertion:
     frame : Frame
         C in the world: origin at the tip's first contact, x along the entry, y in the bending plane.
     pose_source : str
-        "stage", "shaft", "fitted" or "none".
+        "stage", "shaft", "fitted", "first_point" or "none".
     pose_shift_sd, pose_angle_sd : float
         Standard deviation of the entry pose in the plane, mm and rad.
     centerline : (N, 3) array
@@ -127,7 +129,7 @@ class Insertion:
     depth: float
     side: int
     frame: Frame
-    pose_source: Literal["stage", "shaft", "fitted", "none"]
+    pose_source: PoseSource
     pose_shift_sd: float
     pose_angle_sd: float
     centerline: Floats
@@ -263,6 +265,15 @@ def split_boundary_sd(insertion: Insertion) -> tuple[float, float]:
         return 0.0, 0.0
     shared = min(whole, SHARED_BOUNDARY_SD_MM if stated is None else stated)
     return shared, math.sqrt(max(whole**2 - shared**2, MIN_OWN_BOUNDARY_SD_MM**2))
+
+
+def find_pose(pose: Pose, insertion: Insertion) -> InsertionPose:
+    """Return what is known of the pose of an insertion of a dataset with this `pose`.
+
+    The first point of the inserted needle lies beside the entry by as much as the needle has moved there: of
+    an entry that is this point the direction alone is known.
+    """
+    return "direction" if pose == "known" and insertion.pose_source == "first_point" else pose
 
 
 MAX_CENTERLINE_POINTS = 200  # a centreline with more points is thinned to about this many

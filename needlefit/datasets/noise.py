@@ -7,7 +7,15 @@ from functools import partial
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack, find_free_reach
+from needlefit.datasets.insertion import (
+    Dataset,
+    Insertion,
+    InsertionPose,
+    Noise,
+    TipTrack,
+    find_free_reach,
+    find_pose,
+)
 from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, arc_length, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
@@ -25,8 +33,8 @@ def estimate_noise_floor(
     """Return the errors of the measured curve against itself, measured again with the stated noise.
 
     The errors are those of `draw_measurement_errors`. Curves are compared as in a study: at equal fractions
-    of arc length or, for free shapes, by arc length from the tip after alignment. Uncertain layer depths are
-    not in it.
+    of arc length, shifted across where the direction alone is known, or, for free shapes, by arc length from
+    the tip after alignment. Uncertain layer depths are not in it.
     """
     metrics = [metric for metric in list_metrics() if metric.has_floor]
     displaced = draw_measurement_errors(dataset, insertion, rng, draws)
@@ -41,7 +49,8 @@ def estimate_noise_floor(
     if tracker:
         again[..., 0] = curve[:, 0]  # depths are known; the best shifts and slopes are taken off
         again = align_lateral(again, whole)
-    compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, free)
+    pose = find_pose(dataset.pose, insertion)
+    compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, pose, free)
     compared, floor = [compare(one) for one in again], dict[str, float]()
     for metric in metrics:
         with METRICS.plugin_error_context(metric.name):
@@ -109,10 +118,13 @@ def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats
     return displaced
 
 
-def _prepare_comparison(curve: Floats, length: float | None) -> Callable[[Floats], ComparedCurves]:
+def _prepare_comparison(
+    curve: Floats, pose: InsertionPose, length: float | None
+) -> Callable[[Floats], ComparedCurves]:
     """Return how a curve (N, 3) that was measured again is compared with `curve`, which is sampled once.
 
-    At equal fractions, or along `length` from the tip after alignment in the plane.
+    At equal fractions, after a shift across where the direction alone is known, or along `length` from the
+    tip after alignment in the plane.
     """
     fractions = np.linspace(0, 1, COMPARISON_POINTS)
     from_tip = None if length is None else np.linspace(length, 0, COMPARISON_POINTS)
@@ -127,6 +139,8 @@ def _prepare_comparison(curve: Floats, length: float | None) -> Callable[[Floats
         if from_tip is not None:
             aligned = align_rigid(sampled[:, :2], measured[:, :2])
             moved = np.column_stack([aligned, sampled[:, 2]])
+        elif pose == "direction":
+            moved = align_lateral(sampled, measured, terms=1)
         return compare_curves(moved, measured)
 
     sampled = sample(curve)

@@ -116,21 +116,22 @@ def make_tracker_columns(depth: Floats) -> Floats:
     return np.column_stack([np.ones(len(depth)), depth])
 
 
-def align_lateral(moving: Floats, fixed: Floats) -> Floats:
+def align_lateral(moving: Floats, fixed: Floats, terms: Literal[1, 2] = 2) -> Floats:
     """Return `moving` (..., N, D) after the shifts and slopes across that bring it closest to `fixed`.
 
     So are two tip tracks compared, whose tracker's frame is not known; x, the depth, is the same in both.
+    With one of the two `terms` it is shifted alone.
     """
-    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
+    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0])[:, :terms])[0]
     aligned = moving.copy()
     for axis in range(1, moving.shape[-1]):
         aligned[..., axis] += (fixed[:, axis] - moving[..., axis]) @ columns @ columns.T
     return aligned
 
 
-def differentiate_align_lateral(fixed: Floats, slopes: Floats) -> Floats:
+def differentiate_align_lateral(fixed: Floats, slopes: Floats, terms: Literal[1, 2] = 2) -> Floats:
     """Return the derivatives (..., N, D, P) of `align_lateral(moving, fixed)`, given those of `moving`."""
-    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0]))[0]
+    columns = np.linalg.qr(make_tracker_columns(fixed[:, 0])[:, :terms])[0]
     derivatives = slopes.copy()
     for axis in range(1, slopes.shape[-2]):
         derivatives[..., axis, :] -= columns @ (columns.T @ slopes[..., axis, :])
@@ -190,13 +191,12 @@ class Placement:
 
 
 def move_frame(frame: Frame, points: Floats, to: Floats) -> Frame:
-    """Return the frame in which `points` (K, 2) have the world positions that `to` (K, 2) have in `frame`.
+    """Return the frame in which `points` (K, 3) have the world positions that `to` (K, 3) have in `frame`.
 
-    Both are the same points, moved rigidly in the plane.
+    Both are the same points, turned in the plane and moved.
     """
-    start, end = (complex(*(curve[-1] - curve[0])) for curve in (points, to))
+    start, end = (complex(*(curve[-1] - curve[0])[:2]) for curve in (points, to))
     # Planar vectors as complex numbers: their quotient, scaled to length 1, is the rotation.
     turn = end / start / abs(end / start)
     rotation = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
-    shift = to[0] - rotation[:2, :2] @ points[0]
-    return Frame(frame.to_world([[*shift, 0.0]])[0], frame.rotation @ rotation)
+    return Frame(frame.to_world([to[0] - rotation @ points[0]])[0], frame.rotation @ rotation)

@@ -1,14 +1,7 @@
 """Find the needle's pose at first contact: from the stage, or from the shaft outside the tissue.
 
-The final tangent at the entry is never used: by then the tissue has moved the needle there. Outside the
-tissue nothing loads the shaft: from where it is clamped (its base, or a guide) to the entry it is the axis on
-which it was pushed, plus a cubic that the tissue's pull at the entry bends,
-
-    q(s) = q0 + q1 s + d h0(x) + g L h1(x),     x = 1 + s / L,   h0 = 3 x^2 - 2 x^3,   h1 = x^3 - x^2,
-
-s from the entry (s < 0 outside), L the free length, d and g what the entry moved and turned. q0, q1 are the
-pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), since a short shaft hardly
-separates them from the axis; the deviation of the pose includes this.
+The axis of the shaft is fitted by `geometry.shaft`, with the priors `[entry] entry_shift_sd_mm,
+entry_tilt_sd_deg` of what the tissue moved and turned at the entry.
 
 Where the tissue begins is chosen among the places where air turns into soft material around the needle
 (docs/reconstruction.md, "Where the tissue begins").
@@ -21,7 +14,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.geometry.crossings import find_surface_hits
-from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.materials import MaterialRun, find_rises, find_runs
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
@@ -96,26 +90,12 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
             expected: at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle""")
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
-    chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
-    sides = np.column_stack([make_normal(chord), np.cross(chord, make_normal(chord))])  # (3, 2)
-    # only displacements across the chord are fitted; s gives the position along it
-    line = points[-1] + (s - s[-1])[:, None] * chord
-    x = 1 + s / shaft.free
-    design = np.column_stack([np.ones_like(s), s, 3 * x**2 - 2 * x**3, shaft.free * (x**3 - x**2)])
     # errors of the traced axis are correlated; a tenth is independent, which keeps the matrix invertible
     noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATION_LENGTH_MM) + np.diag(
         (0.1 * sd) ** 2
     )
-    whitened = np.linalg.solve(noise, design)
-    prior = np.diag([0.0, 0.0, shaft.bend**-2, shaft.turn**-2])
-    covariance = np.linalg.inv(design.T @ whitened + prior)
-    fitted = covariance @ whitened.T @ ((points - line) @ sides)  # (4, 2)
-    direction = chord + sides @ fitted[1]
-    origin = points[-1] - s[-1] * chord + sides @ fitted[0]
-    shift_sd, angle_sd = np.sqrt(np.diag(covariance)[:2])
-    return EntryPose(
-        origin, direction / np.linalg.norm(direction), "shaft", float(shift_sd), float(angle_sd), along_sd
-    )
+    axis = fit_shaft_axis(points, s, noise, shaft.free, shaft.bend, shaft.turn)
+    return EntryPose(axis.origin, axis.direction, "shaft", axis.shift_sd, axis.angle_sd, along_sd)
 
 
 def compare_poses(stage: EntryPose, shaft: EntryPose) -> tuple[float, str]:

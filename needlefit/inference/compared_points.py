@@ -2,6 +2,9 @@
 
 Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
 
+Direction known (the entry is the first point of the inserted needle, which has moved with it): the same,
+after the shift across that brings the simulated points closest to the measured ones.
+
 Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the tip,
 over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on the measured
 ones by the rigid motion that fits them best. Both are shown in the axes of the measured entry side: x along
@@ -13,13 +16,14 @@ best; the line through the first fifth of the readings is taken from both.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, Pose, TipTrack, find_free_reach
+from needlefit.datasets.insertion import Insertion, InsertionPose, Pose, TipTrack, find_free_reach, find_pose
 from needlefit.errors import DataError
 from needlefit.geometry.curves import COMPARISON_POINTS, interpolate_at_arc
 from needlefit.geometry.frames import (
@@ -183,7 +187,7 @@ class ComparedPoints:
 
     s: Floats  #: (K,) where on the beam the simulated points are taken, mm from the entry
     measured: Floats  #: (K, 2) measured points, entry side first, tip last, mm
-    pose: Pose
+    pose: InsertionPose
     out_of_plane: Floats  #: (K,) their z, mm
 
     @property
@@ -219,7 +223,8 @@ def select_points(
         to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
         s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
         measured = rotate_to_entry_axes(interpolate_at_arc(insertion.planar, at))
-    return ComparedPoints(s, measured, pose, np.interp(at, along, insertion.out_of_plane))
+    z = np.interp(at, along, insertion.out_of_plane)
+    return ComparedPoints(s, measured, find_pose(pose, insertion), z)
 
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
@@ -231,21 +236,27 @@ def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     return np.column_stack([planar, simulated[:, 2]]), target.in_space
 
 
-def align(pose: Pose, simulated: Floats, measured: Floats) -> Floats:
+#: what of a frame is unknown across the needle: a shift, or a shift and a slope
+LATERAL_TERMS: Mapping[InsertionPose, Literal[1, 2]] = {"direction": 1, "tracker": 2}
+
+
+def align(pose: InsertionPose, simulated: Floats, measured: Floats) -> Floats:
     """Return simulated points (..., K, 2) as the pose allows them to lie beside the measured ones (K, 2).
 
     In space both have three coordinates; free shapes are in a plane.
     """
     if pose == "free":
         return align_rigid(simulated, measured)
-    return align_lateral(simulated, measured) if pose == "tracker" else simulated
+    terms = LATERAL_TERMS.get(pose)
+    return simulated if terms is None else align_lateral(simulated, measured, terms)
 
 
-def differentiate_align(pose: Pose, simulated: Floats, measured: Floats, slopes: Floats) -> Floats:
+def differentiate_align(pose: InsertionPose, simulated: Floats, measured: Floats, slopes: Floats) -> Floats:
     """Return the derivatives (..., K, 2, P) of `align`, given those of the simulated points (..., K, 2)."""
     if pose == "free":
         return differentiate_align_rigid(simulated, measured, slopes)
-    return differentiate_align_lateral(measured, slopes) if pose == "tracker" else slopes
+    terms = LATERAL_TERMS.get(pose)
+    return slopes if terms is None else differentiate_align_lateral(measured, slopes, terms)
 
 
 def rotate_to_entry_axes(points: Floats) -> Floats:

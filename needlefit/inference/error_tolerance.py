@@ -126,7 +126,7 @@ def _linearize(
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
-            # as the alignment of a free pose changes simulated points, so it changes these
+            # as an alignment changes simulated points, so it changes these
             drawn = np.moveaxis(differentiate_align(*place, np.moveaxis(drawn, 0, -1)), -1, 0)
         weights, off = station_weights(measured, problem.weights), align(*place) - measured
         found.append((WeightedDistances(weights, off, differentiate_align(*place, by)), drawn))
@@ -149,7 +149,8 @@ def _draw_errors(
     if measured is None:
         return None
     along = arc_length(insertion.planar)
-    at = along[-1] - (insertion.depth - goal.s) * (along[-1] / insertion.depth if goal.pose == "known" else 1)
+    scale = along[-1] / insertion.depth if problem.dataset.pose == "known" else 1
+    at = along[-1] - (insertion.depth - goal.s) * scale
     drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)
     planes = problem.dataset.planes
     if planes == 2:

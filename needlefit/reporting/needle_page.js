@@ -617,25 +617,28 @@ scene.draws,steps:null}),order()}worker.onmessage=({data:{id,band:band2,forces}}
 init_store();NONE={kind:"band",x:[]}}});function computeErrors(session,measured2){let{depth}=session.shape,upto=Math.min(depth,measured2.depth_mm);if(upto<
 1)return null;let beyond=depth-measured2.depth_mm,whole=Math.abs(beyond)<=1e-6,[simulated,other]=[null,null];if(whole){
 let{s,x,y,z,pose}=measured2.target;other=x.map((one,i)=>[one,y[i],z[i]]),simulated=readPoints(session,s.map(one=>one+
-beyond)),pose==="free"&&(simulated=alignRigid(simulated,other))}else if(measured2.target.pose==="known"){let s=Array.
-from({length:101},(_,i)=>upto*i/100);simulated=readPoints(session,s),other=interpolate(measured2,s)}else return null;
-let finite=Object.entries(METRICS).map(([name,compute])=>{let axes=name.includes("3d")?[0,1,2]:[0,1],distances=simulated.
-map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-other[i][axis])));return[name,compute(distances,Math.hypot(
-...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])))]}).map(([name,value])=>[name,Number.isFinite(value)?
-value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.floor_mm}}function readPoints(session,s){
-let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.min(Math.max(one,x[0]),depth)));return s.
-map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:points[3*i+2]])}function interpolate({s,...axes},at2){
-let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)i+=1;let share=Math.min(Math.max((one-s[i])/(s[i+1]-
-s[i]),0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*(axes[axis][i+1]-axes[axis][i]))})}function alignRigid(moving,fixed){
+beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured2.target.pose!=="free"){let s=Array.from({length:101},
+(_,i)=>upto*i/100);other=interpolate(measured2,s),simulated=ALIGN[measured2.target.pose](readPoints(session,s),
+other)}else return null;let finite=Object.entries(METRICS).map(([name,compute])=>{let axes=name.includes("3d")?
+[0,1,2]:[0,1],distances=simulated.map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-other[i][axis])));return[
+name,compute(distances,Math.hypot(...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])))]}).map(([name,
+value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
+floor_mm}}function readPoints(session,s){let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.
+min(Math.max(one,x[0]),depth)));return s.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:
+points[3*i+2]])}function interpolate({s,...axes},at2){let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)
+i+=1;let share=Math.min(Math.max((one-s[i])/(s[i+1]-s[i]),0),1);return["x","y","z"].map(axis=>axes[axis][i]+share*
+(axes[axis][i+1]-axes[axis][i]))})}function shiftAcross(moving,fixed){let[dy,dz]=[1,2].map(axis=>mean(moving.map(
+(point,i)=>fixed[i][axis]-point[axis])));return moving.map(([x,y,z])=>[x,y+dy,z+dz])}function alignRigid(moving,fixed){
 let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
 along]=[0,0];moving.forEach(([x,y],i)=>{let[a,b,c2,d]=[x-m[0],y-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
 a*d-b*c2,along+=a*c2+b*d});let angle2=Math.atan2(across,along),[c,s]=[Math.cos(angle2),Math.sin(angle2)];return moving.
-map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,init_errors=__esm(
+map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,ALIGN,init_errors=__esm(
 {"needlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=
 (d,deflection)=>deflection?100*d.at(-1)/Math.abs(deflection):d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.
 toSorted((one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/
 2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.
-max(...d),te_mm:d=>d.at(-1),edp_percent:relate,ipe_3d_mm:mean,te_3d_mm:d=>d.at(-1),edp_3d_percent:relate}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
+max(...d),te_mm:d=>d.at(-1),edp_percent:relate,ipe_3d_mm:mean,te_3d_mm:d=>d.at(-1),edp_3d_percent:relate};ALIGN=
+{known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray(p*x.length,(p+1)*x.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
 begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
@@ -1040,10 +1043,10 @@ async function load2(){let[data2,kernel]=await Promise.all([unpack("data"),unpac
 value?.$)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","streng\
 th"])scene.draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered2){for(let changes of listSteps(
 steered2.scene))steered2.apply(changes,always)}function compareStored(steered2,[fit2],same2){let{target,stored}=steered2.
-scene.measured,points=readPoints(steered2.session,target.s);target.pose==="free"&&(points=alignRigid(points,target.
-x.map((x,i)=>[x,target.y[i]])));let found=computeErrors(steered2.session,steered2.scene.measured),errors=Object.
-keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point,i)=>[
-"x","y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({
+scene.measured,fixed=target.x.map((x,i)=>[x,target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered2.
+session,target.s),fixed),found=computeErrors(steered2.session,steered2.scene.measured),errors=Object.keys(fit2.
+errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point,i)=>["x","\
+y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({
 needles:needles2,kernel},same2){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-
 since<SLICE||(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle2 of needles2){
 let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered2=await begin(kernel,needle2);

@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import TipTrack, find_free_reach
+from needlefit.datasets.insertion import InsertionPose, TipTrack, find_free_reach
 from needlefit.geometry.curves import COMPARISON_POINTS
-from needlefit.geometry.frames import align_rigid
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
@@ -221,17 +220,20 @@ def _encode_measured(
 
     `curve` (K, 2, 3) are its points and the simulated ones.
     """
+    from needlefit.inference.compared_points import align
     from needlefit.mechanics.simulate import simulate_steps
 
     measured, simulated = curve[:, 0], curve[:, 1]
     if stored.compared is None:
-        s, shown = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS), measured[:, :2]
-    else:  # laid on the needle of the fit
-        s = stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
+        pose: InsertionPose = "direction" if row["comparison"] == "shifted" else "known"
+        s = stored.depth * np.linspace(0.0, 1.0, COMPARISON_POINTS)
+    else:
+        pose, s = "free", stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
+    shown = measured[:, :2]
+    if pose != "known":  # laid on the needle of the fit
         shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
-        shown = align_rigid(measured[:, :2], compute_positions(shape, s))
+        shown = align(pose, shown, compute_positions(shape, s)[:, :2])
     (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
-    pose = "known" if stored.compared is None else "free"
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,

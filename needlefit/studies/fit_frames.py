@@ -4,8 +4,8 @@ errors
     One row per fold, role ("tune", "validate"), insertion, method and boundaries ("measured", as in the
     paper, or "planned"), with a column per metric (`needlefit.metrics`) and its noise floor. `estimate` is
     "median" for the predictive median of insertions held out, else "point". `layers` is by the study's rule.
-    `comparison` is "world", or "aligned" for shapes known only up to a rigid motion; `edp_flagged` marks a
-    deflection below the noise floor.
+    `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
+    for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise floor.
 shapes
     The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
 starts

@@ -4,10 +4,10 @@ A draw of the parameters gives one needle, through the layers that its own plann
 offset of its own (given what was measured of the same insertion at other depths, where there is any) and
 depths of layers and insertion drawn as the dataset states their errors; about it stand the errors of pose and
 points. Specimens differ in their parameters (`Specimens`). The measured shape enters nowhere but as what is
-compared (and laid on, where its pose is free). What the model misses is not predicted: where coverage falls
-short of its level, that is why, or the stated errors are too small. A needle is one trial: its tip, and its
-shape as a whole, which holds if no point of it leaves a band that the predicted probability of such needles
-stays within all along.
+compared (and laid on, where its pose is not known). What the model misses is not predicted: where coverage
+falls short of its level, that is why, or the stated errors are too small. A needle is one trial: its tip, and
+its shape as a whole, which holds if no point of it leaves a band that the predicted probability of such
+needles stays within all along.
 """
 
 import math
@@ -304,12 +304,12 @@ def _condition_bevels(
 def _measurement_covariance(observation: Observation, factor: float) -> Floats:
     """Return the covariance of the measured deflections about a given needle: of points, and of a known pose.
 
-    A free shape or tip track is laid on the measured one, which takes from its errors what a motion can.
+    A needle that is laid on the measured one takes from these errors what its motion can.
     """
     covariance = observation.covariance(factor)
     if observation.pose == "known":
         return covariance
-    moved_by: Floats = np.linalg.qr(observation.free)[0]  # (K, 2): across, turn
+    moved_by: Floats = np.linalg.qr(observation.free)[0]  # (K, f): across, turn
     left = np.eye(len(moved_by)) - moved_by @ moved_by.T
     aligned: Floats = left @ covariance @ left
     return aligned

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, TipTrack, find_pose
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import SimulatedCurve, pad_planes, select_points
+from needlefit.inference.compared_points import SimulatedCurve, align, pad_planes, select_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.predict import Draws
@@ -67,13 +67,13 @@ def place_needles(
 
 
 def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> Floats | None:
-    """Return the needle (K, 2) in C, on the measured one where the pose is free; None without a solution."""
+    """Return the needle (K, 2) in C, as `place_points`; None without a solution."""
     values = problem.parameters.values(theta)
     shape = predict(values, problem.medium, insertion)
     if not shape.converged:
         return None
     s = _choose_places(problem, insertion)
-    return _align(problem, insertion, s, SimulatedCurve(shape)(s))
+    return place_points(problem.dataset, insertion, s, SimulatedCurve(shape)(s))
 
 
 def _choose_places(problem: Problem, insertion: Insertion) -> Floats:
@@ -82,16 +82,18 @@ def _choose_places(problem: Problem, insertion: Insertion) -> Floats:
     return select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
 
 
-def _align(problem: Problem, insertion: Insertion, s: Floats, points: Floats) -> Floats:
-    """Return a simulated needle (K, 2) as it lies in C."""
-    return points if problem.dataset.pose == "known" else align_with_measured(insertion, s, points)
+def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return points (K, 2), in space (K, 3), of a simulated needle at `s` (K,), mm, as it lies in C.
 
-
-def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
-    """Return points (K, 2) of a simulated needle at `s` (K,), mm, aligned with the measured one."""
-    planar = insertion.planar
-    measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
-    return align_rigid(points, measured)
+    It lies on the measured one as far as the pose is not known. `s` are those of `select_points`.
+    """
+    pose, planar = find_pose(dataset.pose, insertion), insertion.planar
+    if pose == "known":
+        return points
+    if pose == "free":
+        return align_rigid(points, interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s)))
+    goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.planes)
+    return align(pose, points, goal.measured_in(points.shape[1] - 1))
 
 
 def _place_predicted_band(
@@ -123,7 +125,8 @@ def _place_band_of_draws(
     needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None
-    aligned = pad_planes(np.array([_align(problem, insertion, s, needle) for needle in needles]), 2)
+    placed = [place_points(problem.dataset, insertion, s, needle) for needle in needles]
+    aligned = pad_planes(np.array(placed), 2)
     across = np.median(aligned[..., 2], axis=0)
     low, middle, high = (
         placement.to_patient(np.column_stack([x, y, across]))

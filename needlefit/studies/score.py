@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
 from needlefit.geometry.curves import compare_curves
@@ -92,6 +92,15 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     return {one.name: make(one.name) for one in list_baselines()}
 
 
+#: how curves are compared, by what is known of their poses
+COMPARISONS: Mapping[InsertionPose, str] = {
+    "known": "world",
+    "direction": "shifted",
+    "free": "aligned",
+    "tracker": "aligned",
+}
+
+
 @dataclass(frozen=True)
 class Scorer:
     """What scoring needs besides method and insertion."""
@@ -132,7 +141,7 @@ class Scorer:
             "specimen": insertion.specimen,
             "layers": count_layers(insertion, self.layer_count_rule),
             "depth_mm": insertion.depth,
-            "comparison": "world" if self.dataset.pose == "known" else "aligned",
+            "comparison": COMPARISONS[find_pose(self.dataset.pose, insertion)],
             **floor,
         }
 

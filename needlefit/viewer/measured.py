@@ -6,13 +6,13 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.planes import set_planes
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
-from needlefit.inference.compared_points import select_points
+from needlefit.inference.compared_points import pad_planes, select_points
 from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
@@ -114,15 +114,16 @@ def _show_insertion(
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     error = "te_3d_mm" if dataset.planes == 2 else "te_mm"
-    # As in a run's files for 3D Slicer: where shapes are known only up to a rigid motion, the needle is laid
-    # on the measured one, and what is steered from then on lies in the frame in which it came to lie.
+    # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the
+    # measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
-    if dataset.pose == "free" and placed:
-        from needlefit.studies.needle_placement import NEEDLE_POINTS, align_with_measured
+    if find_pose(dataset.pose, insertion) != "known" and shape.converged:
+        from needlefit.studies.needle_placement import NEEDLE_POINTS, place_points
 
         s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
         points = compute_positions(shape, s)
-        frame = move_frame(frame, points, align_with_measured(insertion, s, points))
+        moved = place_points(dataset, insertion, s, points)
+        frame = move_frame(frame, pad_planes(points, 2), pad_planes(moved, 2))
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,

@@ -67,8 +67,8 @@ class MeasuredOverlay:
     """A measured needle, prepared for comparison with many simulated ones."""
 
     id: str
-    #: (N, 2) in C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the
-    #: parameters with which it was opened.
+    #: (N, 2) in C, entry first, mm. A shape known only up to a rigid motion, or a shift across, lies on the
+    #: needle of the parameters with which it was opened.
     points: Floats
     #: (N,) Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm
     s: Floats
@@ -86,9 +86,9 @@ def make_measured_overlay(
     """Return the overlay of a measured insertion.
 
     `floor` is the TE of its noise floor, mm, in space where the dataset's needles are compared there; NaN
-    where there is none. A shape of unknown pose is laid on `shape`.
+    where there is none. A shape whose pose, or the place of whose entry, is unknown is laid on `shape`.
     """
-    from needlefit.inference.compared_points import select_points
+    from needlefit.inference.compared_points import align, pad_planes, select_points
 
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion, planes=dataset.planes)
     points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.planes)
@@ -97,6 +97,10 @@ def make_measured_overlay(
         points, z, s = aim.measured, aim.out_of_plane, aim.s
         if shape.converged:
             points = align_rigid(points, compute_positions(shape, s))
+    elif aim.pose == "direction" and shape.converged:
+        needle = pad_planes(compute_positions(shape, s), 2)
+        moved = align(aim.pose, np.column_stack([points, z]), needle)
+        points, z = moved[:, :2], moved[:, 2]
     stated = None if math.isnan(floor) else floor
     spatial = dataset.planes == 2
     return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated, z, spatial)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow
+from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
@@ -31,10 +31,12 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import normalize
+from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.schemas.dataset import ImportSource
+from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
 # Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
@@ -93,6 +95,7 @@ class Planner:
         if is_track:
             pose, rows = "tracker", make_tracks(self)
             depths = self.settle_layers()
+            needles = self.settle_needles([row.depth for row in rows])
         else:
             self.settle_order()
             self.settle_frame()
@@ -100,13 +103,13 @@ class Planner:
             pose = "free" if poses[0].text == "free" else "known"
             entries = self.settle_entry_points(poses)
             depths = self.settle_layers()
-            rows = self.make_rows(poses, entries, sd, depths)
+            needles = self.settle_needles([one.length for one in self.curves])
+            rows = self.make_rows(poses, entries, sd, depths, needles)
         if any(depths) or self.surfaces:
             errors = [one.to_number("boundary sd") for one in self.each("boundary sd")]
             rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
         self.doubt_boundaries(depths, [row.depth for row in rows])
         rows = self.add_names(rows, is_track)
-        needles = self.settle_needles([row.depth for row in rows])
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
 
@@ -327,6 +330,7 @@ class Planner:
         entries: Sequence[Floats | None],
         point_sd: float,
         depths: Sequence[tuple[float, ...]],
+        needles: Sequence[NeedleRecord],
     ) -> list[InsertionRow]:
         """Return the rows with entry poses and bevels, without medium and specimen."""
         angles = self.settle_sides()
@@ -344,13 +348,16 @@ class Planner:
             self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
             return rows
         is_measured = any(one is None for one in entries)  # the entry is a point of the needle
+        if is_measured:
+            reason = "the first point has moved with the needle (`pose_source` of insertions.csv)"
+            self.keep("shift across", "fitted", reason)
         source = "guess" if is_measured else "assumption"
         shifts = self.each("pose shift sd", guess=f"{point_sd:g}", source=source)
         if poses[0].text == "shaft":
-            lines = [fit_shaft(one, poses[0]) for one in self.curves]
-            ways = np.array([way for way, _ in lines])
-            sds = [point_sd / length for _, length in lines]
-            reason = f"error of a point over each shaft: at most {np.degrees(max(sds)):.2g} degrees"
+            pairs = zip(self.curves, needles, strict=True)
+            axes = [fit_shaft(one, needle, point_sd, poses[0]) for one, needle in pairs]
+            ways, sds = np.array([one.direction for one in axes]), [one.angle_sd for one in axes]
+            reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
             answers = self.each("pose angle sd", guess="shaft", reason=reason, source="file")
         else:
             ways = np.array([normalize(one.to_vector("pose")) for one in poses])
@@ -383,7 +390,7 @@ class Planner:
                 entry=first[n],
                 direction=ways[n],
                 bevel=bevels[n],
-                pose_source="shaft" if poses[n].text == "shaft" else "stage",
+                pose_source=name_pose_source(poses[n], entries[n]),
                 pose_shift_sd=shifts[n].to_number("pose shift sd"),
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
@@ -568,10 +575,18 @@ def cut_shaft(curve: ImportedCurve, arc: float) -> None:
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
 
 
-def fit_shaft(curve: ImportedCurve, pose: Stated) -> tuple[Floats, float]:
-    """Return the direction of a curve's shaft, and the norm of its points along it, mm."""
+def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
+    """Return where a pose comes from, whose entry is stated, or the first point of the needle."""
+    if entry is None:
+        return "first_point"
+    return "shaft" if pose.text == "shaft" else "stage"
+
+
+def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:
+    """Return the axis of a curve's shaft, which the needle's base holds."""
     if len(curve.shaft) < MIN_SHAFT_POINTS or arc_length(curve.shaft)[-1] < MIN_SHAFT_MM:
         raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
-    centred = curve.shaft - curve.shaft.mean(axis=0)
-    axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-    return axis * np.sign(axis @ centred[-1]), float(np.linalg.norm(centred))
+    s, rules = arc_length(curve.shaft), ReconstructionEntryRecord()
+    s, noise, turn_sd = s - s[-1], point_sd**2 * np.eye(len(s)), np.radians(rules.entry_tilt_sd_deg)
+    free = max(needle.length_mm - curve.length, -s[0])
+    return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))

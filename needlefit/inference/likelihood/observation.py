@@ -3,9 +3,9 @@
 Residuals are differences of deflection between the simulated and the measured curve at the same beam
 coordinates, or, where a reconstruction drew a smoothing spline, of spline coefficients. In space those along
 y stand before those along z. A known pose enters the covariance with its prior; a free one is projected off,
-as the limit of a prior that is flat. A tip track is the same: its points are the tips at some depths, and a
-shift and a slope of the tracker's frame are projected off. Equations: docs/inference.md, sections 1 to 3 and
-"Tip tracks".
+as the limit of a prior that is flat, and so is the shift across where the direction alone is known. A tip
+track is the same: its points are the tips at some depths, and a shift and a slope of the tracker's frame are
+projected off. Equations: docs/inference.md, sections 1 to 3 and "Tip tracks".
 """
 
 import math
@@ -21,9 +21,10 @@ from needlefit.datasets.insertion import (
     DEFAULT_MEASUREMENT,
     Dataset,
     Insertion,
+    InsertionPose,
     Noise,
-    Pose,
     TipTrack,
+    find_pose,
     select_compared_places,
 )
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
@@ -167,6 +168,20 @@ def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
     return np.array([shift, insertion.pose_angle_sd, shift])
 
 
+#: the columns of `pose_modes_in_space` that are shifts across, in the plane and out of it
+ACROSS = (0, 3)
+
+
+def split_pose_modes(insertion: Insertion, modes: Floats, sds: Floats) -> tuple[Floats, Floats]:
+    """Return the change (C, c) by a deviation of what is known of a pose, and (C, f) by a unit of the rest.
+
+    `modes` (C, c + f) are the changes by unit errors of a pose in the world, `sds` their deviations. Where
+    the direction alone is known, shifts across are the rest.
+    """
+    rest = [n for n in ACROSS if n < len(sds) and find_pose("known", insertion) == "direction"]
+    return np.delete(modes * sds, rest, axis=1), modes[:, rest]
+
+
 def points_covariance(s: Floats, noise: Noise, sd: Floats | None = None) -> Floats:
     """Return the covariance (K, K), mm^2, of points at arc lengths `s` (K,).
 
@@ -188,13 +203,14 @@ class Observation:
     #: (C, C) of the errors of what is compared at noise scale 1, mm^2: of the K measured y (in space of y,
     #: then z), or of C spline coefficients
     point_covariance: Floats
-    pose_spread: Floats  #: (C, c) what a deviation of a known pose adds to them, mm; c = 0 where it is free
-    free: Floats  #: (C, f) what a free pose does to them, per unit; f = 0 where it is known
+    #: (C, c) what a deviation of the known part of a pose adds to them, mm; c = 0 where it is free
+    pose_spread: Floats
+    free: Floats  #: (C, f) what the free part of a pose does to them, per unit; f = 0 where it is known
     #: (R, K), in space (R, 2 K), from differences of the deflections to independent residuals of unit
     #: variance; R = C less what a free pose takes
     whitening: Floats
     log_norm: float  #: logarithm of the Gaussian's normalising factor
-    pose: Pose  #: a free shape is aligned before its residuals are formed
+    pose: InsertionPose  #: a free shape is aligned before its residuals are formed
     #: the layer and insertion depths it is simulated with, and where its points then lie on the beam
     nodes: Nodes
     #: (c, R) what a deviation of the pose does to the residuals, where `whitening` does not know it
@@ -279,12 +295,12 @@ def make_observation(
     if dataset.planes == 2:
         cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
         operator = None if operator is None else block_diag(operator, operator)
-        modes = pose_modes_in_space(measured) * pose_sds_in_space(insertion, noise)
+        modes, sds = pose_modes_in_space(measured), pose_sds_in_space(insertion, noise)
     else:
-        modes = pose_modes(measured) * pose_sds(insertion, noise)
+        modes, sds = pose_modes(measured), pose_sds(insertion, noise)
     pose = np.empty((len(cov), 0))
     if dataset.pose == "known":
-        pose, free = _apply(operator, modes), free[:, :0]
+        pose, free = (_apply(operator, part) for part in split_pose_modes(insertion, modes, sds))
     # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
     try:
         whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
@@ -298,7 +314,8 @@ def make_observation(
         stored = measured[:, 1:].T.ravel()
         offset = whitening @ (_apply(operator, stored) - stored)
     whitening = whitening if operator is None else whitening @ operator
-    found = Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves, offset)
+    known_of = find_pose(dataset.pose, insertion)
+    found = Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves, offset)
     return add_curvature(found, likelihood.measurement == "curvature")
 
 
@@ -444,18 +461,19 @@ def _observe_sections(
             [[0.0, -insertion.roll_sd], [insertion.roll_sd, 0.0]], np.eye(len(measured))
         )
         cov = cov + quarter @ known.shared @ quarter.T
-        modes = pose_modes_in_space(measured, known.slope) * pose_sds_in_space(insertion, dataset.noise)
+        modes = pose_modes_in_space(measured, known.slope)
+        sds = pose_sds_in_space(insertion, dataset.noise)
     else:
         measured = known.places[:, :2]
-        modes = pose_modes(measured, known.slope[:, 0]) * pose_sds(insertion, dataset.noise)
-    pose = operator @ modes
-    free = np.empty((len(pose), 0))
+        modes, sds = pose_modes(measured, known.slope[:, 0]), pose_sds(insertion, dataset.noise)
+    pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
     whitening, log_norm, curves = _whiten_known(cov, pose, free, likelihood)
     varies = likelihood.bevel_spread > 0
     places = append_sensors(insertion, known.s)
     nodes = make_nodes(insertion, places, likelihood.depths, bevel=varies, constants=len(curves))
     whitening = whitening @ operator
-    found = Observation(measured, cov, pose, free, whitening, log_norm, dataset.pose, nodes, curves)
+    known_of = find_pose(dataset.pose, insertion)
+    found = Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves)
     return add_curvature(found, only=False)
 
 

@@ -44,11 +44,11 @@ export function computeErrors(session, measured) {
     const { s, x, y, z, pose } = measured.target;
     other = x.map((one, i) => [one, y[i], z[i]]);
     simulated = readPoints(session, s.map((one) => one + beyond));
-    if (pose === "free") simulated = alignRigid(simulated, other);
-  } else if (measured.target.pose === "known") {
+    simulated = ALIGN[pose](simulated, other);
+  } else if (measured.target.pose !== "free") {
     const s = Array.from({ length: POINTS }, (_, i) => (upto * i) / (POINTS - 1));
-    simulated = readPoints(session, s);
     other = interpolate(measured, s);
+    simulated = ALIGN[measured.target.pose](readPoints(session, s), other);
   } else return null;
   const values = Object.entries(METRICS).map(([name, compute]) => {
     const axes = name.includes("3d") ? [0, 1, 2] : [0, 1];
@@ -76,8 +76,17 @@ function interpolate({ s, ...axes }, at) {
   });
 }
 
+/** By what is known of the pose, simulated points as they are compared with others, as `align` in Python. */
+export const ALIGN = { known: (simulated) => simulated, direction: shiftAcross, free: alignRigid };
+
+/** Points after the shift across that brings them closest to others, as `align_lateral` with one term in Python. */
+function shiftAcross(moving, fixed) {
+  const [dy, dz] = [1, 2].map((axis) => mean(moving.map((point, i) => fixed[i][axis] - point[axis])));
+  return moving.map(([x, y, z]) => [x, y + dy, z + dz]);
+}
+
 /** Points after the rotation and shift in the plane that bring them closest to others, as `align_rigid` in Python. */
-export function alignRigid(moving, fixed) {
+function alignRigid(moving, fixed) {
   const centre = (points) => [0, 1].map((axis) => mean(points.map((one) => one[axis])));
   const [m, f] = [centre(moving), centre(fixed)];
   let [across, along] = [0, 0];

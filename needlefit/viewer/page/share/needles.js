@@ -2,7 +2,7 @@
 
 import { compile } from "../../../mechanics/native/needle.js";
 import { part } from "../dom.js";
-import { alignRigid, computeErrors, readPoints } from "../model/errors.js";
+import { ALIGN, computeErrors, readPoints } from "../model/errors.js";
 import { listSteps } from "../model/inputs.js";
 import { SteeredNeedle } from "../model/steered.js";
 
@@ -70,8 +70,8 @@ export class Replay {
 /** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
 function compareStored(steered, [fit], same) {
   const { target, stored } = steered.scene.measured;
-  let points = readPoints(steered.session, target.s);
-  if (target.pose === "free") points = alignRigid(points, target.x.map((x, i) => [x, target.y[i]]));
+  const fixed = target.x.map((x, i) => [x, target.y[i], target.z[i]]);
+  const points = ALIGN[target.pose](readPoints(steered.session, target.s), fixed);
   const found = computeErrors(steered.session, steered.scene.measured);
   const errors = Object.keys(fit.errors).map((name) => Math.abs(fit.errors[name] - found[name]));
   return Math.max(
