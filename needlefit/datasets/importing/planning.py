@@ -76,11 +76,13 @@ class Planner:
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
         for what, where in self.content.unused:
-            if (what, where) in self.content.unknown:
-                reason = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"
-                self.keep("not used", what, f"{where}: {reason}", "assumption")
+            if doubt := self.content.doubts.get((what, where)):
+                self.keep("not used", what, f"{where}: {doubt}", "assumption")
             else:
                 self.keep("not used", what, where)
+        if renamed := self.content.renamed:
+            texts = [f"{row} is {curve}" for row, curve in renamed.items()]
+            self.keep("needle names", ", ".join(texts), "equal as numbers", "guess")
         if self.content.layout:
             self.keep("layout", self.content.layout, "", "option")
         for axes in dict.fromkeys(one.axes for one in self.curves):
