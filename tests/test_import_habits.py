@@ -12,6 +12,7 @@ from needlefit.datasets.importing.planning import Planner
 from needlefit.datasets.importing.tables import UnclearLayoutError
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
+from needlefit.geometry.stray_points import find_stray_points
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.reporting.dataset_import import write_import
 
@@ -418,3 +419,40 @@ def test_a_point_whose_numbers_are_not_understood_stops_the_import(tmp_path, row
     (tmp_path / "a.csv").write_text("\n".join(["needle;x;y;z", *lines]))
     error = refusal(DataError, "a number is", read_content, [tmp_path])
     assert error.where == f"{tmp_path / 'a.csv'}:{row + 2}, column 2"
+
+
+# ---- numbers that are no places
+
+
+@pytest.mark.parametrize("unit", ["", " [mm]", " [cm]"])
+@pytest.mark.parametrize(("column", "code"), [(0, 999), (1, 999), (1, -999), (2, 9999), (slice(3), 99999)])
+@pytest.mark.parametrize("points", [[0], [7], [15], [7, 8]])
+def test_a_code_of_a_missing_value_is_named_with_its_row_and_no_unit_is_proposed(
+    tmp_path, unit, column, code, points
+):
+    scale = 0.1 if "cm" in unit else 1.0
+    curves = [scale * one for one in NEEDLES]
+    curves[1] = curves[1].copy()
+    curves[1][points, column] = code
+    rows = [["needle", *(axis + unit for axis in "xyz")]]
+    rows += [[name, *point] for name, one in zip("abc", curves, strict=True) for point in one]
+    error = refusal(DataError, f"{code}", planned, [write_rows(tmp_path / "a.csv", rows)])
+    assert error.where == f"{tmp_path / 'a.csv'}:{18 + points[0]}" and "--units" not in error.fix
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 5.0])
+def test_noise_is_no_stray_point(step):
+    random = np.random.default_rng(round(10 * step))
+    for _ in range(100):
+        curve = needle(0, int(60 / step) + 1)
+        assert not len(find_stray_points(curve + random.normal(0.0, 0.2, curve.shape)))
+        cluster = np.vstack([curve[: max(4, len(curve) // 8)], curve[-1:]])  # dense at the entry, and the tip
+        assert not len(find_stray_points(cluster))
+
+
+def test_a_pose_against_the_needles_is_corrected_by_its_sign_or_by_the_order_of_points(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    fix = refusal(DataError, "pose", planned, [file], pose="-1,0,0").fix
+    assert "--pose 1,0,0" in fix and "--entry last" in fix
+    assert planned([file], pose="1,0,0")[1].rows[0].direction[0] == 1.0
+    assert planned([file], pose="-1,0,0", entry="last")[1].rows[0].direction[0] == -1.0
