@@ -2,6 +2,7 @@
 
 import re
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -160,6 +161,10 @@ REFUSED = [
     (lambda: make_layers(mu=[0.2, -1.0]), "layer 2 .*mu -1 MPa"),
     (lambda: make_layers(mu=[0.2, 842.0]), "layer 2 .*mu 842 MPa.*Pa"),  # Pa of brain
     (lambda: Needle.from_tube(150.0, 1.27, 80.0), "80 MPa.*GPa"),
+    (lambda: Needle.from_tube(150.0, 1.27, 8.7), "8.7 MPa.*GPa"),
+    (lambda: Needle.from_tube(150.0, 1.27, 8e10), "8e.10 MPa.*GPa"),
+    *[(lambda x=x: Tissue([0.2, 0.1, 0.2], alpha=1, boundaries=x), "boundaries") for x in
+      ([20, 20], [0, 20], [30, 20])],
     (lambda: compute_stress(1.0, 1.0, np.array([80.0, 100.0]), "true"), "%"),
     (lambda: compute_stress(1.0, 1.0, np.array([0.0, 1.0]), "true"), "above 0"),
     (lambda: compute_stress(1.0, 1.0, np.array([0.9, 1.0]), "cauchy"), "nominal"),
@@ -210,3 +215,29 @@ def test_sessions_and_the_deepest_insertion_are_bounded():
     assert session.depth == 5.0
     assert count_element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
     assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES
+
+
+SOFT = Tissue([0.2, 0.1], alpha=1, boundaries=[20])
+
+
+@pytest.mark.parametrize(
+    ("needle", "tissue", "depth", "named"),
+    [
+        (Needle(200, 25500), SOFT, 60, {}),  # whole numbers are numbers
+        (Needle(200, 25500), Tissue([0.2, 0.1], alpha=1, boundaries=[0.02]), 60, {"boundaries": "20"}),
+        (Needle(200, 25500), SOFT, 0.06, {"depth": "60"}),
+        (Needle(200, 0.0255), SOFT, 60, {"flexural_rigidity": "25500"}),
+        (Needle(200, 25500), SOFT, 0.5, {}),  # no needle of 200 mm is 500 mm deep
+    ],
+)
+def test_numbers_in_another_unit_are_warned_of_as_in_files(needle, tissue, depth, named):
+    for run in (
+        lambda: simulate(needle, tissue, Bevel(0.1), depth),
+        lambda: simulate_steps(needle, tissue, [Step(depth, Bevel(0.1))]),
+    ):
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            run()
+        texts = {str(one.message).split("`")[1]: str(one.message) for one in found}
+        assert texts.keys() == named.keys() and all(texts[key].endswith(named[key]) for key in named)
+        assert {one.filename for one in found} <= {__file__}

@@ -37,6 +37,7 @@ ANGLE_SD_DEG = (0.02, 20.0)
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
+MIN_DEPTH_MM = 1.0  # of an insertion, where in metres it would be one of the needle
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
 
@@ -119,8 +120,25 @@ def _doubt_needle(needle: NeedleRecord, key: str) -> Iterator[Doubt]:
     if (modulus := needle.youngs_modulus_gpa) is not None:
         yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, f"{key}.youngs_modulus_gpa", "GPa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
-        units, stated = {"N m^2": 1e6}, f"{key}.flexural_rigidity_nmm2"
-        yield from doubt_range(rigidity, RIGIDITY_NMM2, units, stated, "N mm^2")
+        yield from doubt_rigidity(rigidity, f"{key}.flexural_rigidity_nmm2")
+
+
+def doubt_rigidity(rigidity: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about a needle's flexural rigidity EI, N mm^2."""
+    yield from doubt_range(rigidity, RIGIDITY_NMM2, {"N m^2": 1e6}, key, "N mm^2")
+
+
+def doubt_depth(depth: float, length: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about the greatest depth of a needle of a length, both in mm."""
+    if depth < MIN_DEPTH_MM and MIN_DEPTH_MM < LENGTH_UNITS["metres"] * depth < length:
+        yield from doubt_range(depth, (MIN_DEPTH_MM, math.inf), {"metres": 1e3}, key, "mm")
+
+
+def doubt_tops(tops: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about the first boundary of a tissue, mm, of an insertion down to `deepest`, mm."""
+    if tops:
+        shallow = (BOUNDARY_TO_DEPTH * deepest, math.inf)
+        yield from doubt_range(tops[0], shallow, {"metres": 1e3}, key, "mm")
 
 
 def _is_within(value: float, plausible: tuple[float, float]) -> bool:
@@ -135,11 +153,9 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
         yield from doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
         if layer.alpha is not None:
             yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
-    tops = [layer.top_mm for layer in scene.layers[1:]]
-    if tops:
-        deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
-        shallow = (BOUNDARY_TO_DEPTH * deepest, math.inf)
-        yield from doubt_range(tops[0], shallow, {"metres": 1e3}, "layers.2.top_mm", "mm")
+    deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
+    yield from doubt_tops([layer.top_mm for layer in scene.layers[1:]], deepest, "layers.2.top_mm")
+    yield from doubt_depth(deepest, scene.needle.length_mm, "steps" if scene.steps else "depth_mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
     for key, offset, angle in bevels:
