@@ -535,7 +535,7 @@ class Planner:
 def refuse_stray_points(curve: ImportedCurve) -> None:
     """DataError if single points lie far from all others, which are in order."""
     line = UNITS_MM.get(curve.unit, 1.0) * curve.line
-    stray = find_stray_points(line) if curve.readings is None else ()
+    stray = find_stray_points(line if curve.readings is None else line[:0])
     if not len(stray) or len(find_backward_points(np.delete(line, stray, axis=0))):
         return
     first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
