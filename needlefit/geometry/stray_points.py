@@ -16,6 +16,8 @@ MIN_REGULAR_POINTS = 4
 
 def find_stray_points(curve: Floats) -> NDArray[np.int64]:
     """Return the points of a curve (N, 3), mm, that lie far aside from all others; none if they are many."""
+    if len(curve) <= MIN_REGULAR_POINTS:
+        return np.empty(0, dtype=np.int64)
     distances = np.linalg.norm(curve - np.median(curve, axis=0), axis=1)
     scale = float(np.median(distances))
     is_far = distances > max(MIN_DISTANCE_RATIO * scale, MIN_DISTANCE_MM)
