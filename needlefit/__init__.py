@@ -119,15 +119,15 @@ def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]", *, in_spac
     ConfigError
         If there is no such scene, or it holds a wrong, missing or unknown key.
     """
-    from needlefit.mechanics.doubts import show_warnings
     from needlefit.mechanics.scene import Scene
+    from needlefit.project.result_warnings import issue_warnings
     from needlefit.project.toml import read_given
     from needlefit.project.unit_warnings import scene_warnings
     from needlefit.schemas.scene import SceneRecord
 
     record, name = read_given("scene", scene, SceneRecord)
     opened = Scene.from_record(record, f"scene {name}", in_space=in_space)
-    show_warnings(scene_warnings(record, f"scene {name}"))
+    issue_warnings(scene_warnings(record, f"scene {name}"))
     return opened
 
 

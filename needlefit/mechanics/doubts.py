@@ -1,25 +1,17 @@
 """Warn of numbers given in Python that are most likely in another unit, as is warned of those in files."""
 
-import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.result_warnings import issue_warnings
 from needlefit.project.unit_warnings import Doubt, doubt_depth, doubt_rigidity, doubt_tops, warn
 
 
 def warn_of_units(needle: Needle, tissue: Tissue, steps: Sequence[Step]) -> None:
     """Issue a UserWarning for each value of an insertion that no needle or tissue has."""
-    doubts = warn(_doubt_insertion(needle, tissue, steps), str)
-    show_warnings(doubts, stacklevel=4)
-
-
-def show_warnings(found: Iterable[ResultWarning], stacklevel: int = 3) -> None:
-    """Issue a UserWarning for each warning; `stacklevel`: as of `warnings.warn`, counted from here."""
-    for one in found:
-        warnings.warn(f"{one.what}; {one.fix}", UserWarning, stacklevel)
+    issue_warnings(warn(_doubt_insertion(needle, tissue, steps), str), stacklevel=4)
 
 
 def _doubt_insertion(needle: Needle, tissue: Tissue, steps: Sequence[Step]) -> Iterator[Doubt]:

@@ -18,6 +18,8 @@ LENGTH_TO_DIAMETER = (20.0, 1000.0)  # of a needle, least and most: 60 mm of 3, 
 RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
+NO_MODULUS_GPA = (6.0, 10.0)
+"""Between the stiffest polymers and the softest composites: no material of needles."""
 MU_PA = (300.0, 1e8)
 """Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
 Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu. The
@@ -118,9 +120,18 @@ def _doubt_needle(needle: NeedleRecord, key: str) -> Iterator[Doubt]:
             bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
             yield from doubt_range(inner, bores, LENGTH_UNITS, f"{key}.inner_diameter_mm", "mm")
     if (modulus := needle.youngs_modulus_gpa) is not None:
-        yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, f"{key}.youngs_modulus_gpa", "GPa")
+        yield from doubt_modulus(modulus, f"{key}.youngs_modulus_gpa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
         yield from doubt_rigidity(rigidity, f"{key}.flexural_rigidity_nmm2")
+
+
+def doubt_modulus(modulus: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about Young's modulus of a needle, GPa."""
+    yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, key, "GPa")
+    low, high = NO_MODULUS_GPA
+    if low < modulus < high:
+        what = f"`{key}` is {modulus:g} GPa: polymers have at most {low:g}, other materials {high:g} or more"
+        yield key, what, "check it, in GPa: PEEK has 3.6, nitinol 40 to 80, steel 200"
 
 
 def doubt_rigidity(rigidity: float, key: str) -> Iterator[Doubt]:
