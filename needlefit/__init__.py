@@ -120,11 +120,15 @@ def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]", *, in_spac
         If there is no such scene, or it holds a wrong, missing or unknown key.
     """
     from needlefit.mechanics.scene import Scene
+    from needlefit.project.result_warnings import issue_warnings
     from needlefit.project.toml import read_given
+    from needlefit.project.unit_warnings import scene_warnings
     from needlefit.schemas.scene import SceneRecord
 
     record, name = read_given("scene", scene, SceneRecord)
-    return Scene.from_record(record, f"scene {name}", in_space=in_space)
+    opened = Scene.from_record(record, f"scene {name}", in_space=in_space)
+    issue_warnings(scene_warnings(record, f"scene {name}"))
+    return opened
 
 
 def __getattr__(name: str) -> object:

@@ -15,7 +15,7 @@ from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
 
 from needlefit.errors import DataError
-from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume import Volume, doubt_air, to_index, to_patient
 from needlefit.imaging.volume_files import read_volume, write_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -361,6 +361,66 @@ SINGLE, SHEARED = ("no single volume", "time points"), ("not perpendicular", "re
 SPACED = ("spacing", "")
 VECTORS = {"space_directions": "none (1,0,0) (0,1,0) (0,0,1)", "kinds": "vector domain domain domain"}
 TIMES = {"space_directions": "(1,0,0) (0,1,0) (0,0,1) none"}
+
+
+@pytest.mark.parametrize("name", ["a.mhd", "a.mha", "a.nrrd", "a.nhdr"])
+@pytest.mark.parametrize("key", ["spacing", "place", "axes"])
+def test_a_header_states_spacing_place_and_axes(tmp_path, name, key):
+    is_nrrd = name.startswith("a.n") and not name.endswith(("mhd", "mha"))
+    names = {"spacing": "ElementSpacing", "place": "Offset", "axes": "TransformMatrix"}
+    if is_nrrd:
+        names = {"spacing": "space directions", "place": "space origin", "axes": "space directions"}
+    voxels = tmp_path / "voxels.raw"
+    voxels.write_bytes(VALUES.tobytes())
+    beside = (
+        {} if name in ("a.mha", "a.nrrd") else {"data file" if is_nrrd else "ElementDataFile": voxels.name}
+    )
+    if is_nrrd:
+        file = nrrd(tmp_path / name, data=b"" if beside else None, **beside | {names[key]: None})
+    else:
+        file = metaimage(tmp_path / name, **beside)
+        lines = file.read_bytes().split(b"\n")
+        if beside:
+            lines = [*lines[:10], b""]
+        file.write_bytes(b"\n".join(one for one in lines if not one.startswith(names[key].encode())))
+    fault = refused(file)
+    assert names[key] in fault.what and names[key] in fault.fix
+
+
+def test_another_spelling_of_a_key_of_metaimage_is_read(tmp_path):
+    file = metaimage(tmp_path / "a.mha")
+    read = read_volume(file)
+    text = file.read_bytes().replace(b"Offset", b"Position").replace(b"TransformMatrix", b"Orientation")
+    file.write_bytes(text.replace(b"ElementSpacing", b"ElementSize"))
+    again = read_volume(file)
+    assert again.spacing.tolist() == read.spacing.tolist() == [0.4, 0.5, 0.9]
+    assert again.origin.tolist() == read.origin.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("air", "soft", "padding", "is_doubted"),
+    [
+        (-1000, 40, None, False),
+        (-1000, 40, -3024, False),
+        (-960, 20, None, False),
+        (-669, 70, None, True),
+        (-669, 70, -1000, True),
+        (-450, 300, -1024, True),
+        (None, 40, None, False),  # no air in the field
+        (None, -100, -1024, False),
+        (-120, 40, None, False),  # fat beside water
+    ],
+)
+def test_the_level_of_air_is_that_of_hounsfield_units(air, soft, padding, is_doubted):
+    random = np.random.default_rng(3)
+    values = random.normal(soft, 60.0, (8, 40, 40))
+    if air is not None:
+        values[:, :20] = random.normal(air, 40.0, (8, 20, 40))
+    values[:, 30:33, 30:33] = random.normal(-400.0, 300.0, (8, 3, 3))  # streaks
+    if padding is not None:
+        values[:, :4] = padding
+        values = np.maximum(values, padding)
+    assert bool([*doubt_air(volume_of(values))]) == is_doubted
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from needlefit.datasets.importing.planning import Planner
 from needlefit.datasets.importing.tables import UnclearLayoutError
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
+from needlefit.geometry.stray_points import find_stray_points
 from needlefit.project.unit_warnings import GAUGES_MM
 from needlefit.reporting.dataset_import import write_import
 
@@ -329,3 +330,129 @@ def test_what_stands_above_the_first_block_holds_for_those_below(tmp_path):
     _, plan, _ = planned([write_rows(tmp_path / "a.csv", rows)])
     assert plan.needle.outer_diameter_mm == 0.7 and not plan.needles
     assert [row.boundaries for row in plan.rows] == [(20.0,), (25.0,)]
+
+
+# ---- tables of needles beside the points
+
+
+def write_both(folder, points, rows, head=("specimen",), cells=None):
+    """Points of needles under some names, and a table with a specimen, or other cells, for each name."""
+    lines = [["needle", "x [mm]", "y [mm]", "z [mm]"]]
+    lines += [[name, *p] for name, one in zip(points, NEEDLES, strict=True) for p in one]
+    write_rows(folder / "points.csv", lines)
+    cells = cells or [[f"block {n}"] for n in range(len(rows))]
+    own = [[name, *texts] for name, texts in zip(rows, cells, strict=True)]
+    write_rows(folder / "needles.csv", [["needle", *head], *own])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("points", "rows"),
+    [
+        (["1.0", "2.0", "3.0"], ["1", "2", "3"]),
+        (["1", "2", "10"], ["01", "02", "10"]),
+        (["007", "008", "105"], ["7.0", "8.0", "105.00"]),
+        (["n1", "n2", "n10"], ["N01", "N02", "N10"]),
+        (["1.1", "1.10", "1.2"], ["1.1", "1.10", "1.2"]),
+    ],
+)
+def test_names_that_are_equal_as_numbers_are_one_name(tmp_path, points, rows):
+    _, plan, made = planned([write_both(tmp_path, points, rows)])
+    assert [row.specimen for row in plan.rows] == ["block 0", "block 1", "block 2"]
+    assert ("needle names" in made) == (points != rows)
+
+
+@pytest.mark.parametrize(
+    ("points", "rows"),
+    [
+        (["a", "b", "c"], ["p", "q", "r"]),
+        (["1.1", "1.3", "1.2"], ["1.10", "1.30", "1.20"]),  # the tenth needle of block 1 is not the first
+        (["n1", "n2", "n3"], ["105", "205", "305"]),
+        (["1", "2", "3"], ["10", "20", "30"]),
+    ],
+)
+def test_a_table_that_names_no_needle_stops_the_import(tmp_path, points, rows):
+    error = refusal(DataError, rows[0], planned, [write_both(tmp_path, points, rows)])
+    assert points[0] in error.expected and error.where.startswith(f"{tmp_path / 'needles.csv'}:2")
+
+
+def test_two_spellings_of_one_number_match_none(tmp_path):
+    folder = write_both(tmp_path, ["1", "b", "c"], ["01", "1.0", "b"])
+    assert refusal(DataError, "specimen", planned, [folder])
+    (tmp_path / "needles.csv").write_text("needle,modulus\n01,60\n1.0,70\nb,80\nc,80\n")
+    assert len(read_content([tmp_path]).doubts) == 2
+
+
+def test_merged_cells_are_filled_down_and_blank_ones_are_not(tmp_path):
+    from openpyxl import load_workbook
+
+    points = [["needle", "x", "y", "z"]]
+    points += [[name, *p] for name, one in zip("abc", NEEDLES, strict=True) for p in one.tolist()]
+    needles = [["needle", "specimen"], ["a", "gel 1"], ["b", None], ["c", "gel 2"]]
+    file = write_sheets(tmp_path / "a.xlsx", points=points, needles=needles)
+    fix = refusal(DataError, "not of b", planned, [file]).fix
+    assert "fill in" in fix
+    book = load_workbook(file)
+    book["needles"].merge_cells("B2:B3")
+    book["points"].merge_cells("A2:A17")
+    book.save(file)
+    assert [row.specimen for row in planned([file])[1].rows] == ["gel 1", "gel 1", "gel 2"]
+
+
+@pytest.mark.parametrize("head", ["exclude", "Ausreißer", "valide", "excluido", "剔除"])
+@pytest.mark.parametrize("marks", [["", "x", ""], ["0", "1", "0"], ["yes", "yes", "no"]])
+def test_a_column_that_marks_rows_is_an_assumption(tmp_path, head, marks):
+    folder = write_both(tmp_path, "abc", "abc", [head], [[one] for one in marks])
+    (own,) = read_content([folder]).doubts.values()
+    assert all(f"{mark or 'blank'} in {marks.count(mark)}" in own for mark in marks)
+    assert not read_content([folder], f"unrelated={head}").doubts
+    same = write_both(tmp_path, "abc", "abc", [head], [["1"]] * 3)
+    assert not read_content([same]).doubts
+
+
+@pytest.mark.parametrize("row", [0, 4, 15, 47])
+@pytest.mark.parametrize("change", [lambda text: text.replace(".", ","), "{} mm".format, "{}*".format])
+def test_a_point_whose_numbers_are_not_understood_stops_the_import(tmp_path, row, change):
+    lines = [f"{name};{x:.3f};{y:.3f};{z:.3f}" for name, one in zip("abc", NEEDLES, strict=True)
+             for x, y, z in one]  # fmt: skip
+    lines[row] = ";".join(text if text in "abc" else change(text) for text in lines[row].split(";"))
+    (tmp_path / "a.csv").write_text("\n".join(["needle;x;y;z", *lines]))
+    error = refusal(DataError, "a number is", read_content, [tmp_path])
+    assert error.where == f"{tmp_path / 'a.csv'}:{row + 2}, column 2"
+
+
+# ---- numbers that are no places
+
+
+@pytest.mark.parametrize("unit", ["", " [mm]", " [cm]"])
+@pytest.mark.parametrize(("column", "code"), [(0, 999), (1, 999), (1, -999), (2, 9999), (slice(3), 99999)])
+@pytest.mark.parametrize("points", [[0], [7], [15], [7, 8]])
+def test_a_code_of_a_missing_value_is_named_with_its_row_and_no_unit_is_proposed(
+    tmp_path, unit, column, code, points
+):
+    scale = 0.1 if "cm" in unit else 1.0
+    curves = [scale * one for one in NEEDLES]
+    curves[1] = curves[1].copy()
+    curves[1][points, column] = code
+    rows = [["needle", *(axis + unit for axis in "xyz")]]
+    rows += [[name, *point] for name, one in zip("abc", curves, strict=True) for point in one]
+    error = refusal(DataError, f"{code}", planned, [write_rows(tmp_path / "a.csv", rows)])
+    assert error.where == f"{tmp_path / 'a.csv'}:{18 + points[0]}" and "--units" not in error.fix
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 5.0])
+def test_noise_is_no_stray_point(step):
+    random = np.random.default_rng(round(10 * step))
+    for _ in range(100):
+        curve = needle(0, int(60 / step) + 1)
+        assert not len(find_stray_points(curve + random.normal(0.0, 0.2, curve.shape)))
+        cluster = np.vstack([curve[: max(4, len(curve) // 8)], curve[-1:]])  # dense at the entry, and the tip
+        assert not len(find_stray_points(cluster))
+
+
+def test_a_pose_against_the_needles_is_corrected_by_its_sign_or_by_the_order_of_points(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    fix = refusal(DataError, "pose", planned, [file], pose="-1,0,0").fix
+    assert "--pose 1,0,0" in fix and "--entry last" in fix
+    assert planned([file], pose="1,0,0")[1].rows[0].direction[0] == 1.0
+    assert planned([file], pose="-1,0,0", entry="last")[1].rows[0].direction[0] == -1.0

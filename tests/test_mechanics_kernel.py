@@ -11,7 +11,7 @@ from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
-from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
+from needlefit.mechanics.simulate import equilibrium, find_last_shape, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 
@@ -115,10 +115,10 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
     lattice = Lattice(1.0, 1.0)
 
     def insert(depth: float) -> NeedleShape:
-        return simulate_steps(NEEDLE, TWO_LAYERS, (Step(depth, BEVEL, controls),), rules, lattice)
+        return find_last_shape(NEEDLE, TWO_LAYERS, (Step(depth, BEVEL, controls),), rules, lattice)
 
     shy, past, far = (insert(x + d) for d in (0.049, 0.051, 3.3))
-    without = simulate_steps(NEEDLE, TWO_LAYERS, (Step(shy.depth, BEVEL),), rules, lattice)
+    without = find_last_shape(NEEDLE, TWO_LAYERS, (Step(shy.depth, BEVEL),), rules, lattice)
     np.testing.assert_allclose(shy.u, without.u, atol=1e-10)
     for shape in (past, far):
         node = at(shape, x)

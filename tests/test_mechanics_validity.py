@@ -2,6 +2,7 @@
 
 import re
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -27,7 +28,9 @@ from needlefit.mechanics.shape import (
 )
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.unit_warnings import needle_warnings
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
+from needlefit.schemas.scene import NeedleRecord
 
 NEEDLE = Needle(150.0, 1.0216e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.array([1.0, -1.0]), np.array([12.0]))
@@ -160,6 +163,10 @@ REFUSED = [
     (lambda: make_layers(mu=[0.2, -1.0]), "layer 2 .*mu -1 MPa"),
     (lambda: make_layers(mu=[0.2, 842.0]), "layer 2 .*mu 842 MPa.*Pa"),  # Pa of brain
     (lambda: Needle.from_tube(150.0, 1.27, 80.0), "80 MPa.*GPa"),
+    (lambda: Needle.from_tube(150.0, 1.27, 8.7), "8.7 MPa.*GPa"),
+    (lambda: Needle.from_tube(150.0, 1.27, 8e10), "8e.10 MPa.*GPa"),
+    *[(lambda x=x: Tissue([0.2, 0.1, 0.2], alpha=1, boundaries=x), "boundaries") for x in
+      ([20, 20], [0, 20], [30, 20])],
     (lambda: compute_stress(1.0, 1.0, np.array([80.0, 100.0]), "true"), "%"),
     (lambda: compute_stress(1.0, 1.0, np.array([0.0, 1.0]), "true"), "above 0"),
     (lambda: compute_stress(1.0, 1.0, np.array([0.9, 1.0]), "cauchy"), "nominal"),
@@ -210,3 +217,38 @@ def test_sessions_and_the_deepest_insertion_are_bounded():
     assert session.depth == 5.0
     assert count_element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
     assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES
+
+
+SOFT = Tissue([0.2, 0.1], alpha=1, boundaries=[20])
+
+
+@pytest.mark.parametrize(
+    ("needle", "tissue", "depth", "named"),
+    [
+        (Needle(200, 25500), SOFT, 60, {}),  # whole numbers are numbers
+        (Needle(200, 25500), Tissue([0.2, 0.1], alpha=1, boundaries=[0.02]), 60, {"boundaries": "20"}),
+        (Needle(200, 25500), SOFT, 0.06, {"depth": "60"}),
+        (Needle(200, 0.0255), SOFT, 60, {"flexural_rigidity": "25500"}),
+        (Needle(200, 25500), SOFT, 0.5, {}),  # no needle of 200 mm is 500 mm deep
+    ],
+)
+def test_numbers_in_another_unit_are_warned_of_as_in_files(needle, tissue, depth, named):
+    for run in (
+        lambda: simulate(needle, tissue, Bevel(0.1), depth),
+        lambda: simulate_steps(needle, tissue, [Step(depth, Bevel(0.1))]),
+    ):
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            run()
+        texts = {str(one.message).split("`")[1]: str(one.message) for one in found}
+        assert texts.keys() == named.keys() and all(texts[key].endswith(named[key]) for key in named)
+        assert {one.filename for one in found} <= {__file__}
+
+
+@pytest.mark.parametrize(("modulus", "is_doubted"), [(3600, 0), (8700, 1), (17000, 0), (60000, 0), (2e5, 0)])
+def test_a_modulus_that_no_needle_has_is_warned_of(modulus, is_doubted):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        Needle.from_tube(200, 1.27, modulus)
+    record = NeedleRecord(length_mm=200, outer_diameter_mm=1.27, youngs_modulus_gpa=modulus / 1e3)
+    assert len(found) == len([*needle_warnings(record, str)]) == is_doubted

@@ -15,6 +15,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import find_file
+from needlefit.project.progress import no_note
 from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import write_json
@@ -30,6 +31,7 @@ from needlefit.studies.kinds.prediction import (
     find_tip,
     forecast,
     make_scene,
+    require_fitted_kind,
     require_same_configuration,
     tabulate_forecast,
 )
@@ -103,7 +105,7 @@ def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_
 def test_an_impossible_prediction_is_refused(job):
     other = replace(SCENE, needle=Needle(150.0, 2e4))
     with pytest.raises(ConfigError, match="flexural rigidity"):
-        planned(job, [theta(job)], other)
+        require_fitted_kind(other, job)
     deep = replace(
         SCENE.tissue,
         mu=np.full(5, 1.0),
@@ -113,7 +115,22 @@ def test_an_impossible_prediction_is_refused(job):
         friction=np.zeros(5),
     )
     with pytest.raises(ConfigError, match="5 layers"):
-        planned(job, [theta(job)], replace(SCENE, tissue=deep))
+        require_fitted_kind(replace(SCENE, tissue=deep), job)
+
+
+def test_another_needle_is_refused_before_the_fit(job, monkeypatch):
+    def fit(*_):
+        raise AssertionError("fitted")
+
+    monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
+    monkeypatch.setattr(prediction, "draw_parameters", fit)
+    scene = load(find_file("scene", "study2"), SceneRecord)
+    thin = scene.needle.model_copy(update={"outer_diameter_mm": 0.5, "inner_diameter_mm": 0.0})
+    record = find_kind("prediction").make_record(
+        target="phantom2", scene=scene.model_copy(update={"needle": thin})
+    )
+    with pytest.raises(ConfigError, match="flexural rigidity"):
+        find_kind("prediction").run("gel", record, Settings())
 
 
 def changed_scene(*assignments):
@@ -147,12 +164,12 @@ def test_a_change_that_draws_would_replace_is_refused(job):
         make_scene(SceneRecord.model_validate(table), "scene", job.medium)
 
 
-def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, **options):
+def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, note=no_note, **options):
     monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
     monkeypatch.setattr(prediction, "draw_parameters", lambda *_: Draws(np.array(draws), "importance"))
     scene = load(find_file("scene", "study2"), SceneRecord).model_copy(update={"depth_mm": depth})
     record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
-    return find_kind("prediction").run("gel", record, Settings(inputs=inputs or Inputs()))
+    return find_kind("prediction").run("gel", record, Settings(inputs=inputs or Inputs(), note=note))
 
 
 def test_a_prediction_follows_a_target_without_spread_between_specimens(job, monkeypatch):
@@ -179,14 +196,22 @@ def test_a_depth_that_was_not_fitted_is_named(job, monkeypatch, depth, count):
 
 
 def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
-    """Of a run of other data nothing is repeated."""
-    about = describe_configuration(job)
+    """Of a run of other data, or another fit, nothing is repeated; that is named before the work."""
+    about = to_json_values(describe_configuration(job))
     fitted = replace(predict_with(job, monkeypatch, [theta(job)] * 5), name="known")
-    for data, expected in ((about["dataset"], "known: "), ({}, None)):
-        judged = replace(fitted, run={**fitted.run, "dataset": to_json_values(data)})
-        found = predict_with(job, monkeypatch, [theta(job)] * 5, Inputs(judged=judged))
-        words = found.run["fit_verdict"]
-        assert words is expected if expected is None else words.startswith(expected)
+    same = {key: about[key] for key in ("dataset", "medium", "recipe")}
+    moved = same["dataset"] | {"sha256": "0" * 64}
+    for changes, named in (({}, ""), ({"dataset": moved}, "dataset"), ({"medium": {}}, "medium")):
+        judged, notes = replace(fitted, run={**fitted.run, **same, **changes}), list[str]()
+        found = predict_with(job, monkeypatch, [theta(job)] * 5, Inputs(judged=judged), note=notes.append)
+        warned = [one for one in read_warnings(found.run) if one.kind == "data_changed"]
+        assert len(warned) == len(notes) == bool(named)
+        assert found.run["fit_run"] == (None if named else "known")
+        if named:
+            assert named in notes[0] and found.run["fit_changed"] in found.answer.about
+            assert found.run["fit_verdict"] is None
+        else:
+            assert found.run["fit_verdict"].startswith("known: ")
 
 
 def test_of_several_specimens_a_name_is_needed(job, monkeypatch):

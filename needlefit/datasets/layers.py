@@ -17,6 +17,7 @@ from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, find_bending_direction, fit_free_frame
 from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.smoothing_spline import SplineSections
+from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
@@ -234,6 +235,12 @@ def find_curve_faults(
     """Yield the faults of enough finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
+    stray = find_stray_points(curve)
+    if len(stray) and not len(find_backward_points(np.delete(curve, stray, axis=0))):
+        what = f"lies far from all other points{_describe_more(len(stray))}"
+        fix = "correct its number, or remove it where it was not measured"
+        yield Fault(points.where(int(stray[0])), what, "points along the needle", fix)
+        return  # the length is wrong as well
     # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
     # farthest from it.
     end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]

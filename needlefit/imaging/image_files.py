@@ -24,6 +24,16 @@ from needlefit.imaging.volume import (
 from needlefit.project.reader_process import Arrays, allow_memory
 
 IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
+# What states where voxels stand, by the end of a file's name: the spellings of each key; SimpleITK makes up
+# what is not stated.
+_NRRD_KEYS = (("space directions",), ("space origin",))
+_META_KEYS = (
+    ("ElementSpacing", "ElementSize"),
+    ("Offset", "Position", "Origin"),
+    ("TransformMatrix", "Rotation", "Orientation"),
+)
+PLACE_KEYS = {".nrrd": _NRRD_KEYS, ".nhdr": _NRRD_KEYS, ".mha": _META_KEYS, ".mhd": _META_KEYS}
+MAX_HEADER_BYTES = 2**20
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # errors are reported once, by our own messages
@@ -59,6 +69,7 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
                     fix: in the Segment Editor set "Modify other segments" to "Overwrite all", collapse the
                         layers of the segmentation, and save it again""")
             raise not_one_volume(f"{size} voxels of {parts} number{'s' * (parts > 1)}")
+        _require_place(Path(path))
         columns, rows, slices = reader.GetSize()
         origin, spacing, direction = map(
             np.array, (reader.GetOrigin(), reader.GetSpacing(), reader.GetDirection())
@@ -87,6 +98,31 @@ def read_image(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
     grid = replace(grid, direction=orthogonalize(grid.direction))
     segments = {key: text for key, text in texts.items() if re.fullmatch(r"Segment\d{1,4}_\w+", key)}
     return {**grid_to_json(grid), "texts": segments, "warnings": notes}
+
+
+def _require_place(path: Path) -> None:
+    """DataError if the header of a file does not state where its voxels stand."""
+    keys = _read_keys(path)
+    lacking = [names[0] for names in PLACE_KEYS[path.suffix.lower()] if not {*names} & keys]
+    if lacking:
+        raise refusal(f"""does not state where its voxels stand: {", ".join(lacking)} missing in the header
+            expected: spacing (mm), place and axes of the voxels
+            fix: export it again from a program that knows them; or write what was measured into the header
+                ({", ".join(f"`{name}`" for name in lacking)})""")
+
+
+def _read_keys(path: Path) -> set[str]:
+    """Return the keys of the header of an NRRD or MetaImage file."""
+    with path.open("rb") as file:
+        lines = file.read(MAX_HEADER_BYTES).split(b"\n")
+    separator, keys = ("=" if path.suffix.lower() in (".mha", ".mhd") else ":"), set[str]()
+    for line in lines:
+        key, found, _ = line.decode("latin-1").partition(separator)
+        keys.add(key.strip())
+        # voxels may follow: behind an empty line, or behind the key of their place
+        if key.strip() == "ElementDataFile" or not (found or line.startswith((b"#", b"NRRD"))):
+            break
+    return keys
 
 
 def _last_line(error: Exception) -> str:

@@ -72,7 +72,14 @@ from needlefit.imaging.registration.register import (
 )
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, VoxelGrid, find_outside, require_hounsfield, turn_slices
+from needlefit.imaging.volume import (
+    Volume,
+    VoxelGrid,
+    doubt_air,
+    find_outside,
+    require_hounsfield,
+    turn_slices,
+)
 from needlefit.project.processes import one_thread
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -552,7 +559,7 @@ def examine(
         return found
     with found.step(), located(scan.volume):
         one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
-        doubts = list(volume.warnings)
+        doubts = [*volume.warnings, *doubt_air(volume)]
         if (top := volume.resampled_top) is not None:
             doubts.append(
                 f"the scan was resampled after its values were cut at about {top:.0f} HU: tip and bevel are "

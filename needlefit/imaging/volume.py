@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -304,6 +305,41 @@ BRIGHTEST_FRACTION, MIN_BRIGHTEST, MAX_SHARED_FRACTION = 0.97, 20, 0.85
 # In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
 MIN_HOLE_HU, MIN_HOLES = 800.0, 30
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
+
+
+# Level of air, HU, and values between which it is looked for: soft material but lung and foam is brighter.
+AIR_RANGE_HU, DARKEST_HU, DARK_HU = (-1100.0, -900.0), -2000.0, -250.0
+MIN_AIR_FRACTION, AIR_BIN_HU = 0.005, 10.0  # of all voxels; width of the bins in which the level is found
+MAX_VALLEY = 0.5  # fewest voxels of a bin between air and soft material, over those of the peak
+
+
+def find_dark_level(volume: Volume) -> float | None:
+    """Return the most frequent value below those of soft material, HU; None where few voxels are as dark.
+
+    The lowest value of all is left out: it fills what lies outside the scanner's field, or is where values
+    were cut.
+    """
+    low, edges = float(volume.values.min()), np.arange(DARKEST_HU, DARK_HU + AIR_BIN_HU, AIR_BIN_HU)
+    counts = sum(
+        (np.histogram(plane[plane > low], edges)[0] for plane in volume.values), np.zeros(len(edges) - 1)
+    )
+    smooth = np.convolve(counts, np.ones(3) / 3, "same")
+    peak = int(np.argmax(smooth))
+    is_peak = smooth[peak:].min() < MAX_VALLEY * smooth[peak]  # not the end of soft material's noise
+    if counts.sum() < MIN_AIR_FRACTION * volume.values.size or not is_peak:
+        return None
+    return float(edges[peak] + AIR_BIN_HU / 2)
+
+
+def doubt_air(volume: Volume) -> Iterator[str]:
+    """Yield a warning if air has another value than in HU, as grey values of cone beams have."""
+    level = find_dark_level(volume)
+    if level is not None and not AIR_RANGE_HU[0] <= level <= AIR_RANGE_HU[1]:
+        yield (
+            f"the values may be no Hounsfield units: the darkest material, unless it is lung or foam, has "
+            f"{level:.0f}, and air would have -1000; export HU, or turn the values so that air has -1000 and "
+            "water 0: thresholds, entry and layers depend on them"
+        )
 
 
 def require_hounsfield(volume: Volume, where: str) -> None:

@@ -35,7 +35,7 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.simulate import find_last_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import RulesRecord
@@ -59,7 +59,7 @@ def predict(
 
     Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return simulate_steps(*make_simulation_inputs(values, medium, insertion, boundaries, sequence))
+    return find_last_shape(*make_simulation_inputs(values, medium, insertion, boundaries, sequence))
 
 
 class InsertionInputs(Protocol):

@@ -29,7 +29,7 @@ from needlefit.inference.parameter_names import (
 )
 from needlefit.inference.prior import Prior, SoftTie, add_ties, make_prior
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
+from needlefit.mechanics.tissue import Tissue
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -377,7 +377,7 @@ def make_tissue(
         boundaries=np.asarray(boundaries, dtype=np.float64),
         thickness=np.array([medium.thickness_mm]),
         law=medium.law,
-        max_mu=MAX_MU_MPA,
+        is_checked=True,
         torsional_friction=medium.torsional_friction_n,
     )
 

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 from typing import Self
 
 from needlefit.errors import ModelError
+from needlefit.project.result_warnings import issue_warnings
+from needlefit.project.unit_warnings import doubt_modulus, warn
 from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import NeedleRecord
 
 DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
 
-MIN_MODULUS_MPA = 500.0  #: polymers have 1000 to 5000; a smaller number is one in GPa
+#: of a needle: polymers have 1000 to 5000, and a smaller number is one in GPa; a greater one is in Pa
+MIN_MODULUS_MPA, MAX_MODULUS_MPA = 500.0, 1e6
 
 
 def is_bounded(*values: float) -> bool:
@@ -55,6 +58,7 @@ class Needle:
             value = getattr(self, name)
             if not (is_bounded(value) and value > 0):
                 raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
+            object.__setattr__(self, name, float(value))  # the kernel reads no whole numbers
         if self.length > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(
                 f"needle length is {self.length:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm"
@@ -65,10 +69,12 @@ class Needle:
         cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
     ) -> Self:
         """Return the needle made of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
-        if is_bounded(youngs_modulus) and youngs_modulus < MIN_MODULUS_MPA:
+        if is_bounded(youngs_modulus) and not MIN_MODULUS_MPA <= youngs_modulus <= MAX_MODULUS_MPA:
             what = f"Young's modulus of the needle is {youngs_modulus:g} MPa"
-            raise ModelError(what, expected=f"{MIN_MODULUS_MPA:g} or more; 200 GPa are 2e5 MPa")
+            expected = f"{MIN_MODULUS_MPA:g} to {MAX_MODULUS_MPA:g}; 200 GPa are 2e5 MPa"
+            raise ModelError(what, expected=expected)
         rigidity = compute_rigidity(outer_diameter, youngs_modulus, inner_diameter)
+        issue_warnings(warn(doubt_modulus(youngs_modulus * 1e-3, "youngs_modulus"), str))
         return cls(length, rigidity, outer_diameter)
 
     @classmethod

@@ -12,6 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, is_bounded, require_type
 from needlefit.mechanics.packing import pack_plan, pack_problem, plan_insertion
 from needlefit.mechanics.plan import Lattice, TipStop, check_reach
@@ -50,7 +51,10 @@ def simulate(
         With `converged` False and a reason in `status` where the solution failed.
     """
     require_depth(depth)
-    return simulate_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules)
+    steps = (Step(float(depth), bevel, controls),)
+    shape = find_last_shape(needle, tissue, steps, rules)
+    warn_of_units(needle, tissue, steps)
+    return shape
 
 
 def simulate_steps(
@@ -69,6 +73,15 @@ def simulate_steps(
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
     """
+    shape = find_last_shape(needle, tissue, steps, rules, lattice)
+    warn_of_units(needle, tissue, steps)
+    return shape
+
+
+def find_last_shape(
+    needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions, lattice: Lattice | None = None
+) -> NeedleShape:
+    """Do what `simulate_steps` does, for inputs whose units were judged where they were read."""
     steps = turn_tip(needle, tissue, steps)
     require_type("rules", rules, ModelOptions)
     lattice, packed = plan_insertion(steps, needle.length, rules, lattice)

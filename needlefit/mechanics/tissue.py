@@ -24,8 +24,9 @@ LIKELY_MU_MPA = 100.0  #: a greater modulus is more likely one in Pa, of which n
 class Tissue:
     """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
 
-    `mu` is in MPa (N/mm^2), a millionth of its value in files, where it is in Pa: greater ones than `max_mu`
-    are refused. `boundaries` and `thickness` are in mm, `torsional_friction` in N.
+    `mu` is in MPa (N/mm^2), a millionth of its value in files, where it is in Pa. `boundaries` and
+    `thickness` are in mm, `torsional_friction` in N. Moduli above 100 MPa and two boundaries at one
+    depth are refused, unless `is_checked`: they come from a file that was checked, or from a fit.
     """
 
     mu: Floats  #: (n,) effective foundation modulus of each layer, MPa; not a material constant
@@ -50,7 +51,7 @@ class Tissue:
         *,
         alpha: ArrayLike | None = None,
         torsional_friction: float = 0.0,
-        max_mu: float = LIKELY_MU_MPA,
+        is_checked: bool = False,
     ) -> None:
         mu = _to_floats("mu", mu)
         n = np.size(mu)
@@ -69,11 +70,12 @@ class Tissue:
         )
         # A fit makes thousands of these: plain numbers are checked ten times as fast as such small arrays.
         tops = [0.0, *self.boundaries.tolist()]
-        if any(deeper < top for top, deeper in pairwise(tops)):
+        if any(deeper < top or (deeper == top and not is_checked) for top, deeper in pairwise(tops)):
             raise ModelError(
                 f"layer boundaries are {self.boundaries.tolist()} mm",
                 expected="depths that increase, none negative",
             )
+        max_mu = MAX_MU_MPA if is_checked else LIKELY_MU_MPA
         words = f"above 0, at most {max_mu:g} MPa; 2e5 Pa are 0.2 MPa"
         _require("mu", " MPa", self.mu, lambda value: 0 < value <= max_mu, words)
         _require("thickness", " mm", self.thickness, lambda value: value > 0, "above 0")
@@ -108,7 +110,7 @@ class Tissue:
             friction=np.array([layer.friction for layer in layers]),
             law=law,
             torsional_friction=torsional_friction,
-            max_mu=MAX_MU_MPA,
+            is_checked=True,
         )
 
 

@@ -4,6 +4,7 @@ A fault stops a run; a warning does not. It is printed under the result, kept un
 `run.json`, shown in the report and in `--json`, and with `--strict` it turns the exit code into 5.
 """
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -35,14 +36,20 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
-def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_rows(found: Iterable[ResultWarning]) -> list[dict[str, str]]:
     """Return warnings as JSON values, each once, with the paths that this machine knows."""
-    return [asdict(one) for one in dict.fromkeys(warnings)]
+    return [asdict(one) for one in dict.fromkeys(found)]
 
 
-def warnings_entry(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
+def warnings_entry(found: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
     """Return the entry of `run.json`; files stand there by their names alone, wherever they lie."""
-    return {WARNINGS_KEY: to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in warnings)}
+    return {WARNINGS_KEY: to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in found)}
+
+
+def issue_warnings(found: Iterable[ResultWarning], stacklevel: int = 3) -> None:
+    """Issue a UserWarning for each warning; `stacklevel`: as of `warnings.warn`, counted from here."""
+    for one in found:
+        warnings.warn(f"{one.what}; {one.fix}", UserWarning, stacklevel)
 
 
 def read_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:

@@ -18,6 +18,8 @@ LENGTH_TO_DIAMETER = (20.0, 1000.0)  # of a needle, least and most: 60 mm of 3, 
 RIGIDITY_NMM2 = (1.0, 2e6)  # EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000
 MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
+NO_MODULUS_GPA = (6.0, 10.0)
+"""Between the stiffest polymers and the softest composites: no material of needles."""
 MU_PA = (300.0, 1e8)
 """Foundation modulus of a tissue, least and most. Among the softest organs are brain, 842 Pa (Miller and
 Chinzei 2002, J Biomech 35, 483), and fat, a Young's modulus of about 1 kPa, a third of which is mu. The
@@ -37,6 +39,7 @@ ANGLE_SD_DEG = (0.02, 20.0)
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
 BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that of the deepest insertion
+MIN_DEPTH_MM = 1.0  # of an insertion, where in metres it would be one of the needle
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
 
@@ -117,10 +120,36 @@ def _doubt_needle(needle: NeedleRecord, key: str) -> Iterator[Doubt]:
             bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
             yield from doubt_range(inner, bores, LENGTH_UNITS, f"{key}.inner_diameter_mm", "mm")
     if (modulus := needle.youngs_modulus_gpa) is not None:
-        yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, f"{key}.youngs_modulus_gpa", "GPa")
+        yield from doubt_modulus(modulus, f"{key}.youngs_modulus_gpa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
-        units, stated = {"N m^2": 1e6}, f"{key}.flexural_rigidity_nmm2"
-        yield from doubt_range(rigidity, RIGIDITY_NMM2, units, stated, "N mm^2")
+        yield from doubt_rigidity(rigidity, f"{key}.flexural_rigidity_nmm2")
+
+
+def doubt_modulus(modulus: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about Young's modulus of a needle, GPa."""
+    yield from doubt_range(modulus, MODULUS_GPA, MODULUS_UNITS, key, "GPa")
+    low, high = NO_MODULUS_GPA
+    if low < modulus < high:
+        what = f"`{key}` is {modulus:g} GPa: polymers have at most {low:g}, other materials {high:g} or more"
+        yield key, what, "check it, in GPa: PEEK has 3.6, nitinol 40 to 80, steel 200"
+
+
+def doubt_rigidity(rigidity: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about a needle's flexural rigidity EI, N mm^2."""
+    yield from doubt_range(rigidity, RIGIDITY_NMM2, {"N m^2": 1e6}, key, "N mm^2")
+
+
+def doubt_depth(depth: float, length: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about the greatest depth of a needle of a length, both in mm."""
+    if depth < MIN_DEPTH_MM and MIN_DEPTH_MM < LENGTH_UNITS["metres"] * depth < length:
+        yield from doubt_range(depth, (MIN_DEPTH_MM, math.inf), {"metres": 1e3}, key, "mm")
+
+
+def doubt_tops(tops: Sequence[float], deepest: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about the first boundary of a tissue, mm, of an insertion down to `deepest`, mm."""
+    if tops:
+        shallow = (BOUNDARY_TO_DEPTH * deepest, math.inf)
+        yield from doubt_range(tops[0], shallow, {"metres": 1e3}, key, "mm")
 
 
 def _is_within(value: float, plausible: tuple[float, float]) -> bool:
@@ -135,11 +164,9 @@ def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
         yield from doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
         if layer.alpha is not None:
             yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
-    tops = [layer.top_mm for layer in scene.layers[1:]]
-    if tops:
-        deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
-        shallow = (BOUNDARY_TO_DEPTH * deepest, math.inf)
-        yield from doubt_range(tops[0], shallow, {"metres": 1e3}, "layers.2.top_mm", "mm")
+    deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
+    yield from doubt_tops([layer.top_mm for layer in scene.layers[1:]], deepest, "layers.2.top_mm")
+    yield from doubt_depth(deepest, scene.needle.length_mm, "steps" if scene.steps else "depth_mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
     for key, offset, angle in bevels:

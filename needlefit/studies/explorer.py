@@ -221,7 +221,7 @@ def _encode_measured(
     `curve` (K, 2, 3) are its points and the simulated ones.
     """
     from needlefit.inference.compared_points import align
-    from needlefit.mechanics.simulate import simulate_steps
+    from needlefit.mechanics.simulate import find_last_shape
 
     measured, simulated = curve[:, 0], curve[:, 1]
     if stored.compared is None:
@@ -231,7 +231,7 @@ def _encode_measured(
         pose, s = "free", stored.depth - np.linspace(stored.compared, 0.0, COMPARISON_POINTS)
     shown = measured[:, :2]
     if pose != "known":  # laid on the needle of the fit
-        shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
+        shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
         shown = align(pose, shown, compute_positions(shape, s)[:, :2])
     (x, y, z), (drawn_x, drawn_y) = measured.T.tolist(), shown.T.tolist()
     return {

@@ -43,21 +43,25 @@ def describe_configuration(job: Job) -> dict[str, Any]:
     }
 
 
-def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
-    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
+def find_changes(job: Job, recorded: Mapping[str, Any]) -> list[str]:
+    """Return what of a job is another one than a run recorded: dataset, medium, folds, likelihood."""
     ours = describe_configuration(job)
     pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
     recipe = recorded.get("recipe")
     theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
     pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
-    for key, (found, wanted) in pairs.items():
-        if found != to_json_values(wanted):
-            raise ConfigError(
-                f"its posterior is of another {key}",
-                where=where,
-                expected=f"the {key} that {job.name} names now",
-                fix="tune again, with `needlefit tune`",
-            )
+    return [key for key, (found, wanted) in pairs.items() if found != to_json_values(wanted)]
+
+
+def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
+    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
+    for key in find_changes(job, recorded):
+        raise ConfigError(
+            f"its posterior is of another {key}",
+            where=where,
+            expected=f"the {key} that {job.name} names now",
+            fix="tune again, with `needlefit tune`",
+        )
 
 
 def describe_dataset(dataset: Dataset) -> dict[str, Any]:

@@ -117,7 +117,7 @@ def _tissue_along(
         places = np.column_stack([np.interp(middles, x, axis) for axis in curve.T])
         mu = specimen.mu[0] * np.exp(specimen.field.at(places))
         alpha, boundaries = np.full(count, specimen.alpha[0]), SUBLAYER_THICKNESS_MM * np.arange(1.0, count)
-    return Tissue(mu, alpha, boundaries, friction=np.array([specimen.friction]))
+    return Tissue(mu, alpha, boundaries, friction=np.array([specimen.friction]), is_checked=True)
 
 
 TWIN_SEED = 1  # the seed of the twin that ships

@@ -16,7 +16,7 @@ from needlefit.inference.compared_points import pad_planes, select_points
 from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
-from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.simulate import find_last_shape
 from needlefit.planning.insertion_scene import find_layers, make_scene_record
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
@@ -111,7 +111,7 @@ def _show_insertion(
     title = f"{insertion.id} · {dataset.title}"
     record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)
     scene = make_scene(record, f"{name}/{insertion.id}")
-    shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+    shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     error = "te_3d_mm" if dataset.planes == 2 else "te_mm"
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the

@@ -16,7 +16,7 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
+from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll
 from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import SceneRecord
@@ -327,4 +327,4 @@ def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
             raise ModelError(
                 f"the tissue law `{tissue.law}` has no {change.name}", expected=", ".join(["mu_pa", *names])
             )
-    return replace(tissue, mu=mu, shape=shape, max_mu=MAX_MU_MPA)  # type: ignore[call-arg]
+    return replace(tissue, mu=mu, shape=shape, is_checked=True)  # type: ignore[call-arg]

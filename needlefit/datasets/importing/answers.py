@@ -130,6 +130,7 @@ class Answers:
         reason: str = "",
         source: ImportSource = "assumption",
         choices: tuple[str, ...] = (),
+        fix: str = "",
     ) -> Stated:
         """Return the answer to a question, and keep where it comes from.
 
@@ -149,7 +150,7 @@ class Answers:
             # a default that is taken as it is offered stays what it was: nobody has measured it
             source, reason = ("answer", "") if found.text else (source, reason)
         if not found.text and not guess:
-            fix = f"state {' or '.join(name_option(what, one) for one in choices or ('',))}"
+            fix = fix or f"state {' or '.join(name_option(what, one) for one in choices or ('',))}"
             raise DataError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
         found = found if found.text else Stated(guess)
         if choices and found.text not in choices:
@@ -181,7 +182,9 @@ class Answers:
         whose = "each needle" if not missing else join_names([*found], 5)
         self.keep(what, texts, f"stated of {whose}" + ("; they differ" if len(own_texts) > 1 else ""))
         if missing:
-            answer = self.settle(what, "", f"not stated of {join_names(missing, 5)}")
+            reason = f"stated of {join_names([*found], 5)}, not of {join_names(missing, 5)}"
+            fix = f"fill in their cells, or state {name_option(what)} of all that are blank"
+            answer = self.settle(what, "", reason, fix=fix)
             return {name: found.get(name, answer) for name in own}
         if what in self.setup and self.setup[what].shown != texts:
             self.keep("not used", f"{what} = {self.setup[what].shown}", "each needle states its own")

@@ -65,6 +65,8 @@ class NeedleRow:
     """What a row without coordinates states of a needle: of all of it, of a turn, or of a sensor."""
 
     needle: str
+    where: str  # its place, and that of the row of headers of its table
+    head: str
     stated: Mapping[str, Stated] = field(default_factory=dict)
     turns: Sequence[tuple[float, Stated]] = ()
     sensors: Sequence[Floats] = ()
@@ -85,9 +87,17 @@ class ImportContent:
     needles: list[NeedleRow] = field(default_factory=list)  # of tables without coordinates
     setup: dict[str, Stated] = field(default_factory=dict)  # answers by the names of questions
     unused: list[tuple[str, str]] = field(default_factory=list)  # what is not used; where it stands, or why
+    # Why some of it was probably meant to be used, and what to do.
+    doubts: dict[tuple[str, str], str] = field(default_factory=dict)
+    renamed: dict[str, str] = field(default_factory=dict)  # names of rows whose curve has another spelling
     # Columns of numbers under headers that no language knows, and where they stand.
     unknown: list[tuple[str, str]] = field(default_factory=list)
     unclear: list[UnclearTableError] = field(default_factory=list)  # of tables that were left out
+
+    def leave_out(self, what: str, where: str, doubt: str) -> None:
+        """Note what is not used although it was probably meant to be."""
+        self.unused.append((what, where))
+        self.doubts[what, where] = doubt
 
 
 def parse_columns(text: str) -> dict[str, str]:

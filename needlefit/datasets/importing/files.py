@@ -10,6 +10,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, parse_columns
+from needlefit.datasets.importing.joining import MAX_NAME_CHARS, join_needles
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import find_meaning, list_meanings, read_header, split_unit
 from needlefit.datasets.importing.table_reader import read_table
@@ -32,7 +33,7 @@ from needlefit.project.locate import join_names
 # Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
 WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
 EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
-MAX_FILES, MAX_CURVES, MAX_NAME_CHARS = 2000, 2000, 60
+MAX_FILES, MAX_CURVES = 2000, 2000
 LAYOUTS = ("rows", "columns")
 POINT_NAMES = ("entry", "target", "tip", "guide")  # what names points of needles, and no needle
 UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
@@ -88,16 +89,8 @@ def read_content(
     for one in content.curves:
         name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
-    by_name = {name.lower(): one for name, one in curves.items()}
-    for row in content.needles:
-        if (own := by_name.get(make_id(row.needle, row.needle)[:MAX_NAME_CHARS].lower())) is None:
-            content.unused.append((f"row of needle {row.needle}", "no curve has its name"))
-        else:
-            add_stated(own.stated, row.stated)
-            own.turns += row.turns
-            own.sensors += row.sensors
-            own.are_sensors_from_base = row.are_sensors_from_base or own.are_sensors_from_base
     content.curves = [*curves.values()]
+    join_needles(content)
     return content
 
 

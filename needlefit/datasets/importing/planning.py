@@ -32,6 +32,7 @@ from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
+from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
@@ -76,11 +77,13 @@ class Planner:
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
         for what, where in self.content.unused:
-            if (what, where) in self.content.unknown:
-                reason = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"
-                self.keep("not used", what, f"{where}: {reason}", "assumption")
+            if doubt := self.content.doubts.get((what, where)):
+                self.keep("not used", what, f"{where}: {doubt}", "assumption")
             else:
                 self.keep("not used", what, where)
+        if renamed := self.content.renamed:
+            texts = [f"{row} is {curve}" for row, curve in renamed.items()]
+            self.keep("needle names", ", ".join(texts), "equal as numbers", "guess")
         if self.content.layout:
             self.keep("layout", self.content.layout, "", "option")
         for axes in dict.fromkeys(one.axes for one in self.curves):
@@ -157,7 +160,12 @@ class Planner:
         return answer
 
     def convert_units(self) -> None:
-        """Turn the curves to mm; a unit that no header states must give the length of a needle."""
+        """Turn the curves to mm; a unit that no header states must give the length of a needle.
+
+        DataError if a single point makes a needle too long, whatever the unit.
+        """
+        for one in self.curves:
+            refuse_stray_points(one)
         is_stated = "units" in self.answers.stated  # which corrects a header, but no file format
         unknown = [one for one in self.curves if one.unit not in UNITS_MM]
         changed = [one for one in self.curves if one.system is None] if is_stated else unknown
@@ -264,7 +272,11 @@ class Planner:
             cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
             if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
                 which = {"first": "last", "last": "first"}[self.entry]
-                fix = f"state --entry {which}: the needles run against it" if cosine <= -least else ""
+                fix = (
+                    f"if the sign is wrong, state --pose {along}; if the files begin at the tips, "
+                    f"--entry {which}"
+                )
+                fix = fix if cosine <= -least else ""
                 raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
         return poses
 
@@ -518,6 +530,22 @@ class Planner:
 
 
 # ---- needles, points and shafts
+
+
+def refuse_stray_points(curve: ImportedCurve) -> None:
+    """DataError if single points lie far from all others, which are in order."""
+    line = UNITS_MM.get(curve.unit, 1.0) * curve.line
+    stray = find_stray_points(line if curve.readings is None else line[:0])
+    if not len(stray) or len(find_backward_points(np.delete(line, stray, axis=0))):
+        return
+    first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
+    place = ", ".join(f"{value:g}" for value in curve.line[first])
+    raise DataError(
+        f"a point of {curve.name} lies far from all others: {place}{more}",
+        where=curve.points.where(first),
+        expected="points along the needle",
+        fix="correct its number, or empty its coordinates where it was not measured",
+    )
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:

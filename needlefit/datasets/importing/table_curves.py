@@ -13,7 +13,7 @@ from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.datasets.importing.synonyms import INDEX
 from needlefit.datasets.importing.table_heads import ColumnGroup, find_pairs
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
-from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayoutError
+from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayoutError, is_number_like
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -165,6 +165,8 @@ class CurveReader:
         texts = [[self.cells.cell(n, m) for m in one.columns] for one in groups]
         numbers = max((sum(self.cells.number(text) is not None for text in one) for one in texts), default=0)
         filled = self.cells.filled(n)
+        if any(all(map(is_number_like, one)) for one in texts):
+            return True
         if numbers > 1 or not groups or find_pairs(self.cells, n, filled):
             return numbers > 1
         if (is_open and numbers) or any(text.lower() in MISSING for one in texts for text in one):

@@ -7,7 +7,7 @@ from itertools import count
 
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent
 from needlefit.datasets.importing.synonyms import Header, find_meaning, load_axes, read_header, split_unit
-from needlefit.datasets.importing.tables import CellTable
+from needlefit.datasets.importing.tables import CellTable, is_number_like
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
 
@@ -43,7 +43,8 @@ def find_heads(cells: CellTable, content: ImportContent) -> dict[int, list[Colum
     heads: dict[int, list[ColumnGroup]] = {}
     for n in range(len(cells.rows)):
         is_units = all(find_meaning("unit", text.strip("[]() ")) for text in cells.rows[n] if text)
-        if len(cells.filled(n)) > 1 and not cells.count_numbers(n) and not is_units:
+        is_point = cells.count_numbers(n) or sum(map(is_number_like, cells.rows[n])) > 1
+        if len(cells.filled(n)) > 1 and not is_point and not is_units:
             heads[n] = _read_head(cells, content, n)
     heads = {n: groups for n, groups in heads.items() if groups}
     if not heads and (groups := _read_head(cells, content, -1)):

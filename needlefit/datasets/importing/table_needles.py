@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import TURN_COLUMNS
@@ -54,7 +55,7 @@ def read_needles(cells: CellTable, content: ImportContent) -> ColumnGroup:
     """
     for n, row in enumerate(cells.rows):
         group = ColumnGroup(n, apply_columns([read_header(text) for text in row], content), range(len(row)))
-        if keys := group.find("needle") if group.find(*ATTRIBUTES, *SENSOR[1:3]) else []:
+        if keys := group.find("needle") if group.find(*ATTRIBUTES, "exclusion", *SENSOR[1:3]) else []:
             break
     else:
         texts = dict.fromkeys(text for row in cells.rows[:6] for text in row)
@@ -78,7 +79,12 @@ def read_needles(cells: CellTable, content: ImportContent) -> ColumnGroup:
             stated = {} if turns else stated  # its depth is that of the turn
             from_base = bool(sensor) and group.headers[sensor[0]].meaning == "sensor from base"
             pairs = [*zip(turns, rolls, strict=True)]
-            content.needles.append(NeedleRow(name, stated, pairs, sensors, from_base))
+            where, head = cells.where(m, keys[0]), cells.where(n)
+            content.needles.append(NeedleRow(name, where, head, stated, pairs, sensors, from_base))
+        elif known := [cells.cell(m, k) for k in group.find(*ATTRIBUTES) if cells.cell(m, k)]:
+            what, where = f"row {', '.join(known)}"[:MAX_LISTED_CHARS], Path(cells.where(m)).name
+            content.leave_out(what, where, "it names no needle: fill in its name")
+            cells.use(m, *cells.filled(m))
     return group
 
 

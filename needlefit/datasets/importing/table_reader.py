@@ -1,5 +1,6 @@
 """Read one table: its curves, what it states of needles, and what of it is not used."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import count, pairwise
 from pathlib import Path
@@ -12,6 +13,9 @@ from needlefit.datasets.importing.table_needles import read_needles, read_shared
 from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
 
 MAX_LISTED_CHARS = 200  # of an unused row
+MAX_LISTED_MARKS = 4  # of a column that marks rows
+UNKNOWN_DOUBT = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"
+EXCLUSION_DOUBT = "all rows are used: delete those to leave out, or state --columns unrelated=HEADER"
 
 
 def read_table(cells: CellTable, content: ImportContent) -> None:
@@ -52,13 +56,24 @@ def _add_unused(cells: CellTable, content: ImportContent, heads: dict[int, Seque
                 continue
             cells.used.update(texts)
             one = f"column {header.text or m + 1}", Path(cells.where(max(n, 0))).name
-            content.unused.append(one)
             numbers = [cells.number(text) for text in texts.values()]
             is_known = bool(header.meaning) or header.group in NO_POINTS
             is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
-            if not is_known and not is_count and None not in numbers:
+            if header.meaning == "exclusion" and (counts := _count_marks(cells, m, range(n + 1, end))):
+                content.leave_out(*one, f"{counts}; {EXCLUSION_DOUBT}")
+            elif not is_known and not is_count and None not in numbers:
+                content.leave_out(*one, UNKNOWN_DOUBT)
                 content.unknown.append(one)
+            else:
+                content.unused.append(one)
     for n, row in enumerate(cells.rows):
         if texts_left := [text for m, text in enumerate(row) if text and (n, m) not in cells.used]:
             what = f"row {', '.join(texts_left)}"[:MAX_LISTED_CHARS]
             content.unused.append((what, Path(cells.where(n)).name))
+
+
+def _count_marks(cells: CellTable, column: int, rows: Sequence[int]) -> str:
+    """Return how often a column has each of its texts in the rows that are read; "" if all are alike."""
+    marks = Counter(cells.cell(n, column) for n in rows if any((n, m) in cells.used for m in cells.filled(n)))
+    texts = [f"{text[:20] or 'blank'} in {count}" for text, count in marks.most_common(MAX_LISTED_MARKS)]
+    return ", ".join(texts) if len(marks) > 1 else ""

@@ -31,6 +31,7 @@ _NUMBERS = {
     ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE),
     ",": re.compile(r"[-+]?(\d{1,3}(\.\d{3})+,\d+|\d+,?\d*|,\d+)(e[-+]?\d+)?", re.IGNORECASE),
 }
+_NUMBER_START = re.compile(r"[-+\u2212(~<>]*\d")
 _LAYOUTS = (  # separators and decimal signs, in the order in which equally good ones are taken
     *((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (",", ","), (" ", ","), (" ", ".")),
 )
@@ -46,6 +47,9 @@ class UnclearLayoutError(UnclearTableError):
 
 class UnclearColumnsError(UnclearTableError):
     """No columns of a table are known to be coordinates: it may hold something else."""
+
+
+Place = tuple[int, int]  # row and column of a cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +101,11 @@ def parse_number(text: str, decimal: str) -> float | None:
         return None
     value = float(plain.replace(".", "").replace(",", ".") if decimal == "," else plain)
     return value if abs(value) <= MAX_COORDINATE else None
+
+
+def is_number_like(text: str) -> bool:
+    """Whether a cell begins as a number: also one with another decimal sign, or with a remark behind it."""
+    return _NUMBER_START.match(text) is not None
 
 
 # ---- text
@@ -182,8 +191,19 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
         above, left = sheet.start or (0, 0)
         check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
         rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
+        _fill_merged(rows, sheet.merged_cell_ranges or (), path)
         sheets.append((name[:MAX_CELL_CHARS], rows))
     return sheets
+
+
+def _fill_merged(rows: list[list[str]], ranges: Sequence[tuple[Place, Place]], path: str) -> None:
+    """Write what merged cells hold, which stands in the first one, into all cells below it."""
+    width = max(map(len, rows), default=0)
+    inside = [(top, min(bottom, len(rows) - 1), left) for (top, left), (bottom, _) in ranges if left < width]
+    check_extent(sum(max(bottom - top, 0) for top, bottom, _ in inside), 1, path, MAX_TABLE_CELLS)
+    for top, bottom, left in inside:
+        for row in rows[top + 1 : bottom + 1]:
+            row[left] = rows[top][left]
 
 
 def _sheet_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds

@@ -33,7 +33,6 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, find_geometric_median, thin_posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
-from needlefit.project.json_values import to_json_values
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
@@ -53,7 +52,7 @@ from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_spe
 from needlefit.studies.job import Inputs, Job, Settings, find_named
 from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.planned_draws import simulate_scene, vary_bevels
-from needlefit.studies.provenance import require_same_configuration
+from needlefit.studies.provenance import find_changes, require_same_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
@@ -214,12 +213,10 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     specimen is that of the insertion `into`, or, with None, one that is not in the dataset. Where it has no
     draws of its own, those of all insertions together stand in.
 
-    Raises ConfigError if the scene has more layers than the medium, or another needle than the dataset.
-    ModelError if no draw can be solved.
+    Raises ModelError if no draw can be solved.
     """
     job, draws = known.job, known.draws_in(into)
     thetas = draws.thetas if len(draws.thetas) else known.draws.thetas
-    _check(scene, job)
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
     sets = vary_bevels([job.parameters.values(theta) for theta in thetas], known.bevel_sd_in(into), rng)
@@ -242,7 +239,8 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     return Forecast(s, x, points[:, :, 1:], len(thetas) - len(points), outside)
 
 
-def _check(scene: Scene, job: Job) -> None:
+def require_fitted_kind(scene: Scene, job: Job) -> None:
+    """Raise ConfigError if a scene has more layers than the medium of a fit, or another needle."""
     if scene.tissue.layers > job.medium.layers:
         raise ConfigError(
             f"the scene has {scene.tissue.layers} layers, the fitted medium {job.medium.layers}",
@@ -305,6 +303,17 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
     return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
 
 
+def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
+    """Return a warning if the result that judges a fit is of other data, or of another fit."""
+    found = [] if judged is None else find_changes(job, judged.run)
+    found = [key for key in found if key != "folds"]  # a validation has more of them
+    if judged is None or not found:
+        return []
+    what = f"the {found[0]} has changed since {judged.name} was computed"
+    fix = f"run {judged.name} again: what it found is of another fit, and is not repeated"
+    return [ResultWarning("data_changed", what, str(job.dataset.path), fix)]
+
+
 # ---- the run
 
 
@@ -327,6 +336,11 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     folder = None if record.posterior is None else Path(record.posterior)
     sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
+    require_fitted_kind(scene, job)
+    judged = settings.inputs.judged or sampled
+    changed = _find_changes(job, judged)
+    for one in changed:
+        settings.note(f"warning: {one}")  # before the work, which takes long
     fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
     if fitted is None:
         return replace(about, interrupted=True)
@@ -334,7 +348,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     draws = known.draws_in(into)
     found = forecast(scene, known, into)
     needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)
-    warned = [*job.warnings, *scene_warnings(record.scene, record.scene_name)]
+    warned = [*job.warnings, *changed, *scene_warnings(record.scene, record.scene_name)]
     if found.outside:
         share = f"{found.outside} of {len(found.across)} predicted needles"
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
@@ -344,10 +358,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     warned += extrapolation_warnings(scene.depth, depths, z_unfitted=in_space and job.dataset.planes == 1)
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-    judged = settings.inputs.judged or sampled
-    data = (None if judged is None else to_json_values(judged.run["dataset"]), about.run["dataset"])
-    if data[0] != to_json_values(data[1]):
-        judged = None  # a verdict on other data
+    if changed:
+        judged = None  # a verdict on another fit
     stored: Any = about.record
     named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
     return replace(
@@ -364,6 +376,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             "specimen": "others" if into is None else where,
             "fit_verdict": None if judged is None else recall(judged),
             "fit_run": None if judged is None else judged.name,
+            "fit_changed": changed[0].what if changed else "",
             "fit_advice": None if judged is None else _recall_advice(judged),
             "held_out_by_target": settings.inputs.target is None and is_study(record.target),
             "failed_solves": found.failed,
@@ -386,7 +399,7 @@ def describe(found: Run) -> dict[str, Any]:
     return {
         **{
             key: found.run[key]
-            for key in ("draws", "draw_source", "failed_solves", "specimen", "fit_verdict")
+            for key in ("draws", "draw_source", "failed_solves", "specimen", "fit_verdict", "fit_changed")
         },
         **find_tip(found),
         "title": study["scene"]["title"] or study["scene_name"],

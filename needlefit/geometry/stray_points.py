@@ -1,0 +1,34 @@
+"""Find single points that cannot be on a curve, as codes of missing values, or of a lost decimal mark."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.arrays import Floats
+
+# Distance of a stray point from the middle of its curve: over the median of all (evenly spaced points
+# have at most 2), and in mm, for a tip may lie far from all other points that were measured.
+MIN_DISTANCE_RATIO, MIN_DISTANCE_MM = 10.0, 300.0
+# The way over a stray point over the way without it, and their difference over that median.
+MIN_DETOUR_RATIO, MIN_DETOUR = 5.0, 0.5
+MAX_STRAY_FRACTION = 0.25  # of the points; more are no mistakes of single ones
+MIN_REGULAR_POINTS = 4
+
+
+def find_stray_points(curve: Floats) -> NDArray[np.int64]:
+    """Return the points of a curve (N, 3), mm, that lie far aside from all others; none if they are many."""
+    if len(curve) <= MIN_REGULAR_POINTS:
+        return np.empty(0, dtype=np.int64)
+    distances = np.linalg.norm(curve - np.median(curve, axis=0), axis=1)
+    scale = float(np.median(distances))
+    is_far = distances > max(MIN_DISTANCE_RATIO * scale, MIN_DISTANCE_MM)
+    is_far[1:-1] |= _find_detours(curve, MIN_DETOUR * scale)
+    found = np.flatnonzero(is_far)
+    is_few = len(found) <= max(1.0, MAX_STRAY_FRACTION * len(curve))
+    return found if is_few and len(curve) - len(found) >= MIN_REGULAR_POINTS else found[:0]
+
+
+def _find_detours(curve: Floats, least: float) -> NDArray[np.bool_]:
+    """Return which inner points (N - 2,) lead the curve aside and back again by at least a length."""
+    steps = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    over, without = steps[:-1] + steps[1:], np.linalg.norm(curve[2:] - curve[:-2], axis=1)
+    return (over > MIN_DETOUR_RATIO * without) & (over - without > least)
