@@ -1,0 +1,155 @@
+"""Measured curves: arc lengths along noisy points, as those of the curve smoothed to their noise.
+
+Chords between noisy points are longer than the needle: points ds apart, with noise sigma across, add about
+sigma^2 / ds each. So the points are smoothed (`penalized_spline`), each counts where its foot lies on the
+smooth curve, and points that are evenly spaced but for their noise are taken as evenly spaced.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from needlefit.arrays import Floats
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.penalized_spline import PenalizedSpline, fit_penalized_spline
+
+MIN_SMOOTHED_POINTS = 5  # fewer are joined by chords: they cannot show their noise
+MAX_FITS, MAX_FOOT_SHIFT = 8, 1e-4  # of the curve while feet move by more than this part of its length
+SAMPLES_PER_POINT, MIN_SAMPLES = 4, 200  # at which a smooth curve is integrated
+# A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
+EQUAL_STEP_SD = 4.0
+MAX_NOISE_RATIO = 1.5  # noise along the needle over that across it, beyond which spacing is uneven
+
+
+@dataclass(frozen=True)
+class MeasuredCurve:
+    """A measured curve smoothed to its noise."""
+
+    s: Floats  # (N,); arc length of each point from the first, mm, increasing
+    smoothed: Floats  # (N, d); the places of the smooth curve at these, mm
+    residuals: Floats  # (N, d); points minus their feet on the smooth curve, across it, mm
+    noise_sd: float  # standard deviation of the points across the curve, per axis, mm; 0 of too few points
+    length_sd: float  # standard deviation of the length by the noise of the points, mm
+    length_gradient: Floats  # (N, d); by how much the length grows with each coordinate
+
+    @property
+    def length(self) -> float:
+        """The length from the first point to the last, mm."""
+        return float(self.s[-1])
+
+
+def measure_curve(points: ArrayLike, sd: float | None = None) -> MeasuredCurve:
+    """Smooth points (N, 2) or (N, 3), in order along a needle, to the noise that they show.
+
+    `sd`: their standard deviation per axis where it is stated, mm. It counts as two residuals more, and the
+    deviation of the length is at least that by it.
+    """
+    array = np.asarray(points, dtype=np.float64)
+    chords = arc_length(array)
+    if len(np.unique(array, axis=0)) < MIN_SMOOTHED_POINTS:
+        return _join_points(array, chords, sd or 0.0)
+    feet = chords
+    for _ in range(MAX_FITS):
+        curve = _SmoothCurve(array, feet, sd or 0.0)
+        moved, feet = feet, curve.find_feet(array)
+        if np.abs(np.diff(feet - moved)).max() < MAX_FOOT_SHIFT * chords[-1]:
+            break
+    s, weights, along_sd = _settle_places(feet, curve.spline.noise_sd)
+    tangents = curve.tangents_at(feet)
+    residuals = array - curve.points_at(feet)
+    residuals = residuals - np.sum(residuals * tangents, axis=1, keepdims=True) * tangents
+    across = curve.differentiate_length(s[0], s[-1])
+    across = across - np.sum(across * tangents, axis=1, keepdims=True) * tangents
+    noise_sd, stated = curve.spline.noise_sd, sd or 0.0
+    length_sd = np.hypot(
+        max(along_sd, stated) * np.linalg.norm(weights), max(noise_sd, stated) * np.linalg.norm(across)
+    )
+    gradient = weights[:, None] * tangents + across
+    return MeasuredCurve(s - s[0], curve.points_at(s), residuals, noise_sd, float(length_sd), gradient)
+
+
+def _join_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve:
+    """Return too few points as they are, joined by chords."""
+    gradient = np.zeros_like(points)
+    steps = np.diff(points, axis=0) / np.maximum(np.diff(chords), np.finfo(np.float64).tiny)[:, None]
+    gradient[1:] += steps
+    gradient[:-1] -= steps
+    length_sd = sd * float(np.linalg.norm(gradient))
+    return MeasuredCurve(chords, points, np.zeros_like(points), 0.0, length_sd, gradient)
+
+
+class _SmoothCurve:
+    """The spline through points at given places along a needle, by its own arc length."""
+
+    def __init__(self, points: Floats, places: Floats, sd: float) -> None:
+        self.start, self.extent = float(places.min()), float(np.ptp(places))
+        self.u = (places - self.start) / self.extent
+        # a point's own foot is its place, so that no noise shows along the curve
+        self.spline: PenalizedSpline = fit_penalized_spline(self.u, points, points.shape[1] - 1, sd)
+        # beyond both ends, where noise puts feet
+        grid = np.linspace(-0.1, 1.1, max(MIN_SAMPLES, SAMPLES_PER_POINT * len(points)))
+        speed = np.linalg.norm(self.spline.curve.derivative()(grid), axis=1)
+        lengths = scipy.interpolate.CubicSpline(grid, speed).antiderivative()(grid)
+        self.grid, self.lengths = grid, lengths - np.interp(0.0, grid, lengths)
+
+    def find_feet(self, points: Floats) -> Floats:
+        """Return the arc lengths (N,) of the feet of the points that the spline was fitted to."""
+        tangents = self._tangents(self.u)
+        ahead = np.sum((points - self.spline.curve(self.u)) * tangents, axis=1)
+        feet: Floats = np.interp(self.u, self.grid, self.lengths) + ahead
+        return feet
+
+    def points_at(self, s: Floats) -> Floats:
+        return np.asarray(self.spline.curve(np.interp(s, self.lengths, self.grid)))
+
+    def tangents_at(self, s: Floats) -> Floats:
+        return self._tangents(np.interp(s, self.lengths, self.grid))
+
+    def _tangents(self, u: Floats) -> Floats:
+        slopes = self.spline.curve.derivative()(u)
+        tangents: Floats = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+        return tangents
+
+    def differentiate_length(self, start: float, end: float) -> Floats:
+        """Return the derivatives (N, d) of the length between two places by the points."""
+        low, high = np.interp([start, end], self.lengths, self.grid)
+        u = np.linspace(low, high, MIN_SAMPLES + 1)
+        slopes, matrix = self.spline.differentiate(u)
+        tangents = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
+        weights = np.full(len(u), (high - low) / MIN_SAMPLES)
+        weights[[0, -1]] /= 2
+        found: Floats = matrix.T @ (weights[:, None] * tangents)
+        return found
+
+
+def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float]:
+    """Return places (N,), increasing, from feet (N,), and how the length follows from the feet.
+
+    That is by weights (N,), and the standard deviation of a foot.
+    """
+    ends = np.zeros(len(feet))
+    ends[[0, -1]] = -1.0, 1.0
+    steps = np.diff(feet)
+    usual = float(np.median(steps))
+    if usual > 0:
+        alike = np.abs(steps - usual) <= EQUAL_STEP_SD * np.sqrt(2) * noise_sd
+        even = np.concatenate([[0.0], np.cumsum(np.where(alike, usual, np.abs(steps)))])
+        fit = fit_penalized_spline(even / even[-1], feet[:, None], 1)
+        if fit.noise_sd <= MAX_NOISE_RATIO * noise_sd:
+            at = even / even[-1]
+            rows = scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(at[[0, -1]])
+            return _make_increasing(fit.curve(at)[:, 0]), rows[1] - rows[0], fit.noise_sd
+    return _make_increasing(feet), ends, noise_sd
+
+
+def _make_increasing(places: Floats) -> Floats:
+    """Return places in which those that lie before an earlier one are put between their neighbours."""
+    first, last = places[0], places[-1]
+    before = np.maximum.accumulate(np.concatenate([[-np.inf], places[:-1]]))
+    kept = (places > before) & (places < last) & (places > first)
+    kept[[0, -1]] = True
+    rows = np.arange(len(places))
+    found: Floats = np.interp(rows, rows[kept], places[kept])
+    return found
