@@ -20,6 +20,7 @@ MAX_FITS, MAX_FOOT_SHIFT = 8, 1e-4  # of the curve while feet move by more than 
 SAMPLES_PER_POINT, MIN_SAMPLES = 4, 200  # at which a smooth curve is integrated
 # A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
 EQUAL_STEP_SD = 4.0
+MIN_EQUAL_STEPS = 0.9  # part of the steps that must be the usual one, that points may be evenly spaced
 MAX_NOISE_RATIO = 1.5  # noise along the needle over that across it, beyond which spacing is uneven
 
 
@@ -131,17 +132,27 @@ def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float
     """
     ends = np.zeros(len(feet))
     ends[[0, -1]] = -1.0, 1.0
-    steps = np.diff(feet)
-    usual = float(np.median(steps))
-    if usual > 0:
-        alike = np.abs(steps - usual) <= EQUAL_STEP_SD * np.sqrt(2) * noise_sd
-        even = np.concatenate([[0.0], np.cumsum(np.where(alike, usual, np.abs(steps)))])
-        fit = fit_penalized_spline(even / even[-1], feet[:, None], 1)
+    even = _equalize_steps(np.diff(feet), noise_sd)
+    if even is not None:
+        fit = fit_penalized_spline(even, feet[:, None], 1)
         if fit.noise_sd <= MAX_NOISE_RATIO * noise_sd:
-            at = even / even[-1]
-            rows = scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(at[[0, -1]])
-            return _make_increasing(fit.curve(at)[:, 0]), rows[1] - rows[0], fit.noise_sd
+            rows = scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(even[[0, -1]])
+            return _make_increasing(fit.curve(even)[:, 0]), rows[1] - rows[0], fit.noise_sd
     return _make_increasing(feet), ends, noise_sd
+
+
+def _equalize_steps(steps: Floats, noise_sd: float) -> Floats | None:
+    """Return places (N,) from 0 to 1 where steps (N - 1,) that differ by noise alone are equal.
+
+    None if too few do: a table of clusters has equal steps within them, which lead to wrong ends.
+    """
+    usual = float(np.median(steps))
+    alike = np.abs(steps - usual) <= EQUAL_STEP_SD * np.sqrt(2) * noise_sd
+    if usual <= 0 or np.mean(alike) < MIN_EQUAL_STEPS:
+        return None
+    places = np.concatenate([[0.0], np.cumsum(np.where(alike, usual, np.abs(steps)))])
+    equal: Floats = places / places[-1]
+    return equal
 
 
 def _make_increasing(places: Floats) -> Floats:

@@ -13,9 +13,11 @@ import scipy
 from needlefit.arrays import Floats
 
 DEGREE, PENALTY_ORDER = 3, 3
-MAX_PIECES = 40  # of a spline; each of them is a cubic
+# Cubics of a spline, and how many of them at most lie in the widest gap between places: in more of them
+# nothing but the penalty would decide.
+MAX_PIECES, MAX_GAP_PIECES = 40, 2
 # Ratio of variances, penalised part to noise, between which the most likely one is searched
-MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS = -30.0, 45.0, 101
+MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS = -30.0, 33.0, 85
 MIN_RELATIVE_NOISE = 1e-9  # noise below this part of the values' range is rounding
 STATED_WEIGHT = (
     2.0  # residuals as many as which a stated noise counts: a few points may hide theirs by chance
@@ -44,7 +46,8 @@ def fit_penalized_spline(
     `noisy_axes`: how many of the d coordinates can show noise; a curve whose places are its own feet shows
     none along itself. `stated_sd`: standard deviation of the noise, 0 where it is unknown.
     """
-    pieces = min(MAX_PIECES, len(u))
+    widest = float(np.diff(np.sort(u)).max())
+    pieces = max(1, min(MAX_PIECES, len(u), round(MAX_GAP_PIECES / widest)))
     knots = np.arange(-DEGREE, pieces + DEGREE + 1) / pieces
     design = scipy.interpolate.BSpline.design_matrix(u, knots, DEGREE, extrapolate=True).toarray()
     fixed, random = _split_coefficients(design.shape[1])
