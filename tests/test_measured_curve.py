@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from needlefit.geometry.curves import arc_length, integrate_curvature
+from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.measured_curve import measure_curve
 
 LENGTH = 35.0

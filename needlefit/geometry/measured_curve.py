@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
@@ -20,6 +20,7 @@ MAX_FITS, MAX_FOOT_SHIFT = 8, 1e-4  # of the curve while feet move by more than 
 SAMPLES_PER_POINT, MIN_SAMPLES = 4, 200  # at which a smooth curve is integrated
 # A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
 EQUAL_STEP_SD = 4.0
+END_STEP_SD = 3.0  # the same of the first and the last step, by the foot of the end
 MIN_EQUAL_STEPS = 0.9  # part of the steps that must be the usual one, that points may be evenly spaced
 MAX_NOISE_RATIO = 1.5  # noise along the needle over that across it, beyond which spacing is uneven
 
@@ -48,8 +49,11 @@ def measure_curve(points: ArrayLike, sd: float | None = None) -> MeasuredCurve:
     deviation of the length is at least that by it.
     """
     array = np.asarray(points, dtype=np.float64)
+    new = np.append(True, np.any(np.diff(array, axis=0) != 0, axis=1))
+    if not new.all():
+        return _repeat_points(measure_curve(array[new], sd), new)
     chords = arc_length(array)
-    if len(np.unique(array, axis=0)) < MIN_SMOOTHED_POINTS:
+    if len(array) < MIN_SMOOTHED_POINTS:
         return _join_points(array, chords, sd or 0.0)
     feet = chords
     for _ in range(MAX_FITS):
@@ -79,6 +83,14 @@ def _join_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve:
     gradient[:-1] -= steps
     length_sd = sd * float(np.linalg.norm(gradient))
     return MeasuredCurve(chords, points, np.zeros_like(points), 0.0, length_sd, gradient)
+
+
+def _repeat_points(curve: MeasuredCurve, new: NDArray[np.bool_]) -> MeasuredCurve:
+    """Return the curve of points (N,) of which those that are not new are at the place of the one before."""
+    rows = np.cumsum(new) - 1
+    gradient = np.where(new[:, None], curve.length_gradient[rows], 0.0)
+    smoothed, residuals = curve.smoothed[rows], curve.residuals[rows]
+    return MeasuredCurve(curve.s[rows], smoothed, residuals, curve.noise_sd, curve.length_sd, gradient)
 
 
 class _SmoothCurve:
@@ -130,15 +142,19 @@ def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float
 
     That is by weights (N,), and the standard deviation of a foot.
     """
-    ends = np.zeros(len(feet))
-    ends[[0, -1]] = -1.0, 1.0
+    ends, own = [0, len(feet) - 1], np.eye(len(feet))[[0, -1]]
     even = _equalize_steps(np.diff(feet), noise_sd)
-    if even is not None:
-        fit = fit_penalized_spline(even, feet[:, None], 1)
-        if fit.noise_sd <= MAX_NOISE_RATIO * noise_sd:
-            rows = scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(even[[0, -1]])
-            return _make_increasing(fit.curve(even)[:, 0]), rows[1] - rows[0], fit.noise_sd
-    return _make_increasing(feet), ends, noise_sd
+    fit = None if even is None else fit_penalized_spline(even, feet[:, None], 1)
+    if even is None or fit is None or fit.noise_sd > MAX_NOISE_RATIO * noise_sd:
+        return _make_increasing(feet), own[1] - own[0], noise_sd
+    places = fit.curve(even)[:, 0]
+    rows = np.asarray(scipy.interpolate.BSpline(fit.curve.t, fit.operator, fit.curve.k)(even[ends]))
+    # Many tables end with the tip, at less than a whole step.
+    share = np.sqrt(np.maximum(1 - rows[[0, 1], ends], np.finfo(np.float64).tiny))
+    is_odd = np.abs(feet - places)[ends] / share > END_STEP_SD * noise_sd
+    places[ends] = np.where(is_odd, feet[ends], places[ends])
+    rows = np.where(is_odd[:, None], own, rows)
+    return _make_increasing(places), rows[1] - rows[0], fit.noise_sd
 
 
 def _equalize_steps(steps: Floats, noise_sd: float) -> Floats | None:
