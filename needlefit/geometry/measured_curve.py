@@ -5,7 +5,8 @@ sigma^2 / ds each. So the points are smoothed (`penalized_spline`), each counts 
 smooth curve, and points that are evenly spaced but for their noise are taken as evenly spaced.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -34,15 +35,19 @@ class MeasuredCurve:
     residuals: Floats  # (N, d); points minus their feet on the smooth curve, across it, mm
     noise_sd: float  # standard deviation of the points across the curve, per axis, mm; 0 of too few points
     length_sd: float  # standard deviation of the length by the noise of the points, mm
-    length_gradient: Floats  # (N, d); by how much the length grows with each coordinate
 
     @property
     def length(self) -> float:
         """The length from the first point to the last, mm."""
         return float(self.s[-1])
 
+    def interpolate(self, s: ArrayLike) -> Floats:
+        """Return the places (K, d) of the smooth curve at arc lengths (K,), mm; the ends beyond them."""
+        at = np.asarray(s, dtype=np.float64)
+        return np.column_stack([np.interp(at, self.s, axis) for axis in self.smoothed.T])
 
-def measure_curve(points: ArrayLike, sd: float | None = None) -> MeasuredCurve:
+
+def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:
     """Smooth points (N, 2) or (N, 3), in order along a needle, to the noise that they show.
 
     `sd`: their standard deviation per axis where it is stated, mm. It counts as two residuals more, and the
@@ -53,44 +58,36 @@ def measure_curve(points: ArrayLike, sd: float | None = None) -> MeasuredCurve:
     if not new.all():
         return _repeat_points(measure_curve(array[new], sd), new)
     chords = arc_length(array)
-    if len(array) < MIN_SMOOTHED_POINTS:
-        return _join_points(array, chords, sd or 0.0)
+    if len(array) < MIN_SMOOTHED_POINTS or not np.isfinite(chords[-1]):
+        return MeasuredCurve(chords, array, np.zeros_like(array), 0.0, math.sqrt(2) * sd)
     feet = chords
     for _ in range(MAX_FITS):
-        curve = _SmoothCurve(array, feet, sd or 0.0)
+        curve = _SmoothCurve(array, feet, sd)
         moved, feet = feet, curve.find_feet(array)
         if np.abs(np.diff(feet - moved)).max() < MAX_FOOT_SHIFT * chords[-1]:
             break
-    s, weights, along_sd = _settle_places(feet, curve.spline.noise_sd)
+    noise_sd = curve.spline.noise_sd
+    s, weights, along_sd = _settle_places(feet, noise_sd)
     tangents = curve.tangents_at(feet)
-    residuals = array - curve.points_at(feet)
-    residuals = residuals - np.sum(residuals * tangents, axis=1, keepdims=True) * tangents
-    across = curve.differentiate_length(s[0], s[-1])
-    across = across - np.sum(across * tangents, axis=1, keepdims=True) * tangents
-    noise_sd, stated = curve.spline.noise_sd, sd or 0.0
-    length_sd = np.hypot(
-        max(along_sd, stated) * np.linalg.norm(weights), max(noise_sd, stated) * np.linalg.norm(across)
+    by_points = _remove_along(curve.differentiate_length(s[0], s[-1]), tangents)
+    length_sd = math.hypot(
+        max(along_sd, sd) * np.linalg.norm(weights), max(noise_sd, sd) * np.linalg.norm(by_points)
     )
-    gradient = weights[:, None] * tangents + across
-    return MeasuredCurve(s - s[0], curve.points_at(s), residuals, noise_sd, float(length_sd), gradient)
+    residuals = _remove_along(array - curve.points_at(feet), tangents)
+    return MeasuredCurve(s - s[0], curve.points_at(s), residuals, noise_sd, length_sd)
 
 
-def _join_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve:
-    """Return too few points as they are, joined by chords."""
-    gradient = np.zeros_like(points)
-    steps = np.diff(points, axis=0) / np.maximum(np.diff(chords), np.finfo(np.float64).tiny)[:, None]
-    gradient[1:] += steps
-    gradient[:-1] -= steps
-    length_sd = sd * float(np.linalg.norm(gradient))
-    return MeasuredCurve(chords, points, np.zeros_like(points), 0.0, length_sd, gradient)
+def _remove_along(vectors: Floats, tangents: Floats) -> Floats:
+    """Return what of vectors (N, d) lies across unit tangents (N, d)."""
+    across: Floats = vectors - np.sum(vectors * tangents, axis=1, keepdims=True) * tangents
+    return across
 
 
 def _repeat_points(curve: MeasuredCurve, new: NDArray[np.bool_]) -> MeasuredCurve:
     """Return the curve of points (N,) of which those that are not new are at the place of the one before."""
     rows = np.cumsum(new) - 1
-    gradient = np.where(new[:, None], curve.length_gradient[rows], 0.0)
     smoothed, residuals = curve.smoothed[rows], curve.residuals[rows]
-    return MeasuredCurve(curve.s[rows], smoothed, residuals, curve.noise_sd, curve.length_sd, gradient)
+    return replace(curve, s=curve.s[rows], smoothed=smoothed, residuals=residuals)
 
 
 class _SmoothCurve:
@@ -142,7 +139,8 @@ def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float
 
     That is by weights (N,), and the standard deviation of a foot.
     """
-    ends, own = [0, len(feet) - 1], np.eye(len(feet))[[0, -1]]
+    ends, own = [0, len(feet) - 1], np.zeros((2, len(feet)))
+    own[[0, 1], ends] = 1.0
     even = _equalize_steps(np.diff(feet), noise_sd)
     fit = None if even is None else fit_penalized_spline(even, feet[:, None], 1)
     if even is None or fit is None or fit.noise_sd > MAX_NOISE_RATIO * noise_sd:

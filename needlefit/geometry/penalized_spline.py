@@ -6,6 +6,7 @@ far less often misled than cross-validation. Parabolas are never penalised: an a
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy
@@ -70,11 +71,12 @@ def fit_penalized_spline(
     )
 
 
+@cache
 def _split_coefficients(count: int) -> tuple[Floats, Floats]:
     """Return a basis of the coefficients that no penalty meets, (F, 3), and one of the others, (F, F - 3)."""
     differences = np.diff(np.eye(count), PENALTY_ORDER, axis=0)
-    fixed = np.vander(np.linspace(-1, 1, count), PENALTY_ORDER)
-    return fixed, np.linalg.pinv(differences)
+    fixed: Floats = np.vander(np.linspace(-1, 1, count), PENALTY_ORDER)
+    return fixed, np.asarray(np.linalg.pinv(differences), dtype=np.float64)
 
 
 def _maximize_likelihood(

@@ -29,8 +29,9 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import normalize
+from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
@@ -293,7 +294,7 @@ class Planner:
             entries.append(entry := answer.to_place("entry point") if is_place else None)
             arc = 0.0
             if answer.text in surfaces:
-                hits = find_surface_hits(one.line, surfaces[answer.text])
+                hits = find_surface_hits(one.points.curve.smoothed, surfaces[answer.text])
                 arc = min(hits, default=0.0)
                 missed += [] if len(hits) else [one.name]
             elif answer.text == "depth":
@@ -302,7 +303,7 @@ class Planner:
                 arc = one.length - depths[one.name]
             elif entry is not None:
                 along = np.arange(0.0, one.length, STEP_MM)
-                gaps = np.linalg.norm(interpolate_at_arc(one.line, along) - entry, axis=1)
+                gaps = np.linalg.norm(one.points.curve.interpolate(along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
             if arc > MIN_CUT_MM:
                 cut_shaft(one, arc)
@@ -336,11 +337,11 @@ class Planner:
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
         reached = [
-            len(select_layers(np.array(own), one.length)[1])
+            len(select_layers(np.array(own), one.depth)[1])
             for one, own in zip(self.curves, depths, strict=True)
         ]
         rows = [
-            InsertionRow(one.name, "", layers, one.length, side=side)
+            InsertionRow(one.name, "", layers, one.depth, side=side, depth_sd=find_depth_sd(one, point_sd))
             for one, layers, side in zip(self.curves, reached, sides, strict=True)
         ]
         if poses[0].text == "free":
@@ -369,7 +370,7 @@ class Planner:
         ]
         bends = np.array([one.line[-1] - start for one, start in zip(self.curves, first, strict=True)])
         before = [
-            interpolate_at_arc(one.line, [min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
+            one.points.curve.interpolate([min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
             for one, start in zip(self.curves, first, strict=True)
         ]
         bevels = self.settle_bevel(np.array(before), ways, angles)
@@ -381,7 +382,8 @@ class Planner:
             self.keep("bevel roll sd", f"{DEFAULT_ROLL_SD_DEG:g}", reason, "assumption")
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
-            crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()
+            smoothed = one.points.curve.smoothed
+            crossed = find_crossings(smoothed, self.surfaces).sequence if self.surfaces else ()
             sensors = np.array(one.sensors).reshape(-1, 4)
             read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
@@ -562,15 +564,24 @@ def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
     return np.array(order, dtype=np.int64)
 
 
+def find_depth_sd(curve: ImportedCurve, point_sd: float) -> float:
+    """Return the standard deviation of an inserted length by the noise of the points that it is taken of.
+
+    A stated length is believed.
+    """
+    return 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
+
+
 def cut_shaft(curve: ImportedCurve, arc: float) -> None:
     """Cut a curve at this length from its first point, mm, and keep the points before as its shaft."""
-    points, along = curve.points, arc_length(curve.line)
+    points, along = curve.points, curve.points.curve.s
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
         what = f"curve {curve.name!r} has only {len(after)} points behind its entry"
         expected, fix = "points from the entry to the tip", "state another --entry-point, or --entry last"
         raise DataError(what, where=points.where(), expected=expected, fix=fix)
-    values = np.vstack([interpolate_at_arc(points.values, [arc]), points.values[after]])
+    entry = [np.interp(arc, along, axis) for axis in points.values.T]
+    values = np.vstack([entry, points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
 
