@@ -55,8 +55,8 @@ SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle,
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
 
-# Standard deviations by which the length of a curve and its depth differ at least to be named, and the same in
-# mm: depths are stated with a digit or two
+# Standard deviations by which the length of a curve and its depth differ at least to be named, and the same
+# in mm: depths are stated with a digit or two
 LENGTH_SD, SAME_LENGTH_MM = 5.0, 0.1
 
 # Curves of which the first points spread along the needles by more than this, mm, and the last ones by less
