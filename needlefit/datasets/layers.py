@@ -292,7 +292,7 @@ def _find_backward_tolerance(curve: Floats, along: Floats) -> float:
     question, is not used.
     """
     span = float(np.ptp(along))
-    if len(curve) < MIN_POINTS or span < SAME_POINT_MM:
+    if len(np.unique(along)) < MIN_POINTS:
         return MAX_BACKWARD_MM
     noise_sd = fit_penalized_spline((along - along.min()) / span, curve, curve.shape[1] - 1).noise_sd
     return max(MAX_BACKWARD_MM, min(MAX_BACKWARD_SD * noise_sd, MAX_BACKWARD_PART * span))

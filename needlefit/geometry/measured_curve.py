@@ -50,6 +50,8 @@ class MeasuredCurve:
 def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:
     """Smooth points (N, 2) or (N, 3), in order along a needle, to the noise that they show.
 
+    Fewer than 5 points, and those that follow no curve, are joined by chords.
+
     `sd`: their standard deviation per axis where it is stated, mm. It counts as two residuals more, and the
     deviation of the length is at least that by it.
     """
@@ -58,22 +60,33 @@ def measure_curve(points: ArrayLike, sd: float = 0.0) -> MeasuredCurve:
     if not new.all():
         return _repeat_points(measure_curve(array[new], sd), new)
     chords = arc_length(array)
-    if len(array) < MIN_SMOOTHED_POINTS or not np.isfinite(chords[-1]):
-        return MeasuredCurve(chords, array, np.zeros_like(array), 0.0, math.sqrt(2) * sd)
+    found = None
+    if len(array) >= MIN_SMOOTHED_POINTS and np.isfinite(chords[-1]):
+        found = _smooth_points(array, chords, sd)
+    return found or MeasuredCurve(chords, array, np.zeros_like(array), 0.0, math.sqrt(2) * sd)
+
+
+def _smooth_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve | None:
+    """Return the smooth curve; None where points, as unsorted ones, follow none."""
     feet = chords
-    for _ in range(MAX_FITS):
-        curve = _SmoothCurve(array, feet, sd)
-        moved, feet = feet, curve.find_feet(array)
-        if np.abs(np.diff(feet - moved)).max() < MAX_FOOT_SHIFT * chords[-1]:
-            break
-    noise_sd = curve.spline.noise_sd
-    s, weights, along_sd = _settle_places(feet, noise_sd)
+    try:
+        for _ in range(MAX_FITS):
+            curve = _SmoothCurve(points, feet, sd)
+            moved, feet = feet, curve.find_feet(points)
+            if np.abs(np.diff(feet - moved)).max() < MAX_FOOT_SHIFT * chords[-1]:
+                break
+        noise_sd = curve.spline.noise_sd
+        s, weights, along_sd = _settle_places(feet, noise_sd)
+    except np.linalg.LinAlgError:
+        return None
+    if not s[-1] > s[0]:
+        return None
     tangents = curve.tangents_at(feet)
     by_points = _remove_along(curve.differentiate_length(s[0], s[-1]), tangents)
     length_sd = math.hypot(
         max(along_sd, sd) * np.linalg.norm(weights), max(noise_sd, sd) * np.linalg.norm(by_points)
     )
-    residuals = _remove_along(array - curve.points_at(feet), tangents)
+    residuals = _remove_along(points - curve.points_at(feet), tangents)
     return MeasuredCurve(s - s[0], curve.points_at(s), residuals, noise_sd, length_sd)
 
 

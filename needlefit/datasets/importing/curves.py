@@ -59,6 +59,11 @@ class ImportedCurve:
         return self.points.curve.length
 
     @property
+    def reach(self) -> float:
+        """The greatest distance of a point from the first one, about the length: of unsorted points, too."""
+        return float(np.linalg.norm(self.line - self.line[0], axis=1).max())
+
+    @property
     def depth(self) -> float:
         """The inserted length: as it is stated, else that of the curve."""
         return self.stated["depth"].to_number("depth") if "depth" in self.stated else self.length

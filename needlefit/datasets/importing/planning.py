@@ -180,7 +180,7 @@ class Planner:
             for what in LENGTHS & one.stated.keys():  # without a unit they have that of the coordinates
                 one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or one.unit)
         low, high = STATED_MM
-        if not low <= (longest := max(one.length for one in self.curves)) <= high:
+        if not low <= (longest := max(one.reach for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
             where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
@@ -193,9 +193,7 @@ class Planner:
             yield f"a header states {wrong[:20]!r}"
         if unknown and all((one.line == np.round(one.line)).all() for one in unknown):
             yield "all coordinates are whole numbers, as of pixels or voxels"
-        # of points that go back the length is none of a needle
-        reaches = [float(np.linalg.norm(one.line - one.line[0], axis=1).max()) for one in unknown]
-        longest = max(reaches, default=ASSUMED_MM[0])
+        longest = max((one.reach for one in unknown), default=ASSUMED_MM[0])
         if not ASSUMED_MM[0] <= longest <= ASSUMED_MM[1] and not wrong:
             likely = [name for name, mm in UNITS_MM.items() if ASSUMED_MM[0] <= mm * longest <= ASSUMED_MM[1]]
             other = f", in {' or '.join(likely)} that of a needle" if likely else ""
