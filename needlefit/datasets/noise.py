@@ -52,9 +52,7 @@ def estimate_noise_floor(
     compare = (
         partial(compare_curves, measured=whole)
         if tracker
-        else _prepare_comparison(
-            whole, insertion.measure_arc(1), find_pose(dataset.pose, insertion), free
-        )
+        else _prepare_comparison(whole, insertion.measure_arc(1), find_pose(dataset.pose, insertion), free)
     )
     compared, floor = [compare(one) for one in again], dict[str, float]()
     for metric in metrics:

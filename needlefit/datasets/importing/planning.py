@@ -29,7 +29,6 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
@@ -593,9 +592,14 @@ def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
 
 def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:
     """Return the axis of a curve's shaft, which the needle's base holds."""
-    if len(curve.shaft) < MIN_SHAFT_POINTS or arc_length(curve.shaft)[-1] < MIN_SHAFT_MM:
+    along = measure_curve(curve.shaft, point_sd).s
+    if len(along) < MIN_SHAFT_POINTS or along[-1] < MIN_SHAFT_MM:
         raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
-    s, rules = arc_length(curve.shaft), ReconstructionEntryRecord()
-    s, noise, turn_sd = s - s[-1], point_sd**2 * np.eye(len(s)), np.radians(rules.entry_tilt_sd_deg)
+    rules = ReconstructionEntryRecord()
+    s, noise, turn_sd = (
+        along - along[-1],
+        point_sd**2 * np.eye(len(along)),
+        np.radians(rules.entry_tilt_sd_deg),
+    )
     free = max(needle.length_mm - curve.length, -s[0])
     return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))
