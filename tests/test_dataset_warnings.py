@@ -213,6 +213,16 @@ def test_own_boundaries_that_no_tissue_has_are_named_once_with_their_row(tmp_pat
     assert "`boundaries_mm` is 0.025" in found.what and "2 of 4 rows" in found.what
 
 
+def test_a_depth_that_is_not_the_length_of_the_curve_is_named_beyond_its_errors(tmp_path):
+    depth, noise = into_gel().depth, {"point_sd_mm": 0.05}
+    curves = {name: CURVE * [1, 1 + 0.2 * n, 1] for n, name in enumerate("abc")}
+    rows = [into_gel("a"), into_gel("b", depth=depth + 1.5), into_gel("c", depth=depth + 1.5, depth_sd=0.5)]
+    file = write_rows(tmp_path, *rows, curves=curves, noise=noise)
+    found = [one for one in inspect(file).warnings if one.kind == "length"]
+    assert [one.where for one in found] == [f"{tmp_path / 'insertions.csv'}:3"]
+    assert found[0].what.startswith("b:") and "-1.48 mm" in found[0].what
+
+
 def test_data_without_any_error_or_point_are_a_fault(tmp_path):
     assert kinds(gel(tmp_path, noise={})) == ["no_noise"]
     edit(tmp_path / "dataset.toml", "^correlation_length", "correlation_length_mm = 1e9")

@@ -239,9 +239,8 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
 
 
 def test_point_noise_has_the_stated_covariance_and_toml_text_is_read_back():
-    curve = np.column_stack([np.arange(8.0), np.zeros(8)])
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
-    drawn = draw_point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
+    drawn = draw_point_noise(np.arange(8.0), noise, np.random.default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
     import tomllib

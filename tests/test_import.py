@@ -26,6 +26,7 @@ from needlefit.datasets.importing.tables import (
 from needlefit.datasets.planes import measure_out_of_plane
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import read_warnings
@@ -532,6 +533,25 @@ def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
     assert "18.0 mm" in made["shaft"][0]
 
 
+@pytest.mark.parametrize(("spacing", "noise"), [(5.0, 0.2), (1.0, 0.2), (0.5, 0.1), (0.1, 0.2)])
+def test_dense_and_noisy_points_are_as_long_as_their_needles(tmp_path, spacing, noise):
+    """Arcs of 35 to 60 mm; a stated depth is used as it stands."""
+    rng, depths = np.random.default_rng(8), np.arange(35.0, 61.0, 5.0)
+    curves = []
+    for depth in depths:
+        s = np.linspace(0.0, depth, round(depth / spacing) + 1)
+        arc = np.column_stack([integrate_curvature(depth, [0.008], s), np.zeros(len(s))])
+        curves.append(arc + noise * rng.normal(size=arc.shape))
+    answers = {"pose": "1,0,0", "point_sd": f"{noise}"}
+    plan, _ = planned([write_long(tmp_path, curves)], **answers)
+    gaps = np.array([row.depth for row in plan.rows]) - depths
+    sds = np.array([row.depth_sd for row in plan.rows])
+    assert (np.abs(gaps) < 3.5 * sds).all() and (sds < (2.0 if spacing > 1 else 1.0) * noise).all()
+    cells = [[f"{depth:g}"] for depth in depths]
+    plan, _ = planned([write_long(tmp_path, curves, head=["depth [mm]"], cells=cells)], **answers)
+    assert [(row.depth, row.depth_sd) for row in plan.rows] == [(depth, 0.0) for depth in depths]
+
+
 def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
     """Eight points a needle, 10 mm apart, 20 mm of them outside the tissue."""
     x = np.arange(-20.0, 60.0, 10.0) - 2.0
@@ -705,7 +725,7 @@ def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_les
     assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
     # the scene of the deepest needle, to be predicted, turns as that did
     steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
-    assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.911], abs=1e-3)
+    assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.851], abs=1e-3)
     assert [step.bevel.roll_deg or 0.0 for step in steps] == pytest.approx([0.0, 90.0])
 
 

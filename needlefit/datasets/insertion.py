@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
 
@@ -11,8 +12,8 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
+from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
@@ -159,9 +160,18 @@ class Insertion:
         return replace(self, planar=planar, centerline=world, out_of_plane=z, sections=None)
 
     def measure_arc(self, planes: int) -> Floats:
-        """Return the arc length (N,) along the measured points, mm: along those in the plane, or in space."""
-        flat = planes == 1
-        return arc_length(self.planar if flat else np.column_stack([self.planar, self.out_of_plane]))
+        """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""
+        return (self.curve_in_plane if planes == 1 else self.curve_in_space).s
+
+    @cached_property
+    def curve_in_plane(self) -> MeasuredCurve:
+        """The curve in its plane, smoothed to its noise."""
+        return measure_curve(self.planar)
+
+    @cached_property
+    def curve_in_space(self) -> MeasuredCurve:
+        """The curve in space, smoothed to its noise."""
+        return measure_curve(np.column_stack([self.planar, self.out_of_plane]))
 
     @property
     def deflection(self) -> float:
@@ -300,7 +310,7 @@ def find_free_reach(drop: float, insertion: Insertion) -> float:
 
     DataError if nothing is left to compare.
     """
-    reach = min(float(arc_length(insertion.planar)[-1]), insertion.depth) - drop
+    reach = min(insertion.curve_in_plane.length, insertion.depth) - drop
     if reach <= 0:
         raise DataError(
             f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",

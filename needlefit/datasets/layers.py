@@ -11,11 +11,12 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow, describe_column
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.points import Points
+from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings
-from needlefit.geometry.curves import arc_length, find_bending_direction, fit_free_frame
+from needlefit.geometry.curves import find_bending_direction, fit_free_frame
 from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.penalized_spline import fit_penalized_spline
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
@@ -155,10 +156,10 @@ def reduce_insertion(
     the entry.
     """
     centerline = points.values
-    frame = _make_frame(row, centerline)
+    frame = _make_frame(row, points)
     local = frame.to_local(centerline)
     if medium.boundaries is None:
-        boundaries, sequence = find_layers(centerline, frame, medium.surfaces)
+        boundaries, sequence = find_layers(points.curve.smoothed, frame, medium.surfaces)
     else:
         reach = row.depth if row.entry is None else float(local[-1, 0])
         boundaries, sequence = select_layers(medium.boundaries, reach)
@@ -187,14 +188,15 @@ def reduce_insertion(
     )
 
 
-def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
+def _make_frame(row: InsertionRow, points: Points) -> Frame:
+    centerline = points.values
     if row.entry is None or row.direction is None:
         frame = fit_free_frame(centerline)
         # a shape bends toward its bevel
         return frame if row.side > 0 else Frame(frame.origin, frame.rotation * [1.0, -1.0, -1.0])
     before = centerline  # the first turn, if there is any: behind it the needle bends elsewhere
     if row.turns:
-        before = centerline[: max(2, int(np.searchsorted(arc_length(centerline), row.turns[0][0])))]
+        before = centerline[: max(2, int(np.searchsorted(points.curve.s, row.turns[0][0])))]
     toward = find_bending_direction(before, row.direction) if row.bevel is None else row.bevel
     frame = make_entry_frame(row.entry, row.direction, toward)
     if row.roll is None:
@@ -212,7 +214,9 @@ def _turn_curvature(row: InsertionRow) -> Floats | None:
     return np.column_stack([s, cos * y + sin * z, cos * z - sin * y, sd])
 
 
-MAX_BACKWARD_MM = 0.05  # a centreline may go back by this, mm, between two points: noise does that
+# A centreline may go back by this, mm, and by so many deviations of its noise, but by no greater part of its
+# span: noise does that where points are dense.
+MAX_BACKWARD_MM, MAX_BACKWARD_SD, MAX_BACKWARD_PART = 0.05, 8.0, 0.1
 SAME_POINT_MM = 1e-6  # points closer than this, mm, are one point twice
 # Relative difference allowed between length and depth; a free shape need not begin at the entry.
 LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
@@ -265,7 +269,7 @@ def find_curve_faults(
         what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
         fix = "sort the points along the needle, and remove branches and loops"
         yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
-    length, tolerance = arc_length(curve)[-1], find_length_tolerance(row.depth, record.frame.pose)
+    length, tolerance = points.curve.length, find_length_tolerance(row.depth, record.frame.pose)
     if abs(length - row.depth) > tolerance:
         where = points.where()
         expected = f"the inserted length, within {tolerance:.1f} mm"
@@ -279,12 +283,26 @@ def find_backward_points(curve: Floats) -> np.ndarray:
     """Return the points that lie behind an earlier one, along the chord or along the step before."""
     chord = curve[-1] - curve[0]
     along = curve @ (chord / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
-    behind = along < np.maximum.accumulate(along) - MAX_BACKWARD_MM
+    least = -_find_backward_tolerance(curve, along)
+    behind = along < np.maximum.accumulate(along) + least
     steps = np.diff(curve, axis=0)
     headings = steps / np.maximum(np.linalg.norm(steps, axis=1), SAME_POINT_MM)[:, None]
     # Two criteria: along the chord finds swapped parts of a curve, along the step before finds a fold.
-    behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < -MAX_BACKWARD_MM
+    behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < least
     return np.flatnonzero(behind)
+
+
+def _find_backward_tolerance(curve: Floats, along: Floats) -> float:
+    """Return by how much noise may put a point behind an earlier one, mm.
+
+    The noise is that about a smooth curve over the places `along` the chord: the order of points, which is in
+    question, is not used.
+    """
+    span = float(np.ptp(along))
+    if len(np.unique(along)) < MIN_POINTS:
+        return MAX_BACKWARD_MM
+    noise_sd = fit_penalized_spline((along - along.min()) / span, curve, curve.shape[1] - 1).noise_sd
+    return max(MAX_BACKWARD_MM, min(MAX_BACKWARD_SD * noise_sd, MAX_BACKWARD_PART * span))
 
 
 def _describe_more(count: int) -> str:

@@ -16,7 +16,7 @@ from needlefit.datasets.insertion import (
     find_free_reach,
     find_pose,
 )
-from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, arc_length, compare_curves
+from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
@@ -49,8 +49,11 @@ def estimate_noise_floor(
     if tracker:
         again[..., 0] = curve[:, 0]  # depths are known; the best shifts and slopes are taken off
         again = align_lateral(again, whole)
-    pose = find_pose(dataset.pose, insertion)
-    compare = partial(compare_curves, measured=whole) if tracker else _prepare_comparison(whole, pose, free)
+    compare = (
+        partial(compare_curves, measured=whole)
+        if tracker
+        else _prepare_comparison(whole, insertion.measure_arc(1), find_pose(dataset.pose, insertion), free)
+    )
     compared, floor = [compare(one) for one in again], dict[str, float]()
     for metric in metrics:
         with METRICS.plugin_error_context(metric.name):
@@ -78,7 +81,7 @@ def draw_measurement_errors(
         return None
     cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     shifts = np.array([0.0 if cut else shift, shift])
-    points = draw_point_noise(curve, noise, rng, draws)
+    points = draw_point_noise(insertion.measure_arc(1), noise, rng, draws)
     return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
 
 
@@ -91,8 +94,8 @@ def draw_errors_across(
     """
     if isinstance(insertion, TipTrack) and insertion.guide_z is None:
         return np.zeros((draws, len(insertion.planar)))
-    s = arc_length(insertion.planar)
-    points = draw_point_noise(insertion.planar, dataset.noise, rng, draws)[..., 0]
+    s = insertion.measure_arc(1)
+    points = draw_point_noise(s, dataset.noise, rng, draws)[..., 0]
     if dataset.pose != "known":
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
@@ -101,13 +104,13 @@ def draw_errors_across(
     return found
 
 
-def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
-    """Draw noise (draws, N, d), mm, of the points of `curve` (N, d): an independent and a correlated part."""
-    s = arc_length(curve)
-    independent = noise.point_sd * rng.normal(size=(draws, *curve.shape))
+def draw_point_noise(s: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
+    """Draw noise (draws, N, 2), mm, of points at arc lengths (N,): an independent and a correlated part."""
+    shape = (draws, len(s), 2)
+    independent = noise.point_sd * rng.normal(size=shape)
     # A Cholesky root of the correlation matrix turns independent draws into correlated ones.
     root = noise.correlated_sd * np.linalg.cholesky(noise.correlate(s))
-    drawn: Floats = independent + root @ rng.normal(size=(draws, *curve.shape))
+    drawn: Floats = independent + root @ rng.normal(size=shape)
     return drawn
 
 
@@ -119,24 +122,22 @@ def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats
 
 
 def _prepare_comparison(
-    curve: Floats, pose: InsertionPose, length: float | None
+    curve: Floats, along: Floats, pose: InsertionPose, length: float | None
 ) -> Callable[[Floats], ComparedCurves]:
     """Return how a curve (N, 3) that was measured again is compared with `curve`, which is sampled once.
 
     At equal fractions, after a shift across where the direction alone is known, or along `length` from the
-    tip after alignment in the plane.
+    tip after alignment in the plane. The arc lengths `along` (N,) are those of the needle: noise of its
+    points changes none of them.
     """
-    fractions = np.linspace(0, 1, COMPARISON_POINTS)
-    from_tip = None if length is None else np.linspace(length, 0, COMPARISON_POINTS)
+    s = along[-1] - np.linspace(along[-1] if length is None else length, 0, COMPARISON_POINTS)
 
     def sample(points: Floats) -> Floats:
-        along = arc_length(points[:, :2])
-        s = fractions * along[-1] if from_tip is None else along[-1] - from_tip
         return np.column_stack([np.interp(s, along, axis) for axis in points.T])
 
     def compare(again: Floats) -> ComparedCurves:
         measured, moved = sample(again), sampled
-        if from_tip is not None:
+        if length is not None:
             aligned = align_rigid(sampled[:, :2], measured[:, :2])
             moved = np.column_stack([aligned, sampled[:, 2]])
         elif pose == "direction":

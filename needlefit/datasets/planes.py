@@ -123,7 +123,7 @@ def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
 def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     """Return y and z (n, 2) of the needle at depths along it, mm."""
     along = insertion.measure_arc(2)
-    along *= insertion.depth / along[-1]
+    along = along * (insertion.depth / along[-1])
     points = insertion.planar[:, 1], insertion.out_of_plane
     return np.column_stack([np.interp(depths, along, one) for one in points])
 

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
+from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 
 MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
 MIN_POINTS = 5  # fewer points are no curve
@@ -27,6 +29,11 @@ class Points:
     unit: str = ""  # that names in the file state; empty where they do not
     # Fields of the file with a text for each point; a column may then tell several curves apart.
     columns: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    @cached_property
+    def curve(self) -> MeasuredCurve:
+        """The curve of the points, smoothed to their noise."""
+        return measure_curve(self.values)
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         lines = None if self.lines is None else self.lines[rows]

@@ -25,7 +25,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, InsertionPose, Pose, TipTrack, find_free_reach, find_pose
 from needlefit.errors import DataError
-from needlefit.geometry.curves import COMPARISON_POINTS, interpolate_at_arc
+from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,
@@ -218,11 +218,11 @@ def select_points(
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
         s, at = insertion.depth * fractions, fractions * along[-1]
-        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
     else:
         to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
         s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
-        measured = rotate_to_entry_axes(interpolate_at_arc(insertion.planar, at))
+    measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
+    measured = measured if pose == "known" else rotate_to_entry_axes(measured)
     z = np.interp(at, along, insertion.out_of_plane)
     return ComparedPoints(s, measured, find_pose(pose, insertion), z)
 

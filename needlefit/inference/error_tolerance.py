@@ -16,7 +16,6 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import draw_errors_across, draw_measurement_errors
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
-from needlefit.geometry.curves import arc_length
 from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, pad_planes
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
@@ -148,7 +147,7 @@ def _draw_errors(
     measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES)
     if measured is None:
         return None
-    along = arc_length(insertion.planar)
+    along = insertion.measure_arc(1)
     scale = along[-1] / insertion.depth if problem.dataset.pose == "known" else 1
     at = along[-1] - (insertion.depth - goal.s) * scale
     drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)

@@ -12,7 +12,6 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, TipTrack, find_pose
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import SimulatedCurve, align, pad_planes, select_points
@@ -87,11 +86,15 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
 
     It lies on the measured one as far as the pose is not known. `s` are those of `select_points`.
     """
-    pose, planar = find_pose(dataset.pose, insertion), insertion.planar
+    pose = find_pose(dataset.pose, insertion)
     if pose == "known":
         return points
     if pose == "free":
-        return align_rigid(points, interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s)))
+        along = insertion.measure_arc(1)
+        at = along[-1] - (insertion.depth - s)
+        return align_rigid(
+            points, np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
+        )
     goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.planes)
     return align(pose, points, goal.measured_in(points.shape[1] - 1))
 

@@ -15,7 +15,6 @@ from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
 from needlefit.inference.compared_points import pad_planes, read_points, turn_about_x
@@ -79,7 +78,7 @@ def simulate_measurement(
     if known is not None:
         s = known.s
     else:
-        along = arc_length(insertion.planar)
+        along = insertion.measure_arc(dataset.planes)
         s = along * (insertion.depth / along[-1])
     deep = insertion.depth_sd * rng.standard_normal()
     wrong = nodes.draw_boundary_errors(insertion, errors, rng)
@@ -104,6 +103,11 @@ def simulate_measurement(
         modes = _pose_modes(points, slopes)
         moved = modes @ (sds * rng.standard_normal(len(sds)))
         return _measure_sections(insertion, known, x, across + moved.reshape(planes, -1).T, scale, rng)
+    # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power.
+    # They are those of the needle, whatever the noise of its points.
+    along_x = np.diff(s) ** 2 - np.sum(np.diff(across, axis=0) ** 2, axis=1)
+    if np.any(along_x <= 0):
+        return None
     cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
     cov = cov if planes == 1 else scipy.linalg.block_diag(cov, cov)
     if dataset.pose == "known":
@@ -111,10 +115,6 @@ def simulate_measurement(
         cov = cov + spread @ spread.T
     noise = np.linalg.cholesky(cov) @ rng.standard_normal(len(cov))
     across = across + noise.reshape(planes, -1).T
-    along_x = np.diff(s) ** 2 - np.sum(np.diff(across, axis=0) ** 2, axis=1)
-    if np.any(along_x <= 0):
-        return None
-    # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power
     planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), across[:, 0]])
     if dataset.pose == "free":  # turned by any angle, and moved
         angle = rng.uniform(0.0, 2 * np.pi)

@@ -12,6 +12,7 @@ from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_js
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
+from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
@@ -92,7 +93,8 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
         lines.append((f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
         lines.append((f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
     for name, points, colour, thickness in lines:
-        labels = _arc_labels(arc_length(points))
+        s = measure_curve(points).s if points is needle.measured else arc_length(points)
+        labels = _arc_labels(s)
         path = Path(needle.insertion)
         curve = Markups(path, f"{needle.insertion} {name}{summary}", "Curve", labels, points)
         yield curve, CurveStyle(rgb(colour), thickness)

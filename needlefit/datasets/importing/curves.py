@@ -13,7 +13,6 @@ from needlefit.datasets.importing.synonyms import list_meanings
 from needlefit.datasets.importing.tables import UnclearTableError
 from needlefit.datasets.points import Points
 from needlefit.errors import ConfigError
-from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import PatientSystem
 from needlefit.geometry.surfaces import Surface
 
@@ -56,8 +55,18 @@ class ImportedCurve:
 
     @property
     def length(self) -> float:
-        """The length along the points."""
-        return float(arc_length(self.line)[-1])
+        """The length of the curve smoothed to its noise."""
+        return self.points.curve.length
+
+    @property
+    def reach(self) -> float:
+        """The greatest distance of a point from the first one, about the length: of unsorted points, too."""
+        return float(np.linalg.norm(self.line - self.line[0], axis=1).max())
+
+    @property
+    def depth(self) -> float:
+        """The inserted length: as it is stated, else that of the curve."""
+        return self.stated["depth"].to_number("depth") if "depth" in self.stated else self.length
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from needlefit.datasets.layers import (
 from needlefit.datasets.points import MIN_POINTS
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import normalize
+from needlefit.geometry.measured_curve import measure_curve
 from needlefit.geometry.shaft import ShaftAxis, fit_shaft_axis
 from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface
@@ -187,7 +187,7 @@ class Planner:
             for what in LENGTHS & one.stated.keys():  # without a unit they have that of the coordinates
                 one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or one.unit)
         low, high = STATED_MM
-        if not low <= (longest := max(one.length for one in self.curves)) <= high:
+        if not low <= (longest := max(one.reach for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
             where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
@@ -200,9 +200,7 @@ class Planner:
             yield f"a header states {wrong[:20]!r}"
         if unknown and all((one.line == np.round(one.line)).all() for one in unknown):
             yield "all coordinates are whole numbers, as of pixels or voxels"
-        # of points that go back the length is none of a needle
-        reaches = [float(np.linalg.norm(one.line - one.line[0], axis=1).max()) for one in unknown]
-        longest = max(reaches, default=ASSUMED_MM[0])
+        longest = max((one.reach for one in unknown), default=ASSUMED_MM[0])
         if not ASSUMED_MM[0] <= longest <= ASSUMED_MM[1] and not wrong:
             likely = [name for name, mm in UNITS_MM.items() if ASSUMED_MM[0] <= mm * longest <= ASSUMED_MM[1]]
             other = f", in {' or '.join(likely)} that of a needle" if likely else ""
@@ -305,7 +303,7 @@ class Planner:
             entries.append(entry := answer.to_place("entry point") if is_place else None)
             arc = 0.0
             if answer.text in surfaces:
-                hits = find_surface_hits(one.line, surfaces[answer.text])
+                hits = find_surface_hits(one.points.curve.smoothed, surfaces[answer.text])
                 arc = min(hits, default=0.0)
                 missed += [] if len(hits) else [one.name]
             elif answer.text == "depth":
@@ -314,7 +312,7 @@ class Planner:
                 arc = one.length - depths[one.name]
             elif entry is not None:
                 along = np.arange(0.0, one.length, STEP_MM)
-                gaps = np.linalg.norm(interpolate_at_arc(one.line, along) - entry, axis=1)
+                gaps = np.linalg.norm(one.points.curve.interpolate(along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
             if arc > MIN_CUT_MM:
                 cut_shaft(one, arc)
@@ -348,11 +346,11 @@ class Planner:
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
         reached = [
-            len(select_layers(np.array(own), one.length)[1])
+            len(select_layers(np.array(own), one.depth)[1])
             for one, own in zip(self.curves, depths, strict=True)
         ]
         rows = [
-            InsertionRow(one.name, "", layers, one.length, side=side)
+            InsertionRow(one.name, "", layers, one.depth, side=side, depth_sd=find_depth_sd(one, point_sd))
             for one, layers, side in zip(self.curves, reached, sides, strict=True)
         ]
         if poses[0].text == "free":
@@ -381,7 +379,7 @@ class Planner:
         ]
         bends = np.array([one.line[-1] - start for one, start in zip(self.curves, first, strict=True)])
         before = [
-            interpolate_at_arc(one.line, [min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
+            one.points.curve.interpolate([min([one.length, *(depth for depth, _ in one.turns)])])[0] - start
             for one, start in zip(self.curves, first, strict=True)
         ]
         bevels = self.settle_bevel(np.array(before), ways, angles)
@@ -393,7 +391,8 @@ class Planner:
             self.keep("bevel roll sd", f"{DEFAULT_ROLL_SD_DEG:g}", reason, "assumption")
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
-            crossed = find_crossings(one.line, self.surfaces).sequence if self.surfaces else ()
+            smoothed = one.points.curve.smoothed
+            crossed = find_crossings(smoothed, self.surfaces).sequence if self.surfaces else ()
             sensors = np.array(one.sensors).reshape(-1, 4)
             read = Rotation.from_rotvec([-zeros[n], 0.0, 0.0]).apply(sensors[:, :3])
             rows[n] = replace(
@@ -590,15 +589,24 @@ def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
     return np.array(order, dtype=np.int64)
 
 
+def find_depth_sd(curve: ImportedCurve, point_sd: float) -> float:
+    """Return the standard deviation of an inserted length by the noise of the points that it is taken of.
+
+    A stated length is believed.
+    """
+    return 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
+
+
 def cut_shaft(curve: ImportedCurve, arc: float) -> None:
     """Cut a curve at this length from its first point, mm, and keep the points before as its shaft."""
-    points, along = curve.points, arc_length(curve.line)
+    points, along = curve.points, curve.points.curve.s
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
         what = f"curve {curve.name!r} has only {len(after)} points behind its entry"
         expected, fix = "points from the entry to the tip", "state another --entry-point, or --entry last"
         raise DataError(what, where=points.where(), expected=expected, fix=fix)
-    values = np.vstack([interpolate_at_arc(points.values, [arc]), points.values[after]])
+    entry = [np.interp(arc, along, axis) for axis in points.values.T]
+    values = np.vstack([entry, points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])
     curve.points = replace(points.part(np.concatenate([after[:1], after])), values=values)
 
@@ -612,9 +620,14 @@ def name_pose_source(pose: Stated, entry: Floats | None) -> PoseSource:
 
 def fit_shaft(curve: ImportedCurve, needle: NeedleRecord, point_sd: float, pose: Stated) -> ShaftAxis:
     """Return the axis of a curve's shaft, which the needle's base holds."""
-    if len(curve.shaft) < MIN_SHAFT_POINTS or arc_length(curve.shaft)[-1] < MIN_SHAFT_MM:
+    along = measure_curve(curve.shaft, point_sd).s
+    if len(along) < MIN_SHAFT_POINTS or along[-1] < MIN_SHAFT_MM:
         raise pose.error("pose", f"{MIN_SHAFT_POINTS} points over {MIN_SHAFT_MM:g} mm before each entry")
-    s, rules = arc_length(curve.shaft), ReconstructionEntryRecord()
-    s, noise, turn_sd = s - s[-1], point_sd**2 * np.eye(len(s)), np.radians(rules.entry_tilt_sd_deg)
+    rules = ReconstructionEntryRecord()
+    s, noise, turn_sd = (
+        along - along[-1],
+        point_sd**2 * np.eye(len(along)),
+        np.radians(rules.entry_tilt_sd_deg),
+    )
     free = max(needle.length_mm - curve.length, -s[0])
     return fit_shaft_axis(curve.shaft, s, noise, free, rules.entry_shift_sd_mm, float(turn_sd))

@@ -11,7 +11,6 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
-from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.inference.baselines import Baseline
 from needlefit.inference.compared_points import Curve, select_points
 
@@ -29,12 +28,13 @@ def average_turns(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> F
 
 def _find_turns(pose: Pose, drop: float, insertion: Insertion) -> Floats:
     """Return the turns of one shape; where the pose is known the last one is from the entry's axis."""
-    points = select_points(pose, drop, insertion).measured
-    length = float(arc_length(points)[-1])
+    points = select_points(pose, drop, insertion)
+    length = float(points.s[-1] - points.s[0])
     to_tip = np.arange(0.0, length, CHORD_MM)
     if len(to_tip) < 3:  # shorter than two chords: it has no turn
         return np.zeros(1)
-    chords = -np.diff(interpolate_at_arc(points, length - to_tip), axis=0)
+    at = points.s[-1] - to_tip
+    chords = -np.diff([np.interp(at, points.s, axis) for axis in points.measured.T], axis=1).T
     angles = insertion.side * np.arctan2(chords[:, 1], chords[:, 0])
     turns = -np.diff(angles)
     if pose == "free":
