@@ -456,3 +456,22 @@ def test_a_pose_against_the_needles_is_corrected_by_its_sign_or_by_the_order_of_
     assert "--pose 1,0,0" in fix and "--entry last" in fix
     assert planned([file], pose="1,0,0")[1].rows[0].direction[0] == 1.0
     assert planned([file], pose="-1,0,0", entry="last")[1].rows[0].direction[0] == -1.0
+
+
+def test_a_table_of_needles_with_unknown_headers_is_an_assumption(tmp_path):
+    folder = write_both(tmp_path, "abc", "abc", ["gewebeart"], [["1"], ["2"], ["2"]])
+    content = read_content([folder])
+    assert [what for what, _ in content.doubts] == ["file needles.csv"]
+    (tmp_path / "needles.csv").write_text("lab,Berlin\nroom,12\n")
+    content = read_content([folder])
+    assert [what for what, _ in content.unused] == ["file needles.csv"] and not content.doubts
+
+
+def test_a_mistyped_name_of_the_sheet_setup_is_an_assumption(tmp_path):
+    points = [["needle", "x", "y", "z"]]
+    points += [[name, *p] for name, one in zip("abc", NEEDLES, strict=True) for p in one.tolist()]
+    setup = [["question", "answer"], ["specimens", "gel 1"], ["modulos", "200"]]
+    content = read_content([write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)])
+    doubts = {what: why for (what, _), why in content.doubts.items()}
+    assert doubts.keys() == {"row specimens = gel 1", "row modulos = 200"}
+    assert "`specimen`" in doubts["row specimens = gel 1"] and "`modulus`" in doubts["row modulos = 200"]

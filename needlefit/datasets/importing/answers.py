@@ -131,6 +131,7 @@ class Answers:
         source: ImportSource = "assumption",
         choices: tuple[str, ...] = (),
         fix: str = "",
+        where: str = "",
     ) -> Stated:
         """Return the answer to a question, and keep where it comes from.
 
@@ -151,7 +152,7 @@ class Answers:
             source, reason = ("answer", "") if found.text else (source, reason)
         if not found.text and not guess:
             fix = fix or f"state {' or '.join(name_option(what, one) for one in choices or ('',))}"
-            raise DataError(f"{what} is not clear: {reason}", expected=expected, fix=fix)
+            raise DataError(f"{what} is not clear: {reason}", where=where, expected=expected, fix=fix)
         found = found if found.text else Stated(guess)
         if choices and found.text not in choices:
             raise found.error(what, expected)
@@ -184,7 +185,7 @@ class Answers:
         if missing:
             reason = f"stated of {join_names([*found], 5)}, not of {join_names(missing, 5)}"
             fix = f"fill in their cells, or state {name_option(what)} of all that are blank"
-            answer = self.settle(what, "", reason, fix=fix)
+            answer = self.settle(what, "", reason, fix=fix, where=next(iter(found.values())).where)
             return {name: found.get(name, answer) for name in own}
         if what in self.setup and self.setup[what].shown != texts:
             self.keep("not used", f"{what} = {self.setup[what].shown}", "each needle states its own")

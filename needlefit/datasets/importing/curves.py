@@ -10,7 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.importing.answers import Stated
 from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.datasets.importing.synonyms import list_meanings
-from needlefit.datasets.importing.tables import UnclearTableError
+from needlefit.datasets.importing.tables import CellTable, UnclearTableError
 from needlefit.datasets.points import Points
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import PatientSystem
@@ -102,6 +102,7 @@ class ImportContent:
     # Columns of numbers under headers that no language knows, and where they stand.
     unknown: list[tuple[str, str]] = field(default_factory=list)
     unclear: list[UnclearTableError] = field(default_factory=list)  # of tables that were left out
+    left_out: dict[tuple[str, str], CellTable] = field(default_factory=dict)  # those tables, as of `unused`
 
     def leave_out(self, what: str, where: str, doubt: str) -> None:
         """Note what is not used although it was probably meant to be."""

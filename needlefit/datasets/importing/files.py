@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 
 from needlefit.datasets.columns import make_id
@@ -293,4 +294,6 @@ def _read_setup(cells: CellTable, content: ImportContent) -> None:
                 raise stated.error(what, f"one unit, in its name or beside it ({unit})")
             add_stated(content.setup, {what: stated})
         elif value and n:
-            content.unused.append((f"row {name} = {value}"[:MAX_NAME_CHARS], Path(cells.where(n)).name))
+            what, near = f"row {name} = {value}"[:MAX_NAME_CHARS], get_close_matches(plain, QUESTIONS, 1)
+            doubt = f"no value has this name; did you mean `{near[0]}`?" if near else "no value has this name"
+            content.leave_out(what, Path(cells.where(n)).name, doubt)

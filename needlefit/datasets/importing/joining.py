@@ -2,12 +2,13 @@
 
 import itertools
 import re
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Sequence
 
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.importing.answers import add_stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, NeedleRow
+from needlefit.datasets.importing.tables import CellTable
 from needlefit.errors import DataError
 from needlefit.project.locate import join_names
 
@@ -31,16 +32,25 @@ def join_needles(content: ImportContent) -> None:
         if not any(row.needle in found for row in rows):
             raise _refuse_table(rows, content.curves)
     named = {*found.values()}
-    without_row = [name for name in curves if name not in named]
+    without_row = join_names([name for name in curves if name not in named], MAX_LISTED_NAMES)
+    doubt = "no curve has its name" + (f"; curves without a row: {without_row}" if without_row else "")
     for row in content.needles:
         if (name := found.get(row.needle)) is None:
-            doubt = "no curve has its name"
-            if without_row:
-                doubt += f"; curves without a row: {join_names(without_row, MAX_LISTED_NAMES)}"
             content.leave_out(f"row of needle {row.needle}", row.where.rpartition("/")[2], doubt)
         else:
             _add_row(curves[name], row)
     content.renamed = {row: name for row, name in found.items() if _make_key(row) != _make_key(name)}
+    _doubt_left_out(content, curves)
+
+
+def _doubt_left_out(content: ImportContent, curves: Collection[str]) -> None:
+    """Doubt that a table without known headers, of which `--columns` states none, is to be left out."""
+    for place, table in content.left_out.items():
+        is_stated = any(text in content.columns for row in table.rows for text in row)
+        if not is_stated and _names_needles(table, curves):
+            content.doubts[place] = (
+                "it names needles: state what its columns are with --columns MEANING=HEADER"
+            )
 
 
 def _make_key(name: str) -> str:
@@ -52,16 +62,31 @@ def _match_names(rows: Iterable[str], curves: Iterable[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     keys: tuple[Callable[[str], str], ...] = (_make_key, _read_numbers)
     for make_key in keys:
-        free = [name for name in curves if name not in found.values()]
+        taken = {*found.values()}
+        free = [name for name in curves if name not in taken]
         left = [name for name in rows if name not in found]
-        of_curves, spellings = Counter(map(make_key, free)), defaultdict[str, set[str]](set)
+        of_curves, spellings = defaultdict[str, list[str]](list), defaultdict[str, set[str]](set)
+        for name in free:
+            of_curves[make_key(name)].append(name)
         for name in left:
             spellings[make_key(name)].add(_make_key(name))
-        for row, curve in itertools.product(left, free):
-            key = make_key(row)
-            if key == make_key(curve) and of_curves[key] == 1 == len(spellings[key]):
-                found[row] = curve
+        for name in left:
+            same = of_curves.get(key := make_key(name), [])
+            if len(same) == 1 == len(spellings[key]):
+                found[name] = same[0]
     return found
+
+
+def _names_needles(table: CellTable, curves: Collection[str]) -> bool:
+    """Whether each cell of a column, below its header, names a curve, and two of them or more do."""
+    # without numbers and known headers nothing states by what the cells of a text are separated
+    rows = [re.split("[,;\t]", row[0]) if len(row) == 1 else row for row in table.rows]
+    for column in itertools.zip_longest(*rows, fillvalue=""):
+        _, *names = [*filter(None, column)] or [""]
+        names = [*dict.fromkeys(names)]
+        if 1 < len(names) <= len(curves) and len(_match_names(names, curves)) == len(names):
+            return True
+    return False
 
 
 def _read_numbers(name: str) -> str:

@@ -34,6 +34,7 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
     except UnclearColumnsError as error:
         name = f"sheet {cells.sheet}" if cells.sheet else f"file {cells.path.name}"
         content.unused.append((name, error.what))
+        content.left_out[name, error.what] = cells
         content.unclear.append(error)
         return
     stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
