@@ -74,7 +74,7 @@ def find_operator_faults(
 ) -> Iterator[Fault]:
     """Yield a fault if the points of insertions do not suit the knots, or the width of a Gaussian."""
     stated = record.measurement
-    if stated is None:
+    if stated is None or (stated.knot_spacing_mm is None and stated.width_mm is None):
         return
     pose, drop = record.frame.pose, record.frame.drop_proximal_mm
     insertions = [one.insertion for one in listed]
