@@ -475,3 +475,61 @@ def test_a_mistyped_name_of_the_sheet_setup_is_an_assumption(tmp_path):
     doubts = {what: why for (what, _), why in content.doubts.items()}
     assert doubts.keys() == {"row specimens = gel 1", "row modulos = 200"}
     assert "`specimen`" in doubts["row specimens = gel 1"] and "`modulus`" in doubts["row modulos = 200"]
+
+
+@pytest.mark.parametrize(
+    ("head", "cells", "what", "value"),
+    [
+        ("needle gauge", "22G", "outer_diameter_mm", GAUGES_MM[22]),
+        ("Kanüle", "G20", "outer_diameter_mm", GAUGES_MM[20]),
+        ("needle size", "22", "outer_diameter_mm", GAUGES_MM[22]),
+        ("Material", "nitinol", "youngs_modulus_gpa", 60.0),
+        ("módulo", "60", "youngs_modulus_gpa", 60.0),
+    ],
+)
+def test_words_of_the_needle_are_known(tmp_path, head, cells, what, value):
+    _, plan, _ = planned([write_long(tmp_path, NEEDLES, head=[head], cells=[[cells]] * 3)])
+    assert getattr(plan.needle, what) == pytest.approx(value)
+
+
+def test_an_unknown_column_of_quantities_is_asked_about_and_one_of_words_is_not(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["foo", "bar", "baz"], cells=[["22G", "Anna", "0.7 mm"]] * 3)
+    assert [what for what, _ in planned([file])[0].unknown] == ["column foo", "column baz"]
+
+
+def test_a_field_of_numbers_that_no_language_knows_is_an_assumption_and_can_be_named(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"needles": np.stack(NEEDLES, axis=2), "qq": 60.0, "note": "mine"})
+    content, _, made = planned([tmp_path / "a.mat"])
+    assert content.unknown == [("field qq", "a.mat")] and made["units"][1] == "assumption"
+    assert planned([tmp_path / "a.mat"], "modulus=qq")[1].needle.youngs_modulus_gpa == 60.0
+
+
+@pytest.mark.parametrize("by", ["columns", "rows"])
+@pytest.mark.parametrize("guide", ["base", "none", None, "stage"])
+def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path, by, guide):
+    rows = [["time", "tip x", "tip y", "tip z", "base x", "base y", "base z"]]
+    rows += [[n, x, y, z, -20.0, 0.1 * n, 5.0] for n, (x, y, z) in enumerate(NEEDLES[0])]
+    if by == "rows":
+        pairs = [
+            [(n, "tip", x, y, z), (n, "base", -20.0, 0.1 * n, 5.0)] for n, (x, y, z) in enumerate(NEEDLES[0])
+        ]
+        rows = [["time", "tool", "x", "y", "z"], *(row for pair in pairs for row in pair)]
+    file = write_rows(tmp_path / "log.csv", rows)
+    answers = {"observable": "tracks", "bevel": "0,1,0", "pose": "1,0,0"} | (
+        {"guide": guide} if guide else {}
+    )
+    if guide == "stage" or (guide is None and by == "columns"):
+        refusal(DataError, "guide", planned, [file], **answers)
+    elif guide == "base":
+        content, _, _ = planned([file], **answers)
+        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
+
+
+def test_text_of_windows_in_chinese_is_read(tmp_path):
+    rows = ["针号,X (毫米),Y (毫米),Z (毫米),规格"]
+    rows += [f"n{n},{x},{y},{z},a" for n, one in enumerate(NEEDLES) for x, y, z in one]
+    (tmp_path / "a.csv").write_bytes("\n".join(rows).encode("gb18030"))
+    content, _, made = planned([tmp_path / "a.csv"])
+    assert len(content.curves) == 3 and made["units"] == ("mm", "file")

@@ -91,7 +91,7 @@ def tabulate_decisions(answers: Answers) -> pd.DataFrame:
     for one in answers.made:
         kind, _, name = one.value.partition(" ")
         if one.what == "not used" and kind in ("column", "row"):
-            place = re.sub(r":\d+", "", one.reason, count=1)  # without the row
+            place = re.sub(r"(:\d+|, sheet [^:]*)", "", one.reason, count=1)  # without the row
             names = unused.setdefault((kind, place), [])
             if not names:
                 rows.append({"decision": one.what, "value": kind, "from": one.source, "why": place})

@@ -90,7 +90,10 @@ class Stated:
         if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
             return value if unit == "deg" else 30.0 * (value % 12)
         expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
-        raise self.error("bevel side", expected)
+        fix = ""
+        if re.fullmatch(r"[-+\d.,]+", text):
+            fix = "write the unit into the header, as bevel [deg], or correct the cell"
+        raise self.error("bevel side", expected, fix)
 
     def error(self, what: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""

@@ -43,10 +43,17 @@ class ImportedCurve:
     axes: str = "x, y, z"  # its coordinates
     readings: Readings | None = None
     guide: Floats | None = None  # (N, 3); places of the guide at the readings
+    # Places (N, 3) of what may be the guide, by its name in the file, in the unit of the coordinates.
+    guides: dict[str, Floats] = field(default_factory=dict)
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points up to the entry
     turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then
     sensors: list[Floats] = field(default_factory=list)  # (4,) each: `SENSOR` in mm and 1/mm
     are_sensors_from_base: bool = False  # places of sensors are counted from the needle's base, not its tip
+
+    def scale(self, factor: float) -> None:
+        """Bring the coordinates into another unit."""
+        self.points = self.points.scale(factor)
+        self.guides = {name: factor * places for name, places in self.guides.items()}
 
     @property
     def line(self) -> Floats:

@@ -1,6 +1,7 @@
 """Read all curves and surfaces, and what is stated of them, in the files and folders that an import names."""
 
 import itertools
+import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -14,7 +15,7 @@ from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, Impor
 from needlefit.datasets.importing.joining import MAX_NAME_CHARS, join_needles
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import find_meaning, list_meanings, read_header, split_unit
-from needlefit.datasets.importing.table_reader import read_table
+from needlefit.datasets.importing.table_reader import UNKNOWN_DOUBT, read_table
 from needlefit.datasets.importing.tables import (
     SHEET_SUFFIXES,
     TEXT_SUFFIXES,
@@ -119,7 +120,7 @@ def read_asking(
         return content
     named = dict(content.columns)
     for what, where in dict.fromkeys(content.unknown):
-        header = what.removeprefix("column ")
+        header = what.partition(" ")[2]
         question = f"What `{header}` is: {', '.join(ATTRIBUTES)}, or unrelated"
         meaning = ask(question, "unrelated", f"{where}: numbers under a header that is not known")
         named[header] = meaning or "unrelated"
@@ -216,6 +217,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
         what, expected = f"labels name points: {', '.join(wrong)}", "labels of needles, as N1-1, N1-2, N2-1"
         fix = "rename the points after their needles, from entry to tip; remove points of no needle"
         raise DataError(what, where=str(path), expected=expected, fix=fix)
+    unknown = dict[str, None]()  # numbers in fields that no language knows
     for name, points in found.items():
         unit, system = ("mm", "LPS") if format_.in_scan else (_read_unit(name, points), None)
         if points.columns:  # they may tell several needles apart
@@ -224,15 +226,20 @@ def _read_format(path: Path, content: ImportContent) -> None:
         axes = "; ".join([points.axes or ("x, y, z" if format_.in_scan else "columns 1, 2, 3"), *readings])
         stated = dict[str, Stated]()
         for key, text in points.stated.items():
-            header = read_header(key)
-            one = Stated(text, header.unit, f"{path}, field {key} of {name}")
-            if text and header.meaning in ("needle", *ATTRIBUTES) and header.meaning not in stated:
-                stated[header.meaning] = one
+            header, meaning = read_header(key), content.columns.get(key, "")
+            content.columns_found |= {key} & content.columns.keys()
+            meaning = meaning or header.meaning
+            if text and meaning in ("needle", *ATTRIBUTES) and meaning not in stated:
+                stated[meaning] = Stated(text, header.unit, f"{path}, field {key} of {name}")
             elif text and key.lower() not in UNIT_FIELDS:
-                unused[f"field {key}"] = None
+                is_unknown = not meaning and re.fullmatch(r"[-+.\deE]+", text)
+                (unknown if is_unknown else unused)[f"field {key}"] = None
         title = stated.pop("needle", Stated(name)).text
         content.curves.append(ImportedCurve(title, points, unit, system, stated, axes))  # type: ignore[arg-type]
     content.unused += [(what, path.name) for what in unused]
+    for what in unknown:
+        content.leave_out(what, path.name, UNKNOWN_DOUBT)
+        content.unknown.append((what, path.name))
     content.unused[before:] = dict.fromkeys(content.unused[before:])  # one line for the same of many needles
 
 

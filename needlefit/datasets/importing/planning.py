@@ -45,6 +45,7 @@ ASSUMED_MM, STATED_MM = (20.0, 300.0), (1.0, 2000.0)
 MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
+DIAMETERS = {"diameter", "inner diameter"}  # in mm, whatever the unit of the coordinates
 LENGTHS = {"depth", "boundaries", "needle length", "entry point"}  # stated in the unit of the coordinates
 
 
@@ -177,15 +178,17 @@ class Planner:
                 raise answer.error("units", ", ".join(UNITS_MM) + ", or the length of a step: 0.07 mm")
             for one in changed:
                 # a depth without a unit has that of the coordinates, but is no number of pixels
-                one.unit, factor = (unit if number == 1.0 else "mm"), number * UNITS_MM[unit]
-                one.points = one.points.scale(factor)
+                one.unit = unit if number == 1.0 else "mm"
+                one.scale(number * UNITS_MM[unit])
         else:
             self.keep("units", ", ".join(sorted({one.unit for one in self.curves})), "header or format")
         for one in self.curves:
             if not any(one is other for other in changed):
-                one.points = one.points.scale(UNITS_MM[one.unit])
+                one.scale(UNITS_MM[one.unit])
             for what in LENGTHS & one.stated.keys():  # without a unit they have that of the coordinates
                 one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or one.unit)
+            for what in DIAMETERS & one.stated.keys():
+                one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or "mm")
         low, high = STATED_MM
         if not low <= (longest := max(one.reach for one in self.curves)) <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
@@ -549,6 +552,7 @@ def refuse_stray_points(curve: ImportedCurve) -> None:
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
     """Return a needle; DataError if an answer is not understood."""
+    outer = replace(outer, text=re.sub(r"(?i)^ga?u?g?e?\s*(\d+)$", r"\1G", outer.text))  # `G20`
     number, unit = read_quantity(outer.text) or (0.0, "")
     if (unit or outer.unit) == "G":
         if number not in GAUGES_MM:

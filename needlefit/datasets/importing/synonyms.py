@@ -98,6 +98,8 @@ def split_unit(text: str) -> tuple[str, str]:
 def read_header(text: str) -> Header:
     """Return what a header states."""
     plain, unit = split_unit(text)
+    if _look_up("column", _split(text))[0]:  # `needle gauge`, in which the last word is no unit
+        plain, unit = text, ""
     words = _split(plain)
     meaning, usual = _look_up("column", words)
     if not meaning and len(words) > 1 and words[-1].isdecimal():

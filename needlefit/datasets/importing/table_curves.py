@@ -155,7 +155,8 @@ class CurveReader:
                     f"every row has a name of its own: {shown}, ...",
                     where=self.cells.where(max(head, 0), m),
                     expected="in each row the name of its needle",
-                    fix=f'if they are points of one needle: --columns "point number={column}"',
+                    fix=f'if they are points of one needle: --columns "point number={column}"; '
+                    "tips alone, one of each needle, cannot be fitted yet",
                 )
             found[m] = stems
         return found
@@ -220,7 +221,21 @@ class CurveReader:
         stated = {**found.above, **read_attributes(self.cells, group, found.rows)}
         title = stated.pop("needle", Stated("")).text
         name = "-".join(filter(None, (own, group.name or ("" if own else title))))
-        return self.make_curve(name, points, group, stated, self.read_readings(group, rows))
+        curve = self.make_curve(name, points, group, stated, self.read_readings(group, rows))
+        curve.guides = self.read_guides(group, rows)
+        return curve
+
+    def read_guides(self, group: ColumnGroup, rows: Sequence[int]) -> dict[str, Floats]:
+        """Return the places (N, 3) of what may be a guide or the base, by the header of its columns."""
+        columns = {group.headers[m].axis: m for m in group.find("guide") if group.headers[m].axis}
+        texts = [self.cells.cell(n, m) for n in rows for m in columns.values()]
+        if len(columns) < 2 or any(self.cells.number(text) is None for text in texts):
+            return {}
+        places = np.zeros((len(rows), 3))
+        for axis, m in columns.items():
+            places[:, "xyz".index(axis)] = read_numbers(self.cells, rows, [m])[:, 0]
+        (name, _), *_ = sorted((re.split(r"[\s_./-]", group.headers[m].text)[0], m) for m in columns.values())
+        return {name: places}
 
     def make_curve(
         self,

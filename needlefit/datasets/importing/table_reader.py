@@ -1,5 +1,6 @@
 """Read one table: its curves, what it states of needles, and what of it is not used."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from itertools import count, pairwise
@@ -13,6 +14,7 @@ from needlefit.datasets.importing.table_needles import read_needles, read_shared
 from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
 
 MAX_LISTED_CHARS = 200  # of an unused row
+_QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 MAX_LISTED_MARKS = 4  # of a column that marks rows
 UNKNOWN_DOUBT = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"
 EXCLUSION_DOUBT = "all rows are used: delete those to leave out, or state --columns unrelated=HEADER"
@@ -60,9 +62,10 @@ def _add_unused(cells: CellTable, content: ImportContent, heads: dict[int, Seque
             numbers = [cells.number(text) for text in texts.values()]
             is_known = bool(header.meaning) or header.group in NO_POINTS
             is_count = not header.text and numbers == [*range(1, len(numbers) + 1)]
+            is_quantity = all(_QUANTITY.fullmatch(text) for text in texts.values())
             if header.meaning == "exclusion" and (counts := _count_marks(cells, m, range(n + 1, end))):
                 content.leave_out(*one, f"{counts}; {EXCLUSION_DOUBT}")
-            elif not is_known and not is_count and None not in numbers:
+            elif not is_known and not is_count and is_quantity:
                 content.leave_out(*one, UNKNOWN_DOUBT)
                 content.unknown.append(one)
             else:

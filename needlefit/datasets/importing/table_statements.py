@@ -8,6 +8,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES
+from needlefit.datasets.importing.synonyms import find_meaning
 from needlefit.datasets.importing.table_heads import COLUMNS_FIX, VECTORS, ColumnGroup
 from needlefit.datasets.importing.tables import CellTable
 from needlefit.errors import DataError
@@ -52,7 +53,9 @@ def read_attributes(cells: CellTable, group: ColumnGroup, rows: Sequence[int]) -
             for n in texts:
                 cells.use(n, *own)
             one = Stated(join.join(parts), group.headers[m].unit, cells.where(first, own[0]))
-            add_stated(stated, {meaning: one})
+            # `material` may be that of the needle: the words of the table of materials tell
+            is_metal = meaning == "medium" and find_meaning("value", one.text).endswith("GPa")
+            add_stated(stated, {"modulus" if is_metal else meaning: one})
     return stated
 
 

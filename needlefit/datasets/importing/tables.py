@@ -134,11 +134,19 @@ def _decode(data: bytes, path: Path) -> str:
     try:
         text = data.decode("utf-16" if is_wide else "utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("cp1252", errors="replace")
+        # of two encodings the one in which more headers are known
+        texts = [data.decode(name, errors="replace") for name in ("cp1252", "gb18030")]
+        text = max(texts, key=_count_known_headers)
     if "\0" in text:
         expected, fix = "text in UTF-8, UTF-16 or Windows-1252", "save it again as CSV (UTF-8)"
         raise DataError("cannot be read as text", where=str(path), expected=expected, fix=fix)
     return text
+
+
+def _count_known_headers(text: str) -> int:
+    """Return how many of the first words and phrases between separators are known as headers."""
+    parts = re.split(r"[;,\t\n\r]", text[:MAX_CELL_CHARS])
+    return sum(bool(read_header(part.strip()).meaning) for part in parts)
 
 
 def _split(line: str, separator: str) -> list[str]:

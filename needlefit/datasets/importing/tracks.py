@@ -1,5 +1,6 @@
 """Make tip tracks of imported curves: settle depths, the guide and the bevel."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.errors import DataError
@@ -70,29 +72,48 @@ def make_tracks(planner: "Planner") -> list[InsertionRow]:
 
 
 def settle_guide(planner: "Planner") -> None:
-    """Take one of the tools that were tracked together as the guide, if that is stated.
+    """Take what was tracked beside each tip as the guide, if that is stated.
 
-    DataError if nothing states which of them is the tip.
+    That is columns of the guide or base, or another tool: of the same rows, or of as many of the same file.
+
+    DataError if nothing states which of several tools is the tip, or no tool has the stated name.
     """
-    curves, together = planner.curves, dict[tuple[object, ...], list[int]]()
-    for n, one in enumerate(curves):
-        lines = () if one.points.lines is None else tuple(one.points.lines.tolist())
-        together.setdefault((one.points.path, lines or n), []).append(n)
-    pairs = [ones for ones in together.values() if len(ones) > 1]
-    if not pairs:
+    curves, stated = planner.curves, planner.answers.stated.get("guide")
+    beside = {name for one in curves for name, places in one.guides.items() if np.ptp(places, axis=0).any()}
+    tools = {one.name for ones in _list_together(curves) for one in ones}
+    if not beside and not tools and (stated is None or stated.text == "none"):
         planner.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
         return
-    names = join_names([curves[n].name for n in pairs[0]], 5)
-    answer = planner.settle("guide", "", f"{names} were tracked together")
+    names = join_names(sorted(beside | tools) or [one.name for one in curves], 5)
+    answer = planner.settle("guide", "", f"{names} were tracked")
     if answer.text == "none":
         return
-    guides = {n for ones in pairs for n in ones if f"-{curves[n].name}".endswith(f"-{answer.text}")}
-    if any(len(guides & {*ones}) != 1 or len(ones) != 2 for ones in pairs):
-        raise answer.error("guide", f"none, or one of {names}; two tools, of which one is the tip")
-    for tip, guide in pairs:
-        tip, guide = (guide, tip) if tip in guides else (tip, guide)
-        curves[tip].guide = curves[guide].line
-    curves[:] = [one for n, one in enumerate(curves) if n not in guides]
+    if any(answer.text in one.guides for one in curves):
+        for one in curves:
+            one.guide = one.guides.get(answer.text)
+        return
+    guides = [one for one in curves if f"-{one.name}".endswith(f"-{answer.text}")]
+    tips = [one for one in curves if not any(one is guide for guide in guides)]
+    pairs = [(guide, [one for one in tips if _is_beside(one, guide)]) for guide in guides]
+    if not pairs or any(len(beside_it) != 1 for _, beside_it in pairs):
+        raise answer.error("guide", f"none, or one of {names}, tracked beside one tip at the same times")
+    for guide, (tip,) in pairs:
+        tip.guide = guide.line
+    curves[:] = tips
+
+
+def _is_beside(one: ImportedCurve, other: ImportedCurve, same_rows: bool = False) -> bool:
+    """Whether two tools of one file have as many readings, or stand in the same rows."""
+    own, theirs = one.points.lines, other.points.lines
+    if one is other or one.points.path != other.points.path or own is None or theirs is None:
+        return False
+    return np.array_equal(own, theirs) if same_rows else len(own) == len(theirs)
+
+
+def _list_together(curves: Sequence[ImportedCurve]) -> list[list[ImportedCurve]]:
+    """Return the tools that stand in the same rows."""
+    found = [[other for other in curves if other is one or _is_beside(one, other, True)] for one in curves]
+    return [ones for ones in found if len(ones) > 1]
 
 
 def measure_depths(planner: "Planner") -> None:
