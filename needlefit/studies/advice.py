@@ -56,13 +56,13 @@ def advise(
 ) -> Advice | None:
     """Return the advice on what a run found, whose text and command take `values`; None if nothing has any.
 
-    The command takes `results/name`, the folder of a run, too.
+    The command takes `results/name`, the folder of a run, too, unless `values` state another `run`.
     """
     listed = set(found)
     finding = next((one for one in COMMANDS if one in listed), None)
     if finding is None:
         return None
-    known = {**values, "run": f"{results}/{name}"}
+    known = {"run": f"{results}/{name}", **values}
     words = [word.format_map(known) for word in COMMANDS[finding].split()]
     command = ("needlefit", *words) if words else ()
     return Advice(finding, TEXT.sentence(finding, values), command, results)

@@ -442,7 +442,9 @@ def _find_advice(found: Run) -> Advice | None:
         finding = "tip_predicted"
     axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
-    values = {"target": stated["study"]["target"], "tip": place}
+    values = {"target": (target := stated["study"]["target"]), "tip": place}
+    if target.endswith("/") or ("/" in target and not target.endswith(".toml")):
+        values["run"] = target  # the folder of a run, wherever it is
     return advise([finding], values, stated.get("fit_run") or "")
 
 
