@@ -16,7 +16,8 @@ from needlefit.geometry.neighbours import leave_one_out
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.dataset import ImportRecord
 from needlefit.schemas.scene import NeedleRecord
-from needlefit.studies.judge import limit_status, list_contradictions
+from needlefit.studies.advice import classify_doubt, list_contradictions
+from needlefit.studies.judge import limit_status
 
 UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.1
 SIDES = (-1, 1, -1, 1, -1, 1, -1, 1)
@@ -162,10 +163,9 @@ def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():
     def make(*kinds):
         return type("Result", (), {"run": warnings_entry(ResultWarning(kind, "") for kind in kinds)})()
 
-    assert list_contradictions(make("placeholder", "needle_outlier", "point_outlier")) == [
-        "point_outlier",
-        "needle_outlier",
-    ]
+    found = [ResultWarning(kind, "") for kind in ("placeholder", "needle_outlier", "point_outlier")]
+    assert list_contradictions(found) == ["point_outlier", "needle_outlier"]
+    assert classify_doubt(found[1]) == "dataset_doubtful"
     assert [limit_status(make("copy"), one) for one in ("pass", "warn", "fail")] == ["warn", "warn", "fail"]
     assert limit_status(make("noise"), "pass") == "pass"
 
