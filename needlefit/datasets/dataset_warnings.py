@@ -6,10 +6,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import scipy
 
+from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.insertion import Insertion, Noise, TipTrack
 from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
+from needlefit.datasets.outlying_needles import find_needle_warnings
+from needlefit.datasets.outlying_points import (
+    drop_outlying_points,
+    find_axis_warnings,
+    find_outlying_points,
+    find_point_warnings,
+)
 from needlefit.datasets.planes import (
     MAX_NAMED_INSERTIONS,
     MIN_BEND_SLOPE,
@@ -18,6 +27,7 @@ from needlefit.datasets.planes import (
     find_curvature_warnings,
     find_plane_warnings,
 )
+from needlefit.datasets.points import find_rounding
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import (
@@ -50,6 +60,8 @@ COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count
 # Scatters of a point by which two measurements of one curve differ at least, if they have as many points as
 # this; those of fewer points, or that were smoothed, by more than this.
 MIN_LIKENESS, MIN_LIKENESS_POINTS, MIN_LIKENESS_MM = 0.3, 15, 0.003
+# Least scatter of a measurement, mm; chance that two are rounded alike beyond which that explains a likeness.
+MIN_COPY_SD_MM, MAX_COPY_CHANCE = 0.02, 1e-6
 MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
@@ -196,52 +208,89 @@ def measure_scatter(one: Insertion) -> float:
     return math.sqrt(float(left @ left) / free)
 
 
-def measure_likeness(one: Insertion, other: Insertion) -> float:
-    """Return the median distance of points of one curve from the line through those of the other, mm.
+def measure_likeness(one: Insertion, other: Insertion) -> Floats:
+    """Return the distances of points of one curve from the line through those of the other, mm.
 
     Each curve lies in the frame of its own entry, where one may be the mirror image of the other, or both in
-    the frame of one. They may have other points of the same line, of which ends may be cut.
+    the frame of one. They may have other points of the same line, of which ends may be cut. The pair with the
+    least median counts.
     """
     curve, again = (np.column_stack([each.planar, each.out_of_plane]) for each in (one, other))
     there = one.frame.to_local(other.centerline)
-    gaps = [math.inf]
+    found = np.array([math.inf])
     for pair, signs in (((curve, again), MIRRORS), ((curve, there), MIRRORS[:1])):
         for a, b in (pair, pair[::-1]):
             a = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0])]
             if len(a) > 2:
                 line = np.column_stack([np.interp(a[:, 0], b[:, 0], axis) for axis in b[:, 1:].T])
-                gaps += [float(np.median(np.linalg.norm(a[:, 1:] * sign - line, axis=1))) for sign in signs]
-    return min(gaps)
+                gaps = [np.linalg.norm(a[:, 1:] * sign - line, axis=1) for sign in signs]
+                found = min(found, *gaps, key=np.median)
+    return found
+
+
+def find_chance_of_rounding(step: float, sd: float) -> float:
+    """Return the probability that a coordinate, measured twice with `sd`, is rounded to the same step, mm."""
+    ratio = step / (math.sqrt(2) * sd)  # over the SD of a difference
+    inside = math.erf(ratio / math.sqrt(2))
+    return inside - math.sqrt(2 / math.pi) * (1 - math.exp(-(ratio**2) / 2)) / ratio if ratio else 0.0
+
+
+def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each insertion of which more points lie on an earlier curve than noise allows.
+
+    Where coordinates are rounded, it must be more than rounding of two measurements explains.
+    """
+    insertions = [one.insertion for one in listed]
+    gaps = [float(np.diff(one.measure_arc(1)).max()) for one in insertions]
+    scatters = [
+        min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
+        for one in insertions
+    ]
+    step = find_rounding([one.points.values for one in listed]) if listed else 0.0
+    sd = max(math.hypot(noise.point_sd, noise.correlated_sd), MIN_COPY_SD_MM)
+    for n, (later, place) in enumerate((one.insertion, one.where) for one in listed):
+        for k, one in enumerate(insertions[:n]):
+            if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
+                continue  # a copy of which a point is left out is shorter by a gap
+            least = MIN_LIKENESS * min(scatters[k], scatters[n])
+            least = max(COPY_TOLERANCE_MM, least, min(MIN_LIKENESS_MM, noise.point_sd / 30))
+            away = measure_likeness(one, later)
+            same, count = int(np.sum(away <= least)), len(away)
+            axes = 1 + any(float(np.ptp(each.out_of_plane)) > 0 for each in (one, later))
+            chance = find_chance_of_rounding(step, sd) ** axes if step > least else 0.0
+            if np.median(away) <= least and scipy.special.bdtrc(same - 1, count, chance) < MAX_COPY_CHANCE:
+                what = (
+                    f"{later.id} and {one.id} are the same in {same} of {count} points, within {least:.1g} mm"
+                )
+                what += f", which noise{' and rounding do' if step > least else ' does'} not explain"
+                fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
+                yield ResultWarning("copy", what, place, fix)
+                break
 
 
 def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
-    where, insertions = format_place(file), [one.insertion for one in listed]
+    where, outlying = format_place(file), find_outlying_points(listed, noise)
+    yield from find_point_warnings(listed, outlying)
+    yield from find_axis_warnings(listed, noise)
+    # what is wrong with a point alone is no finding about its needle
+    listed = [drop_outlying_points(one, outlying) for one in listed]
+    insertions = [one.insertion for one in listed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    yield from find_side_warnings([(one.insertion, one.where) for one in listed], noise, column)
-    yield from find_plane_warnings(listed, noise)
+    sides = list(find_side_warnings([(one.insertion, one.where) for one in listed], noise, column))
+    yield from sides
+    # wrong sides look like needles that lean alike, and like one that differs
+    needles = [] if sides else list(find_needle_warnings(listed, noise))
+    yield from needles
+    if not any(one.kind == "common_pose" for one in needles):
+        yield from find_plane_warnings(listed, noise)
     yield from find_curvature_warnings(listed, noise)
     yield from _find_reversed_warnings(listed, noise)
-    yield from _find_length_warnings(record, listed, noise)
-    gaps = [float(np.diff(one.measure_arc(1)).max()) for one in insertions]
-    scatters = [
-        min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
-        for one in insertions
-    ]
-    for n, (later, place) in enumerate((one.insertion, one.where) for one in listed):
-        for k, one in enumerate(insertions[:n]):
-            if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
-                continue  # a copy of which a point is left out is shorter by a gap
-            least = max(
-                MIN_LIKENESS * min(scatters[k], scatters[n]), min(MIN_LIKENESS_MM, noise.point_sd / 30)
-            )
-            if (gap := measure_likeness(one, later)) <= max(COPY_TOLERANCE_MM, least):
-                what = f"{later.id} and {one.id} differ by {gap:.2g} mm, which noise does not allow"
-                fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
-                yield ResultWarning("copy", what, place, fix)
-                break
+    measured = [one for one in listed if one.insertion.id not in outlying]  # their ends are points
+    yield from _find_length_warnings(record, measured, noise)
+    yield from _find_copy_warnings(listed, noise)
     yield from find_boundary_warnings(record, insertions, where)
     yield from _find_own_boundary_warnings(record, listed)
     deepest = max(insertions, key=lambda one: one.depth, default=None)

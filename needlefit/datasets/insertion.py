@@ -1,6 +1,7 @@
 """Types of measured data: an insertion, the dataset, its stated measurement errors."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -210,6 +211,8 @@ class Dataset:
         1 where needles are simulated and compared in their planes, 2 in space.
     files : DatasetFiles or None
         What it was read from; None where it was made in memory.
+    rigidities : mapping of str to str
+        From which stated values the flexural rigidity of each needle follows, by its name.
     """
 
     name: str
@@ -257,6 +260,7 @@ class Dataset:
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT
     planes: int = 1
     files: DatasetFiles | None = field(default=None, repr=False, compare=False)
+    rigidities: Mapping[str, str] = field(default_factory=dict, repr=False)
 
 
 # Deviation of a surface that all insertions into a specimen share, mm, where none is stated; not more than

@@ -329,11 +329,12 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
 
 @dataclass(frozen=True)
 class ListedInsertion:
-    """An insertion, its row, and the line of it in the table."""
+    """An insertion, its row, the line of it in the table, and its points as they were read."""
 
     insertion: Insertion
     row: InsertionRow
     where: str
+    points: Points
 
 
 def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:

@@ -1,14 +1,26 @@
 """The needles of a dataset: read them from its records, find their faults, describe them."""
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.faults import Fault
+from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
 from needlefit.datasets.insertion import Dataset
+from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, list_needles, needle_key
+from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.schemas.dataset import (
+    DatasetRecord,
+    ImportDecisionRecord,
+    ImportRecord,
+    TrackDatasetRecord,
+    list_needles,
+    needle_key,
+)
+from needlefit.schemas.scene import NeedleRecord
 
 MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
 
@@ -29,6 +41,54 @@ def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
         if (other := keys.setdefault(needle.name, table)) != table:
             key, what = f"{table}.name", f"{table} and {other} are both named {needle.name}"
             yield Fault(locate_key(file, key), what, "a name of its own for each needle", "rename one")
+
+
+# How the words of an import's decision begin that is not from a file.
+_ORIGINS = {
+    "option": "stated at the import",
+    "answer": "answered at the import",
+    "guess": "guessed at the import",
+    "assumption": "assumed at the import",
+    "confirmed": "confirmed after the import",
+}
+
+
+def describe_rigidity(needle: NeedleRecord, imported: ImportRecord | None) -> str:
+    """Return from which stated values the flexural rigidity of a needle follows, and where each is from."""
+    outer, inner, modulus = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.youngs_modulus_gpa
+    if outer is None or modulus is None:
+        return "stated in dataset.toml"
+    decisions = {} if imported is None else {one.what: one for one in imported.decisions}
+    values = (
+        ("diameter", outer, f"diameter {outer:g} mm"),
+        ("inner diameter", inner, f"inner diameter {inner:g} mm" if inner else "solid"),
+        ("modulus", modulus, f"{modulus:g} GPa"),
+    )
+    found = []
+    for what, value, words in values:
+        decision = decisions.get(what)
+        if decision is None or not _is_still(decision.value, value):
+            found.append(("from dataset.toml", words))
+            continue
+        named = f" ({decision.value})" if any(one.isalpha() for one in decision.value) else ""
+        found.append((_describe_origin(decision), f"{words}{named}"))
+    return "; ".join(f"{', '.join(parts)} {origin}" for origin, parts in group_values(found).items())
+
+
+def _describe_origin(decision: ImportDecisionRecord) -> str:
+    file = decision.reason.partition(",")[0]
+    return _ORIGINS.get(decision.source) or f"from {file if '.' in file else 'the imported files'}"
+
+
+def _is_still(stated: str, value: float) -> bool:
+    """Whether a value, mm or GPa, is still the one that an import took; True of several needles' values."""
+    if (read := read_quantity(find_meaning("value", stated) or stated)) is None:
+        return True
+    number, unit = read
+    given = (
+        GAUGES_MM.get(int(number), 0.0) if unit == "G" else number * {**UNITS_MM, **UNITS_GPA}.get(unit, 1.0)
+    )
+    return math.isclose(given, value, rel_tol=1e-3, abs_tol=1e-9)
 
 
 def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:

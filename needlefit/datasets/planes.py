@@ -139,7 +139,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
         names = join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS)
         what = (
             f"needles are up to {max(measure_aside(one.insertion) for one in aside):.1f} mm from where their "
-            f"bevels lead them, which errors of points, pose and turns do not explain: {names}"
+            f"bevels lead them, which errors of points, pose and rolls do not explain: {names}"
         )
         fix = _propose_bevel([one.insertion for one in aside], noise)
         fix += "; `planes = 2` in the study or fit compares them in space"
@@ -173,18 +173,21 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
 def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:
     """Return the insertions that errors do not bring to where their bevels lead them.
 
+    Of many needles one is beyond `SIGNIFICANT_SD` by chance: all of them are so as rarely as one would be.
     Those with turns, whose rolls have errors, are judged together too: they follow one convention.
     """
     ratios = []
     for one in (each.insertion for each in known):
-        sd = (compute_plane_sd if one.turns else compute_deflection_sd)(one, noise)
-        ratios.append(measure_aside(one) / max(sd, MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD))
+        sd = max(compute_plane_sd(one, noise), MIN_BEND_SLOPE * one.depth / SIGNIFICANT_SD)
+        ratios.append(measure_aside(one) / sd)
     turned = [ratio for ratio, one in zip(ratios, known, strict=True) if one.insertion.turns]
     count, total = max(1, len(turned)), float(np.sum(np.square(turned)))
     most = float(scipy.special.chdtri(count, scipy.special.chdtrc(1, SIGNIFICANT_SD**2)))  # of chi-squared
-    limit = math.sqrt(most / count) if total > most else SIGNIFICANT_SD
+    rare = scipy.special.chdtrc(1, SIGNIFICANT_SD**2) / max(1, len(known))
+    single = math.sqrt(scipy.special.chdtri(1, rare))
+    limit = math.sqrt(most / count) if total > most else single
     pairs = zip(known, ratios, strict=True)
-    return [one for one, ratio in pairs if ratio > (limit if one.insertion.turns else SIGNIFICANT_SD)]
+    return [one for one, ratio in pairs if ratio > (limit if one.insertion.turns else single)]
 
 
 def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:

@@ -1,6 +1,6 @@
 """The points of a curve as they are in a file, before any check."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,9 @@ from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 
 MAX_COORDINATE = 1e6  # no number of a dataset is greater: a kilometre in mm
 MIN_POINTS = 5  # fewer points are no curve
+# Steps to which coordinates are rounded, mm, the coarsest first.
+ROUNDING_STEPS_MM = (10.0, 5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+ROUNDING_TOLERANCE = 1e-6  # of a coordinate over its step, from a whole number
 
 
 @dataclass(frozen=True)
@@ -67,3 +70,17 @@ class Points:
             return []
         what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
         return [Fault(self.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
+
+
+def find_rounding(curves: Iterable[NDArray[np.float64]]) -> float:
+    """Return the step to which coordinates of curves (N, 3) are rounded, mm; 0 if to none, or a fine one.
+
+    An axis along which they do not differ shows none.
+    """
+    points = np.vstack(list(curves))
+    varied = points[:, np.ptp(points, axis=0) > 0]
+    for step in ROUNDING_STEPS_MM:
+        parts = varied / step
+        if varied.size and np.abs(parts - parts.round()).max() < ROUNDING_TOLERANCE / step:
+            return step
+    return 0.0

@@ -50,7 +50,12 @@ from needlefit.datasets.layers import (
     read_shared_surfaces,
     reduce_insertion,
 )
-from needlefit.datasets.needles import find_needle_faults, find_unknown_needle, make_needles
+from needlefit.datasets.needles import (
+    describe_rigidity,
+    find_needle_faults,
+    find_unknown_needle,
+    make_needles,
+)
 from needlefit.datasets.points import Points
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
@@ -144,6 +149,9 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         files=sources,
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
+        rigidities={
+            one.name: describe_rigidity(one, record.import_) for one in list_needles(record).values()
+        },
         **own,
     )
     return Inspection(dataset, (), dataset.warnings)
@@ -244,7 +252,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             continue
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
-            yield ListedInsertion(reduced, row, where)
+            yield ListedInsertion(reduced, row, where, points)
         except DataError as error:
             fault = from_error(error, where)
             found.append(replace(fault, fix=fault.fix or BEVEL_FIX))

@@ -68,8 +68,13 @@ def advise(
     return Advice(finding, TEXT.sentence(finding, values), command, results)
 
 
+#: kinds of warnings about data that cannot all be right: no verdict on them is one on the model
+CONTRADICTIONS = (
+    *("point_outlier", "axis_unit", "common_pose", "entry_offset", "needle_outlier"),
+    *("bevel_side", "length", "reversed", "copy"),
+)
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
-_OF_DATASETS = ("assumed", "bevel_side", "copy", "curvature", "no_noise", "noise", "reversed", "surfaces")
+_OF_DATASETS = (*CONTRADICTIONS, "assumed", "curvature", "no_noise", "noise", "surfaces")
 #: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
 _NO_DOUBTS = ("placeholder", "validity")
 
@@ -80,6 +85,12 @@ def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
     for one in warnings:
         first.setdefault(one.kind, one)
     return [one for kind, one in first.items() if kind not in _NO_DOUBTS]
+
+
+def list_contradictions(warnings: Iterable[ResultWarning]) -> list[str]:
+    """Return the kinds of warnings by which the data contradict themselves."""
+    kinds = {one.kind for one in warnings}
+    return [kind for kind in CONTRADICTIONS if kind in kinds]
 
 
 def classify_doubt(doubt: ResultWarning) -> str:

@@ -163,7 +163,7 @@ class Inputs:
 
 
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then
-DATA_WARNINGS = ("units", "bevel_side", "data_changed")
+DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "common_pose", "data_changed")
 
 
 @dataclass(frozen=True)

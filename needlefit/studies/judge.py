@@ -18,7 +18,7 @@ import scipy
 
 from needlefit.inference.baselines import BASELINES
 from needlefit.project.result_warnings import read_warnings
-from needlefit.studies.advice import list_doubts
+from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
@@ -234,3 +234,8 @@ def check_data(results: Run) -> Finding:
     """Return whether any warning casts doubt on the data or on a parameter."""
     named = [one.kind for one in list_doubts(read_warnings(results.run))]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
+
+
+def limit_status(results: Run, status: Status) -> Status:
+    """Return the status of a verdict; data that contradict themselves let nothing pass."""
+    return "warn" if status == "pass" and list_contradictions(read_warnings(results.run)) else status

@@ -75,6 +75,10 @@ def describe_dataset(dataset: Dataset) -> dict[str, Any]:
         "notes": list(dataset.notes),
         "measurement": stated | {"description": describe_measurement(dataset)},
         "boundary_shared_sd_mm": sorted(shared - {0.0}),
+        "rigidity": {
+            name: {"nmm2": needle.flexural_rigidity, "origin": dataset.rigidities.get(name, "")}
+            for name, needle in sorted(dataset.needles.items())
+        },
     }
 
 

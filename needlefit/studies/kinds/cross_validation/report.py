@@ -22,13 +22,20 @@ from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
-from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
+from needlefit.studies.advice import (
+    advise,
+    classify_doubt,
+    find_failures,
+    list_contradictions,
+    list_doubts,
+    name_doubt,
+)
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, list_checks
+from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, limit_status, list_checks
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run, once_per_run
 
@@ -76,6 +83,8 @@ def collect_values(results: Run) -> dict[str, Any]:
         "population": fit_tables.list_spreads(results),
         "chains": fit_tables.tabulate_percentiles(results),
         "notes": list_data_notes(run),
+        "rigidity": run.get("dataset", {}).get("rigidity", {}),
+        "contradictions": [name_doubt(kind) for kind in list_contradictions(read_warnings(run))],
     }
 
 
@@ -116,6 +125,7 @@ def find_answer(results: Run) -> Answer:
     }
     if role == "tune":
         words["opening"], status = _open_fit(results, [word for word, _ in determined])
+        status = limit_status(results, status)
         rest = (name for word, names in determined if word != "yes" for name in names)
         numbers["not_determined"] = ", ".join(rest)
         sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(results)
@@ -125,7 +135,7 @@ def find_answer(results: Run) -> Answer:
         crps = results.frames["predictive"][CRPS].mean()
         numbers[CRPS] = None if pd.isna(crps) else float(crps)
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
-        sentence, status = TEXT.sentence("predicted", words), STATUS[judged.outcome]
+        sentence, status = TEXT.sentence("predicted", words), limit_status(results, STATUS[judged.outcome])
         table = fit_tables.lay_out_summary(results)
     about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
     advice = find_advice(results, checks, [word for word, _ in determined])

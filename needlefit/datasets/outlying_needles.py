@@ -1,0 +1,366 @@
+"""Find needles that their stated entries, or the other needles, contradict: by curves, without mechanics.
+
+Of every needle the smoothed entry and tip are compared. What all needles share in the world, whichever way
+their bevels face, is an error of entries or frame. One needle that begins off its own entry, or bends and
+leans otherwise than the others, has an error of its own, or differs. By how much sound needles differ is
+estimated from the others, beginning with `NATURAL_BEND`; of few others nothing is concluded.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.noise import MEAN_NORM_PER_SD
+from needlefit.datasets.outlying_points import MIN_SCATTER_MM, OUTLIER_SD
+from needlefit.datasets.planes import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, SIGNIFICANT_SD
+from needlefit.geometry.frames import normalize
+from needlefit.grouping import group_values
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+
+MIN_ORDER, MAX_ORDER = 2, 4  # of the polynomial through the points of a needle
+# How needles into one medium differ by nature, SD: of the logarithm of their bend, of the part of it that is
+# out of their plane, and of a slope. The first is as sure as from so many needles.
+NATURAL_BEND, NATURAL_TWIST, NATURAL_SLOPE, NATURAL_NEEDLES = 0.12, 0.05, 0.002, 8
+# At the entry tissue gives way toward the bevel, by a part of the bend that the others show: SD of this part
+# over itself, and of the part where there are no others.
+GIVE_SD, UNKNOWN_GIVE = 0.5, 0.3
+ALONG_SD_MM = 0.5  # of a first point along the needle: no point need lie exactly at the entry
+NATURAL_SPACING = 0.01  # SD of the logarithm of the spacing of points that are sampled alike
+MAX_SPACING_RATIO = 1.5  # of one needle's points over the others'; beyond, they are sampled otherwise
+MAX_CHANCE = 1e-4  # of a deviation of a sound needle, by Student's t
+SAME_LENGTH_PART = 0.1  # by which lengths differ where their mean is taken
+MIN_OTHERS = 4  # needles with which another one is compared
+# SD of a tip about the tangent at the entry, over that of points: of a parabola through about five free ones.
+TANGENT_FACTOR = 6.0
+MIN_COMMON = 3  # needles of which a common motion is sought
+MIN_SHIFT_MM = 0.1  # common shift that counts
+LEAN_PRIOR = 0.3  # SD of the slope with which needles bend toward their bevels
+
+
+@dataclass(frozen=True)
+class NeedleEnds:
+    """Where the smoothed curve of a needle begins and ends: toward its bevel, and out of its plane, mm."""
+
+    listed: ListedInsertion
+    length: float
+    start: float  # of its points, along the entry direction from the entry, mm
+    entry: Floats  # (2,)
+    tip: Floats  # (2,)
+    entry_variance: Floats  # (2,); of the stated errors, mm^2
+    tip_variance: Floats  # (2,)
+
+    @property
+    def insertion(self) -> Insertion:
+        return self.listed.insertion
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether its entry is known."""
+        return self.insertion.pose_source != "none"
+
+    @property
+    def bend(self) -> float:
+        """How far the tip is from the entry toward the bevel, mm."""
+        return float(self.tip[0] - self.entry[0])
+
+    @property
+    def axes(self) -> Floats:
+        """The unit vectors (3, 3), in rows, along the entry, toward the bevel and out of its plane."""
+        x, y, z = self.insertion.frame.rotation.T
+        return np.array([x, self.insertion.side * y, z])
+
+
+def find_ends(listed: ListedInsertion, noise: Noise) -> NeedleEnds:
+    """Return the ends of an insertion by a polynomial through its points."""
+    one = listed.insertion
+    # of the first point that was read: if it is off across the needle, it is left out of the curve
+    start = float(one.frame.to_local(listed.points.values[0])[0])
+    x = one.planar[:, 0] - start
+    length = float(x[-1])
+    order = min(MAX_ORDER, len(x) - 3)
+    weights = np.vander([0.0, 1.0], order + 1) @ np.linalg.pinv(np.vander(x / length, order + 1))  # (2, N)
+    entry, tip = weights @ np.column_stack([one.side * one.planar[:, 1], one.out_of_plane])
+    own = np.zeros(len(x)) if one.sd is None else one.sd
+    errors = weights**2 @ (noise.point_sd**2 + own**2) + noise.correlated_sd**2 + MIN_SCATTER_MM**2
+    if one.pose_source == "none":  # it lies by its own tangent
+        errors[1] += (TANGENT_FACTOR * math.hypot(noise.point_sd, noise.correlated_sd)) ** 2
+    else:
+        errors += _find_shift_sd(one, noise) ** 2 + np.array([0.0, (one.pose_angle_sd * length) ** 2])
+    rolled = [0.0, (one.roll_sd * float(tip[0] - entry[0])) ** 2]
+    return NeedleEnds(listed, length, start, entry, tip, errors[0] + np.zeros(2), errors[1] + rolled)
+
+
+def _find_shift_sd(insertion: Insertion, noise: Noise) -> float:
+    return max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
+
+
+def find_needle_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield the warnings about needles; a common motion hides what single needles show."""
+    plain = [one for one in listed if not one.insertion.turns and not one.insertion.base_moved]
+    ends = [find_ends(one, noise) for one in plain if len(one.insertion.planar) > MIN_ORDER + 2]
+    placed = [one for one in ends if one.is_placed]
+    common = [*_find_common_shift(placed, noise), *_find_common_lean(placed)]
+    if common:
+        yield from common
+        return
+    groups = group_values(
+        ((one.insertion.medium, one.insertion.sequence, one.insertion.needle.name), one) for one in ends
+    )
+    off = [found for group in groups.values() for found in _find_off_entry(group)]
+    if off:
+        yield _describe_off_entry(off)
+    named = {one.insertion.id for one, *_ in off}
+    for group in groups.values():
+        yield from _find_unlike([one for one in group if one.insertion.id not in named])
+
+
+# ---- all needles alike
+
+
+@dataclass(frozen=True)
+class CommonVector:
+    """What all needles share whichever way their bevels face: a vector (3,) of the world, and its SD."""
+
+    vector: Floats
+    sd: float
+
+    @property
+    def size(self) -> float:
+        return float(np.linalg.norm(self.vector))
+
+    def is_beyond(self, stated_sd: float, least: float) -> bool:
+        """Whether it is larger than chance, and what is stated of each needle, explain."""
+        return self.size > max(least, SIGNIFICANT_SD * stated_sd, OUTLIER_SD * self.sd)
+
+
+def estimate_common(
+    ends: Sequence[NeedleEnds], values: Floats, variance: Floats, natural: float
+) -> CommonVector | None:
+    """Return the common part of `values` (n, 3) along the `axes` of needles; None if most do not have it.
+
+    Toward their bevels needles may have a value of their own, linear in their length, of SD `natural`: of
+    bevels that all face one way the two cannot be separated. Along them all may begin at one distance.
+    """
+    count, axes = len(ends), np.array([one.axes for one in ends])  # (n, 3, 3)
+    lengths = np.array([one.length for one in ends])
+    own = np.zeros((count, 3, 3))
+    own[:, 0, 0] = own[:, 1, 1] = 1.0
+    own[:, 1, 2] = lengths / lengths.mean() - 1.0
+    design = np.concatenate([axes, own], axis=2).reshape(3 * count, 6)
+    precision = np.diag([1e-6] * 3 + [ALONG_SD_MM**-2] + [natural**-2] * 2)  # 1e-6: all are parallel
+    sds = np.sqrt(np.tile(variance.mean(axis=0), count))
+    for _ in range(2):  # with the stated scatter, then with that found
+        scaled = design / sds[:, None]
+        covariance = np.linalg.inv(scaled.T @ scaled + precision)
+        found = covariance @ scaled.T @ (values.ravel() / sds)
+        left = (values.ravel() - design @ found).reshape(count, 3)
+        scatter = np.sum(left**2, axis=0) / max(count - 2, 1)
+        sds = np.sqrt(np.maximum(sds**2, np.tile(scatter, count)))
+    vector = found[:3]
+    if not (size := float(np.linalg.norm(vector))):
+        return None
+    shared = np.sum((values - own @ found[3:]) * (axes @ vector), axis=1) / size
+    if np.median(shared) < size / 2:
+        return None
+    return CommonVector(vector, math.sqrt(float(vector @ covariance[:3, :3] @ vector)) / size)
+
+
+def _find_common_shift(placed: Sequence[NeedleEnds], noise: Noise) -> Iterator[ResultWarning]:
+    if len(placed) < MIN_COMMON:
+        return
+    values = np.array([[one.start, *one.entry] for one in placed])
+    variance = np.array([[ALONG_SD_MM**2, *one.entry_variance] for one in placed])
+    natural = UNKNOWN_GIVE * float(np.mean([abs(one.bend) for one in placed])) + MIN_SHIFT_MM
+    found = estimate_common(placed, values, variance, natural)
+    stated = math.sqrt(np.mean([_find_shift_sd(one.insertion, noise) ** 2 for one in placed]))
+    if found and found.is_beyond(stated, MIN_SHIFT_MM):
+        what = f"all {len(placed)} needles begin {found.size:.2g} mm from their stated entries, on one side"
+        what += f" whichever way their bevels face: by {_list_numbers(found.vector)} mm"
+        fix = "correct the entry points, or the frame in which the points are"
+        yield ResultWarning("common_pose", what, placed[0].listed.where, fix)
+
+
+def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
+    if len(placed) < MIN_COMMON:
+        return
+    values = np.array([[0.0, *(one.tip - one.entry) / one.length] for one in placed])
+    parts = np.array([NATURAL_BEND, NATURAL_TWIST])
+    natural = [(parts * one.bend) ** 2 + (NATURAL_SLOPE * one.length) ** 2 for one in placed]
+    variance = np.array(
+        [[1.0, *(one.tip_variance + own) / one.length**2] for one, own in zip(placed, natural, strict=True)]
+    )
+    found = estimate_common(placed, values, variance, LEAN_PRIOR)
+    stated = math.sqrt(np.mean([one.insertion.pose_angle_sd**2 for one in placed]))
+    if found and found.is_beyond(stated, MIN_BEND_SLOPE):
+        degrees = math.degrees(math.atan(found.size))
+        what = f"all {len(placed)} needles lean by {degrees:.2g} degrees to one side"
+        what += " whichever way their bevels face"
+        fix, along = "correct the entry directions or the frame", np.array([one.axes[0] for one in placed])
+        if float(np.ptp(along, axis=0).max()) < MIN_BEND_SLOPE:
+            fix += f": the direction {_list_numbers(normalize(along[0] + found.vector), 3)} fits"
+        yield ResultWarning("common_pose", what, placed[0].listed.where, fix)
+
+
+def _list_numbers(vector: Floats, digits: int = 2) -> str:
+    return ", ".join(f"{x:z.{digits}f}" for x in vector)
+
+
+# ---- each needle and its entry
+
+
+def _find_off_entry(group: Sequence[NeedleEnds]) -> Iterator[tuple[NeedleEnds, Floats, float]]:
+    """Yield the needles of a medium that begin off their entries: by how much (3,), mm, and in SDs.
+
+    Tissue gives way toward the bevels, about in proportion to the bend.
+    """
+    placed = [one for one in group if one.is_placed]
+    give = float(np.median([one.entry[0] / one.bend for one in placed if one.bend])) if placed else 0.0
+    is_known = len(placed) > MIN_OTHERS
+    for one in placed:
+        expected = np.array([0.0, give * one.bend if is_known else 0.0, 0.0])
+        given = GIVE_SD * expected[1] if is_known else UNKNOWN_GIVE * one.bend
+        natural = np.array(
+            [ALONG_SD_MM, math.hypot(NATURAL_SLOPE * one.length, given), NATURAL_SLOPE * one.length]
+        )
+        off = np.array([one.start, *one.entry])
+        variance = np.array([0.0, *one.entry_variance]) + natural**2
+        sds = float(np.max(np.abs(off - expected) / np.sqrt(variance)))
+        if sds > OUTLIER_SD:
+            yield one, off, sds
+
+
+def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> ResultWarning:
+    named = [
+        f"{one.insertion.id} by {_list_numbers(vector @ one.axes)} mm ({sds:.0f} SD)"
+        for one, vector, sds in off
+    ]
+    what = f"needles begin off their stated entries: {join_names(named, MAX_NAMED_INSERTIONS)}"
+    fix = "correct the entry or the points of these needles, or state a larger pose_shift_sd_mm"
+    return ResultWarning("entry_offset", what, off[0][0].listed.points.where(0), fix)
+
+
+# ---- each needle and the others
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """By how much a needle differs from the others, in one respect."""
+
+    value: float  # what is left of the needle's value
+    sds: float  # the same in standard deviations
+    chance: float  # probability of a greater one, of a sound needle
+
+    @property
+    def is_beyond(self) -> bool:
+        return self.sds > OUTLIER_SD and self.chance < MAX_CHANCE
+
+
+def compare(own: int, design: Floats, values: Floats, stated: Floats, natural: float) -> Deviation:
+    """Compare one of `values` (n,) with what a fit of `design` (n, p) to all others leads to expect.
+
+    `stated` (n,): variances of their errors. The scatter of the others beyond these counts beside the
+    `natural` standard deviation, which is as sure as from `NATURAL_NEEDLES`.
+    """
+    others = np.arange(len(values)) != own
+    fit = np.linalg.pinv(design[others])
+    found = fit @ values[others]
+    free = len(values) - 1 - len(found)
+    scatter = float(np.sum((values[others] - design[others] @ found) ** 2)) / free
+    errors, sure = float(np.mean(stated[others])), NATURAL_NEEDLES + free
+    spread = (NATURAL_NEEDLES * natural**2 + free * max(scatter - errors, 0.0)) / sure
+    lever = float(np.sum((design[own] @ fit) ** 2))
+    variance = float(stated[own]) + spread + lever * (errors + spread)
+    degrees = sure * (variance / ((1.0 + lever) * spread)) ** 2  # of freedom: stated errors are known
+    left = float(values[own] - design[own] @ found)
+    sds = abs(left) / math.sqrt(variance)
+    return Deviation(left, sds, 2 * float(scipy.special.stdtr(degrees, -sds)))
+
+
+def compare_bends(group: Sequence[NeedleEnds]) -> list[Deviation]:
+    """Return by which factor, as its logarithm, each needle bends more than the others of its length.
+
+    Bends grow by a power of the length.
+    """
+    sds = np.array([math.sqrt(one.entry_variance[0] + one.tip_variance[0]) for one in group])
+    bends = np.maximum([one.bend for one in group], sds)
+    lengths = np.log([one.length for one in group])
+    design = np.column_stack([np.ones(len(group)), lengths - lengths.mean()])
+    if np.ptp(lengths) < SAME_LENGTH_PART:
+        design = design[:, :1]
+    stated = (sds / bends) ** 2
+    return [compare(own, design, np.log(bends), stated, NATURAL_BEND) for own in range(len(group))]
+
+
+def compare_leans(group: Sequence[NeedleEnds]) -> list[Deviation]:
+    """Return by which slope each needle leaves the plane of its bevel more than the others."""
+    lengths = np.array([one.length for one in group])
+    leans = np.array([one.tip[1] - one.entry[1] for one in group]) / lengths
+    stated = np.array([one.tip_variance[1] for one in group]) / lengths**2
+    bend = float(np.mean([abs(one.bend) / one.length for one in group]))
+    natural = math.hypot(NATURAL_TWIST * bend, NATURAL_SLOPE)
+    design = np.ones((len(group), 1))
+    return [compare(own, design, leans, stated, natural) for own in range(len(group))]
+
+
+def compare_spacings(group: Sequence[NeedleEnds]) -> list[Deviation]:
+    """Return by which factor, as its logarithm, each needle's points lie farther apart than the others'.
+
+    A large one is a choice, and no deviation.
+    """
+    steps = [np.linalg.norm(np.diff(one.listed.points.values, axis=0), axis=1) for one in group]
+    usual = np.array([float(np.median(one)) for one in steps])
+    scatter = np.array([float(np.std(one)) / math.sqrt(len(one)) for one in steps])
+    design, stated = np.ones((len(group), 1)), (scatter / usual) ** 2
+    found = [compare(own, design, np.log(usual), stated, NATURAL_SPACING) for own in range(len(group))]
+    most = math.log(MAX_SPACING_RATIO)
+    return [one if abs(one.value) < most else replace(one, sds=0.0) for one in found]
+
+
+def _find_unlike(group: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
+    """Yield a warning for each needle that differs from the others of its medium, the worst first."""
+    left = list(group)
+    while len(left) > MIN_OTHERS:
+        forms = [(compare_bends, _describe_bend), (compare_spacings, _describe_spacing)]
+        if left[0].is_placed:  # else each has its own plane
+            forms.append((compare_leans, _describe_lean))
+        found = [
+            (deviation, needle, describe)
+            for compare_all, describe in forms
+            for deviation, needle in zip(compare_all(left), left, strict=True)
+            if deviation.is_beyond
+        ]
+        if not found:
+            return
+        worst, needle, describe = min(found, key=lambda one: one[0].chance)
+        what, fix = describe(worst, needle)
+        what = f"{needle.insertion.id} {what}, {worst.sds:.0f} SD from the other {len(left) - 1} needles"
+        what += f" into {needle.insertion.medium}"
+        yield ResultWarning("needle_outlier", what, needle.listed.where, fix)
+        left.remove(needle)
+
+
+def _describe_bend(found: Deviation, needle: NeedleEnds) -> tuple[str, str]:
+    if needle.bend < 0:
+        return "bends away from the side to which the others bend", "check its bevel side, or a mirrored axis"
+    fix = "check the unit of its points, its entry direction, medium, layers and needle"
+    return f"bends {math.exp(found.value):.2g} times as much as others of its depth", fix
+
+
+def _describe_spacing(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
+    factor = math.exp(found.value)
+    fix = (
+        f"if they were not sampled otherwise, check their scale: divide them, and its depth, by {factor:.3g}"
+    )
+    return f"has points {factor:.3g} times as far apart as the others", fix
+
+
+def _describe_lean(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
+    angle = math.degrees(math.atan(abs(found.value)))
+    return f"leans out of its plane by {angle:.2g} degrees", "check its entry direction and bevel direction"

@@ -1,0 +1,186 @@
+"""One bad point, one bad needle, all needles alike wrong, and sound ones: what a dataset is warned of."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_datasets import record, row
+
+from needlefit.datasets.needles import describe_rigidity
+from needlefit.datasets.points import find_rounding
+from needlefit.datasets.read import inspect
+from needlefit.datasets.write import write_dataset
+from needlefit.geometry.neighbours import leave_one_out
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.schemas.dataset import ImportRecord
+from needlefit.schemas.scene import NeedleRecord
+from needlefit.studies.advice import classify_doubt, list_contradictions
+from needlefit.studies.judge import limit_status
+
+UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.1
+SIDES = (-1, 1, -1, 1, -1, 1, -1, 1)
+
+
+def measure_needles(seed, sides=SIDES):
+    """Return needles (N, 3), 35 to 70 mm deep in steps of 5 mm, that bend toward their bevels by id."""
+    rng, found = np.random.default_rng(seed), {}
+    for n, side in enumerate(sides):
+        x = np.arange(0.0, 36.0 + 5.0 * n, 5.0)
+        bend = 1.5e-3 * np.exp(0.1 * rng.normal()) * x**2
+        across = np.radians(ANGLE_SD_DEG) * rng.normal(size=2) * x[:, None] + SHIFT_SD * rng.normal(size=2)
+        points = np.column_stack([x, side * bend + across[:, 0], across[:, 1]])
+        found[f"n{n + 1}"] = points + [0, POINT_SD, POINT_SD] * rng.normal(size=points.shape)
+    return found
+
+
+def find_warnings(folder: Path, curves, sides=SIDES, step=0.0, sd=POINT_SD) -> list[ResultWarning]:
+    """Return the warnings about needles into one medium, each into another specimen, rounded to a step."""
+    rows = []
+    for (name, curve), side in zip(curves.items(), sides, strict=True):
+        curves = curves | {name: np.round(curve / step) * step if step else curve}
+        depth = float(np.linalg.norm(np.diff(curves[name], axis=0), axis=1).sum())
+        pose = {"entry": np.zeros(3), "pose_shift_sd": SHIFT_SD, "pose_angle_sd": np.radians(ANGLE_SD_DEG)}
+        rows.append(row(name, "gel", layers=1, bevel=UP, side=side, depth=depth, specimen=name, **pose))
+    tables = record(media={"gel": {}}, noise={"point_sd_mm": sd})
+    file = write_dataset(folder, tables, rows, curves, {}, checksums=False)
+    found = inspect(file)
+    assert not found.faults
+    return list(found.warnings)
+
+
+def move(*vector):
+    return lambda points: points + np.array(vector)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_sound_needles_give_no_warning(tmp_path, seed):
+    assert find_warnings(tmp_path, measure_needles(seed)) == []
+
+
+@pytest.mark.parametrize(
+    ("index", "change", "words"),
+    [
+        (4, move(0, 2, 0), ": y is"),
+        (5, move(0, 0, -2), ": z is"),
+        (-3, lambda point: point * [1, 0, 1], "empty cell"),
+        (-1, move(0, 1, 0), "the tip"),
+        (0, move(0, 0, 1), "the first point"),
+    ],
+)
+def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, change, words):
+    curves = measure_needles(1)
+    curves["n6"][index] = change(curves["n6"][index])
+    (one,) = find_warnings(tmp_path, curves)
+    line = 2 + index % len(curves["n6"])
+    assert (one.kind, one.where) == ("point_outlier", f"{tmp_path}/centerlines/n6.csv:{line}")
+    assert "n6" in one.what and words in one.what
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("entry_offset", move(0, 20 * SHIFT_SD, 0)),
+        ("entry_offset", move(0, 0, 20 * SHIFT_SD)),
+        ("needle_outlier", lambda points: 1.1 * points),
+        ("needle_outlier", lambda points: points * [1, 3, 1]),
+        ("needle_outlier", lambda points: points * [1, 0.1, 1]),
+        ("needle_outlier", Rotation.from_euler("y", 3, degrees=True).apply),
+        ("bevel_side", lambda points: points * [1, -1, 1]),
+    ],
+)
+def test_a_needle_unlike_its_entry_or_the_others_is_named(tmp_path, kind, change):
+    curves = measure_needles(2)
+    curves["n5"] = change(curves["n5"])
+    found = [one for one in find_warnings(tmp_path, curves) if one.kind != "bevel_plane"]
+    assert [one.kind for one in found] == [kind] and "n5 " in found[0].what
+
+
+def test_of_few_needles_none_is_compared_with_the_others(tmp_path):
+    curves = {name: curve for name, curve in measure_needles(2).items() if name < "n5"}
+    curves["n3"] = curves["n3"] * [1, 2, 1]
+    assert find_warnings(tmp_path, curves, SIDES[:4]) == []
+
+
+@pytest.mark.parametrize(
+    ("size", "unit", "change"),
+    [
+        (3.0, "mm", move(0, 3, 0)),
+        (3.0, "mm", move(0, 0, -3)),
+        (3.0, "mm", move(3, 0, 0)),
+        (2.0, "degrees", Rotation.from_euler("z", 2, degrees=True).apply),
+        (2.0, "degrees", Rotation.from_euler("y", 2, degrees=True).apply),
+    ],
+)
+def test_what_all_needles_share_whichever_way_their_bevels_face_is_named_once(tmp_path, size, unit, change):
+    curves = {name: change(curve) for name, curve in measure_needles(3).items()}
+    (one,) = find_warnings(tmp_path, curves)
+    assert one.kind == "common_pose"
+    assert float(re.search(rf"([\d.]+) {unit}", one.what)[1]) == pytest.approx(size, rel=0.1)
+
+
+def test_a_lean_toward_bevels_that_all_face_one_way_is_their_bend(tmp_path):
+    sides = (1,) * 8
+    turned = Rotation.from_euler("z", 2, degrees=True)
+    curves = {name: turned.apply(curve) for name, curve in measure_needles(3, sides).items()}
+    assert find_warnings(tmp_path, curves, sides) == []
+
+
+@pytest.mark.parametrize("factor", [0.1, 5.0])
+def test_an_axis_in_another_unit_is_named_by_its_scatter(tmp_path, factor):
+    curves = {name: curve * [1, factor, 1] for name, curve in measure_needles(4).items()}
+    found = [one for one in find_warnings(tmp_path, curves) if one.kind == "axis_unit"]
+    assert len(found) == 1 and "along y" in found[0].what
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 1.0])
+def test_rounded_needles_are_no_copies_and_a_copy_is_one(tmp_path, step):
+    curves = measure_needles(5)
+    sd = np.hypot(POINT_SD, step / np.sqrt(12))
+    assert "copy" not in [one.kind for one in find_warnings(tmp_path / "all", curves, SIDES, step, sd)]
+    curves["n5"] = curves["n7"].copy()
+    found = [one for one in find_warnings(tmp_path / "fine", curves, SIDES, 0.01) if one.kind == "copy"]
+    assert len(found) == 1 and "n7 and n5" in found[0].what
+
+
+def test_rounding_is_found_from_coordinates():
+    points = np.array([[0.0, 0.5, 0.0], [5.0, 1.5, 0.0], [10.0, 2.0, 0.0]])
+    assert [find_rounding([factor * points]) for factor in (1.0, 2.0, 0.1, 0.12)] == [0.5, 1.0, 0.05, 0.02]
+    assert find_rounding([np.pi * points]) == 0.0
+
+
+def test_points_of_a_cubic_are_predicted_by_their_neighbours():
+    x = np.linspace(0.0, 10.0, 11)
+    left, factor = leave_one_out(x, np.column_stack([x**3, 1 - x]))
+    np.testing.assert_allclose(left, 0.0, atol=1e-9)
+    rng = np.random.default_rng(6)
+    drawn, _ = leave_one_out(x, rng.normal(size=(11, 4000)))
+    np.testing.assert_allclose(drawn.std(axis=1), factor, rtol=0.05)
+
+
+def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():
+    def make(*kinds):
+        return type("Result", (), {"run": warnings_entry(ResultWarning(kind, "") for kind in kinds)})()
+
+    found = [ResultWarning(kind, "") for kind in ("placeholder", "needle_outlier", "point_outlier")]
+    assert list_contradictions(found) == ["point_outlier", "needle_outlier"]
+    assert classify_doubt(found[1]) == "dataset_doubtful"
+    assert [limit_status(make("copy"), one) for one in ("pass", "warn", "fail")] == ["warn", "warn", "fail"]
+    assert limit_status(make("noise"), "pass") == "pass"
+
+
+def test_the_values_behind_a_rigidity_stand_with_their_origins():
+    needle = NeedleRecord(length_mm=150.0, outer_diameter_mm=0.908, youngs_modulus_gpa=60.0)
+    assert describe_rigidity(needle, None) == "diameter 0.908 mm, solid, 60 GPa from dataset.toml"
+    decisions = (
+        {"what": "diameter", "value": "20G", "source": "file", "reason": "a.xlsx, sheet setup, row 6"},
+        {"what": "modulus", "value": "nitinol", "source": "assumption"},
+    )
+    imported = ImportRecord(decisions=decisions)
+    words = describe_rigidity(needle, imported)
+    assert "diameter 0.908 mm (20G) from a.xlsx" in words and "60 GPa (nitinol) assumed" in words
+    edited = needle.model_copy(update={"outer_diameter_mm": 0.454})
+    assert describe_rigidity(edited, imported).startswith("diameter 0.454 mm, solid from dataset.toml")
+    stated = NeedleRecord(length_mm=150.0, flexural_rigidity_nmm2=2000.0)
+    assert describe_rigidity(stated, None) == "stated in dataset.toml"
