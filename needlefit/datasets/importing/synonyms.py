@@ -98,7 +98,7 @@ def split_unit(text: str) -> tuple[str, str]:
 def read_header(text: str) -> Header:
     """Return what a header states."""
     plain, unit = split_unit(text)
-    if _look_up("column", _split(text))[0]:  # `needle gauge`, in which the last word is no unit
+    if _BRACKET.search(text) is None and _look_up("column", _split(text))[0]:  # `needle gauge`: it is no unit
         plain, unit = text, ""
     words = _split(plain)
     meaning, usual = _look_up("column", words)
