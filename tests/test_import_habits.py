@@ -533,3 +533,17 @@ def test_text_of_windows_in_chinese_is_read(tmp_path):
     (tmp_path / "a.csv").write_bytes("\n".join(rows).encode("gb18030"))
     content, _, made = planned([tmp_path / "a.csv"])
     assert len(content.curves) == 3 and made["units"] == ("mm", "file")
+
+
+def test_needles_that_do_not_bend_need_a_stated_bevel_alone(tmp_path):
+    straight = [one * [1.0, 0.0, 0.0] for one in NEEDLES]
+    file = write_long(tmp_path, straight, head=["bevel"], cells=[["1"], ["-1"], ["1"]])
+    assert "--bevel" in refusal(DataError, "bevel", planned, [file], pose="1,0,0").fix
+    _, plan, _ = planned([file], pose="1,0,0", bevel="0,1,0")
+    assert [row.side for row in plan.rows] == [1, -1, 1]
+
+
+@pytest.mark.parametrize(("text", "mm"), [(".7", 0.7), ("0.7e0", 0.7), ("7e-1 mm", 0.7)])
+def test_numbers_may_begin_with_a_point_or_have_an_exponent(tmp_path, text, mm):
+    _, plan, _ = planned([write_long(tmp_path, NEEDLES)], diameter=text)
+    assert plan.needle.outer_diameter_mm == pytest.approx(mm)

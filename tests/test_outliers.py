@@ -184,3 +184,14 @@ def test_the_values_behind_a_rigidity_stand_with_their_origins():
     assert describe_rigidity(edited, imported).startswith("diameter 0.454 mm, solid from dataset.toml")
     stated = NeedleRecord(length_mm=150.0, flexural_rigidity_nmm2=2000.0)
     assert describe_rigidity(stated, None) == "stated in dataset.toml"
+
+
+@pytest.mark.parametrize(("value", "step", "named"), [(0.0, 0.0, True), (1.0, 0.0, True), (0.0, 1.0, False)])
+def test_a_needle_with_one_value_where_others_vary_is_named(tmp_path, value, step, named):
+    """Where coordinates are rounded by more than their noise, those of a straight needle may be equal."""
+    curves = measure_needles(3)
+    if step:
+        curves = {name: curve * [1.0, 0.05, 0.05] for name, curve in curves.items()}
+    curves["n4"][:, 1] = value
+    found = [one.what for one in find_warnings(tmp_path, curves, step=step) if "at all points" in one.what]
+    assert [what.partition(":")[0] for what in found] == ["n4"] * named

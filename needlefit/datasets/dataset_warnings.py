@@ -16,6 +16,7 @@ from needlefit.datasets.outlying_needles import find_needle_warnings
 from needlefit.datasets.outlying_points import (
     drop_outlying_points,
     find_axis_warnings,
+    find_constant_warnings,
     find_outlying_points,
     find_point_warnings,
 )
@@ -275,6 +276,7 @@ def find_insertion_warnings(
     where, outlying = format_place(file), find_outlying_points(listed, noise)
     yield from find_point_warnings(listed, outlying)
     yield from find_axis_warnings(listed, noise)
+    yield from find_constant_warnings(listed, noise)
     # what is wrong with a point alone is no finding about its needle
     listed = [drop_outlying_points(one, outlying) for one in listed]
     insertions = [one.insertion for one in listed]

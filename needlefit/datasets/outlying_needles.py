@@ -221,7 +221,8 @@ def _find_off_entry(group: Sequence[NeedleEnds]) -> Iterator[tuple[NeedleEnds, F
     Tissue gives way toward the bevels, about in proportion to the bend.
     """
     placed = [one for one in group if one.is_placed]
-    give = float(np.median([one.entry[0] / one.bend for one in placed if one.bend])) if placed else 0.0
+    ratios = [one.entry[0] / one.bend for one in placed if one.bend]
+    give = float(np.median(ratios)) if ratios else 0.0  # of straight needles alone: none
     is_known = len(placed) > MIN_OTHERS
     for one in placed:
         expected = np.array([0.0, give * one.bend if is_known else 0.0, 0.0])

@@ -158,6 +158,25 @@ def measure_axis_scatter(listed: Sequence[ListedInsertion]) -> Floats:
     )
 
 
+def find_constant_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
+    """Yield a warning for each needle with one value in a coordinate that varies along most others.
+
+    Coordinates that are rounded by more than their noise may well be equal.
+    """
+    points = [one.points.values for one in listed if len(one.points.values) >= MIN_CURVE_POINTS]
+    if not points or find_rounding(points) > max(noise.point_sd, noise.correlated_sd):
+        return
+    varies = np.mean([np.ptp(one, axis=0) > 0 for one in points], axis=0) > 0.5  # (3,)
+    for one in listed:
+        still = varies & (np.ptp(one.points.values, axis=0) == 0)
+        if still.any() and len(one.points.values) >= MIN_CURVE_POINTS:
+            axis = int(np.argmax(still))
+            name, value = "xyz"[axis], one.points.values[0, axis]
+            what = f"{one.insertion.id}: {name} is {value:g} at all points, where that of the others varies"
+            fix = f"export its points again: an empty column may have been saved as {value:g}"
+            yield ResultWarning("needle_outlier", what, one.points.where(), fix)
+
+
 def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield a warning if points scatter along one axis as in another unit, and along the others as stated."""
     stated = math.hypot(noise.point_sd, noise.correlated_sd)

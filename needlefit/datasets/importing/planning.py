@@ -486,7 +486,9 @@ class Planner:
             across = bends - np.sum(bends * along, axis=1)[:, None] * along
             toward = np.array(sides)[:, None] * turned.inv().apply(across)
             units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), SAME_POINT_MM)
-            source, guess = "guess", format_direction(mean := normalize(toward.sum(axis=0)))
+            total = toward.sum(axis=0)
+            mean = total / (np.linalg.norm(total) or 1.0)  # of straight needles it is 0
+            source, guess = "guess", format_direction(mean)
             reason = "the mean direction in which needles bend from their sides"
             if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
                 off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))

@@ -20,7 +20,7 @@ _CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 INDEX = re.compile(r"\[(\d+)\]")  # of an element of an array: `poses[3]`
 _BRACKET = re.compile(r"\s*[\[(（【]\s*([^\[\]()（）【】]+?)\s*[\])）】]")
 _ENDING = re.compile(r"(?:\s*[/,]\s*|[_\s])([^\W\d_]+|°)$")
-_QUANTITY = re.compile(r"([-+]?\d+(?:[.,]\d*)?)\s*(\D*)")
+_QUANTITY = re.compile(r"([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:e[-+]?\d+)?)\s*(\D*)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
