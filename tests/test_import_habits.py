@@ -547,3 +547,13 @@ def test_needles_that_do_not_bend_need_a_stated_bevel_alone(tmp_path):
 def test_numbers_may_begin_with_a_point_or_have_an_exponent(tmp_path, text, mm):
     _, plan, _ = planned([write_long(tmp_path, NEEDLES)], diameter=text)
     assert plan.needle.outer_diameter_mm == pytest.approx(mm)
+
+
+def test_a_stated_depth_is_kept_where_that_of_another_run_is_measured(tmp_path):
+    lines = [(n, x, y, z) for n, (x, y, z) in enumerate(NEEDLES[0])]
+    write_rows(
+        tmp_path / "a.csv", [["time", "depth", "x", "y", "z"], *([n, 1 + x, x, y, z] for n, x, y, z in lines)]
+    )
+    write_rows(tmp_path / "b.csv", [["time", "x", "y", "z"], *lines])
+    content, _, _ = planned([tmp_path], observable="tracks", bevel="0,1,0")
+    assert [one.readings.depth[0] for one in content.curves] == [1.0, 0.0]

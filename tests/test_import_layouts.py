@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from import_cases import plan_import
 from scipy.io import savemat
+from test_import import write_sheets as write_workbook
 
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.files import WORKBOOK_FILE
@@ -31,18 +32,6 @@ def points_of(name):
 def write_csv(path, rows):
     with path.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(rows)
-
-
-def write_book(path, sheets):
-    from openpyxl import Workbook
-
-    book = Workbook()
-    book.remove(book.active)
-    for name, rows in sheets.items():
-        sheet = book.create_sheet(name)
-        for row in rows:
-            sheet.append(row)
-    book.save(path)
 
 
 def to_cells(row):
@@ -88,14 +77,14 @@ def write_sheets(folder):
     for name, *own in NEEDLES:
         above = [[head, value] for head, value in zip([*OWN[1:], *heads], [*own, *values], strict=True)]
         sheets[name] = [*above, ["x [mm]", "y [mm]", "z [mm]"], *map(to_cells, points_of(name))]
-    write_book(folder / "sheets.xlsx", sheets)
+    write_workbook(folder / "sheets.xlsx", **sheets)
 
 
 def write_shared_sheet(folder):
     """Points, needles, and one row of what all needles share on a sheet of its own."""
     points = [["needle", "x [mm]", "y [mm]", "z [mm]"], *([one[0], *to_cells(one[1:4])] for one in POINTS)]
     heads, values = shared_columns()
-    write_book(folder / "book.xlsx", {"a": points, "b": [OWN, *NEEDLES], "c": [heads, values]})
+    write_workbook(folder / "book.xlsx", a=points, b=[OWN, *NEEDLES], c=[heads, values])
 
 
 def write_mat(folder):

@@ -1,7 +1,6 @@
 """Read all curves and surfaces, and what is stated of them, in the files and folders that an import names."""
 
 import itertools
-import re
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -22,6 +21,7 @@ from needlefit.datasets.importing.tables import (
     CellTable,
     UnclearLayoutError,
     UnclearTableError,
+    parse_number,
     read_sheets,
     read_text_cells,
 )
@@ -232,7 +232,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
             if text and meaning in ("needle", *ATTRIBUTES) and meaning not in stated:
                 stated[meaning] = Stated(text, header.unit, f"{path}, field {key} of {name}")
             elif text and key.lower() not in UNIT_FIELDS:
-                is_unknown = not meaning and re.fullmatch(r"[-+.\deE]+", text)
+                is_unknown = not meaning and parse_number(text, ".") is not None
                 (unknown if is_unknown else unused)[f"field {key}"] = None
         title = stated.pop("needle", Stated(name)).text
         content.curves.append(ImportedCurve(title, points, unit, system, stated, axes))  # type: ignore[arg-type]

@@ -53,9 +53,9 @@ def read_attributes(cells: CellTable, group: ColumnGroup, rows: Sequence[int]) -
             for n in texts:
                 cells.use(n, *own)
             one = Stated(join.join(parts), group.headers[m].unit, cells.where(first, own[0]))
-            # `material` may be that of the needle: the words of the table of materials tell
-            is_metal = meaning == "medium" and find_meaning("value", one.text).endswith("GPa")
-            add_stated(stated, {"modulus" if is_metal else meaning: one})
+            # `material` is that of the needle where the table of words has its modulus
+            is_of_needle = meaning == "medium" and find_meaning("value", one.text).endswith("GPa")
+            add_stated(stated, {"modulus" if is_of_needle else meaning: one})
     return stated
 
 

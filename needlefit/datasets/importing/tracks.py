@@ -1,6 +1,5 @@
 """Make tip tracks of imported curves: settle depths, the guide and the bevel."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -80,7 +79,7 @@ def settle_guide(planner: "Planner") -> None:
     """
     curves, stated = planner.curves, planner.answers.stated.get("guide")
     beside = {name for one in curves for name, places in one.guides.items() if np.ptp(places, axis=0).any()}
-    tools = {one.name for ones in _list_together(curves) for one in ones}
+    tools = {one.name for one in curves for other in curves if _is_beside(one, other, same_rows=True)}
     if not beside and not tools and (stated is None or stated.text == "none"):
         planner.keep("guide", "at rest", "a guide that moves is stated in tracks.csv", "assumption")
         return
@@ -110,12 +109,6 @@ def _is_beside(one: ImportedCurve, other: ImportedCurve, same_rows: bool = False
     return np.array_equal(own, theirs) if same_rows else len(own) == len(theirs)
 
 
-def _list_together(curves: Sequence[ImportedCurve]) -> list[list[ImportedCurve]]:
-    """Return the tools that stand in the same rows."""
-    found = [[other for other in curves if other is one or _is_beside(one, other, True)] for one in curves]
-    return [ones for ones in found if len(ones) > 1]
-
-
 def measure_depths(planner: "Planner") -> None:
     """Take the path of each tip along the stage axis as its depth, from the first reading or the entry on."""
     chord = sum(one.line[-1] - one.line[0] for one in planner.curves)
@@ -126,6 +119,8 @@ def measure_depths(planner: "Planner") -> None:
         entry = planner.settle("entry point").to_place("entry point")
     for one in planner.curves:
         assert one.readings is not None, "a track has readings"
+        if len(one.readings.depth):
+            continue  # its file states them
         depth = (one.line - (one.line[0] if entry is None else entry)) @ axis
         kept = np.flatnonzero(depth >= 0)
         one.points, one.readings = one.points.part(kept), replace(one.readings, depth=depth[kept], unit="mm")
