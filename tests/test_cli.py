@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from importlib import metadata
 from pathlib import Path
 
@@ -290,3 +291,34 @@ def test_no_number_is_broken_from_its_unit_on_a_screen(width, monkeypatch, capsy
     screen.show_display(TableLayout("a", "", (TableColumn("found", align="left"),), ((words,),)))
     cells = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert not [cell for cell in cells if cell.endswith(("95", "3.6", "±", "0.51", "0.04"))]
+
+
+@pytest.mark.parametrize("width", [30, 44, 60, 80, 120])
+def test_a_table_that_is_too_wide_breaks_no_word_and_loses_no_column_in_silence(width, monkeypatch, capsys):
+    heads = (
+        "Tissue",
+        "Layers",
+        "Specimen",
+        "Depth mm",
+        "Deflection mm",
+        "Median mm",
+        "IPE mm",
+        "TE mm",
+        "EDP %",
+    )
+    columns = tuple(
+        TableColumn(head, align="left" if n in (0, 2) else "right") for n, head in enumerate(heads)
+    )
+    row = ("phantom2", "3", "specimen-of-gelatine", "66.24", "10.31", "0.4123", "0.5", "1.2", "12.5")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("COLUMNS", str(width))
+    for count in (1, 2, 6):
+        screen.show_display(TableLayout("a", "", columns, (row,) * count))
+        out = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+        assert max(map(len, out.splitlines())) <= width
+        words = Counter(out.replace(",", " ").split())
+        for head, cell in zip(heads, row, strict=True):
+            named = all(words[word] for word in head.split())
+            assert named and (words[cell] == count or "Not shown" in out)
+        widest = {1: 33, 2: 54, 6: 72}[count]  # turned, turned, as it is
+        assert ("Not shown" in out) == (width < widest)

@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TextIO
 
@@ -16,6 +17,8 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.result_warnings import ResultWarning
 
 if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
     from needlefit.reporting.table import TableLayout
 
 
@@ -81,7 +84,7 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     right = [all(is_number or not text for text, is_number in column) for column in zip(*rows, strict=True)]
     columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
     print_line(title)
-    _show(columns, [[text for text, _ in row] for row in rows])
+    _show(_Grid(columns, [[text for text, _ in row] for row in rows]))
 
 
 MAX_MEASURED_COLUMNS = 10_000
@@ -92,7 +95,7 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
     if table.caption:
         print_text(table.caption)
-    _show(columns, table.rows, table.breaks, table.strong)
+    _show(_Grid(columns, table.rows, table.breaks, table.strong))
     for line in table.notes if notes else ():
         print_text(line)
 
@@ -100,48 +103,85 @@ def show_display(table: "TableLayout", notes: bool = True) -> None:
 _RICH_NO_BREAK = "\ue000"  #: stands for a no-break space in rich, which breaks lines there
 
 
-def _show(
-    columns: Sequence[tuple[str, bool]],
-    rows: Sequence[Sequence[str]],
-    breaks: Sequence[int] = (),
-    strong: Sequence[int] = (),
-) -> None:
-    """Print cells under (head, whether it stands at the right).
+@dataclass(frozen=True)
+class _Grid:
+    """Cells under heads, each head with whether its column stands at the right."""
 
-    To keep to the width of a terminal, or to `SCREEN_COLUMNS`, words are wrapped, not numbers; in a pipe a
-    table whose numbers and longest words need more is wider.
+    columns: Sequence[tuple[str, bool]]
+    rows: Sequence[Sequence[str]]
+    breaks: Sequence[int] = ()  # rows before which a rule stands
+    strong: Sequence[int] = ()  # rows in bold
+
+    def turn(self) -> "_Grid":
+        """Return the grid with rows as columns, whose heads are the cells of the first column."""
+        (head, _), *others = self.columns
+        first, *cells = zip(*self.rows, strict=True)
+        columns = [(head, False), *((name, True) for name in first)]
+        labels = (" ".join(label.split()) for label, _ in others)
+        return _Grid(columns, [(label, *row) for label, row in zip(labels, cells, strict=True)])
+
+    def keep(self, count: int) -> "_Grid":
+        """Return the grid with its first columns alone."""
+        return replace(self, columns=self.columns[:count], rows=[row[:count] for row in self.rows])
+
+
+def _show(grid: _Grid) -> None:
+    """Print a grid within the width of a terminal, or of `SCREEN_COLUMNS`, without breaking a word.
+
+    A table whose numbers and longest words need more than a terminal has is turned; where that is too wide
+    as well, its last columns are left out and named. In a pipe it is printed as wide as it is.
     """
+    from rich.console import Console
+    from rich.measure import Measurement
+
+    console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
+    unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
+
+    def measure(one: _Grid, tight: bool = True) -> Measurement:
+        return Measurement.get(console, unlimited, _tabulate(one, tight))
+
+    left: Sequence[tuple[str, bool]] = ()
+    if not sys.stdout.isatty():
+        console.width = max(SCREEN_COLUMNS, measure(grid).minimum)
+    elif measure(grid).minimum > console.width:
+        if grid.rows and measure(turned := grid.turn()).minimum <= console.width:
+            grid = turned
+        else:
+            counts = range(len(grid.columns), 1, -1)
+            count = next((n for n in counts if measure(grid.keep(n)).minimum <= console.width), 1)
+            grid, left = grid.keep(count), grid.columns[count:]
+    tight = measure(grid, tight=False).maximum > console.width
+    with console.capture() as printed:
+        console.print(_tabulate(grid, tight))
+    print(printed.get().replace(_RICH_NO_BREAK, " "))
+    if left:
+        print_text(f"Not shown, as the terminal is too narrow: {', '.join(' '.join(head.split()) for head, _ in left)}")
+
+
+def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
+    """Return the table that rich prints: words are wrapped, not numbers; `tight` without space between."""
+    from rich import box
+    from rich.align import Align
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
     from needlefit.reporting.number_format import NO_BREAK, bind_numbers
 
     def bind(words: str) -> str:
         return bind_numbers(words).replace(NO_BREAK, _RICH_NO_BREAK)
 
-    from rich import box
-    from rich.align import Align
-    from rich.console import Console
-    from rich.measure import Measurement
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
-    for head, is_right in columns:
+    padding = (0, 0 if tight else 1, 0, 0)
+    table = RichTable(box=box.SIMPLE_HEAD, padding=padding, pad_edge=False, show_edge=False)
+    for head, is_right in grid.columns:
         words = bind(head.strip(" \n"))
         text = "\n".join(re.split("[ \n]+", words)) if is_right else words
         side: Literal["left", "right"] = "right" if is_right else "left"
         heading = Align(Text(text, justify=side), side, vertical="bottom")
         table.add_column(heading, justify=side, no_wrap=is_right, overflow="fold")
-    for number, row in enumerate(rows, start=1):
-        style = "bold" if number - 1 in strong else None
-        table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in breaks)
-    console = Console(width=None if sys.stdout.isatty() else SCREEN_COLUMNS)
-    unlimited = console.options.update(max_width=MAX_MEASURED_COLUMNS)  # else it is the console's width
-    if Measurement.get(console, unlimited, table).maximum > console.width:
-        table.padding = (0, 0, 0, 0)
-    if not sys.stdout.isatty():
-        console.width = max(SCREEN_COLUMNS, Measurement.get(console, unlimited, table).minimum)
-    with console.capture() as printed:
-        console.print(table)
-    print(printed.get().replace(_RICH_NO_BREAK, " "))
+    for number, row in enumerate(grid.rows, start=1):
+        style = "bold" if number - 1 in grid.strong else None
+        table.add_row(*(Text(bind(cell)) for cell in row), style=style, end_section=number in grid.breaks)
+    return table
 
 
 def _cell(value: object) -> tuple[str, bool]:
