@@ -155,7 +155,8 @@ def _show(grid: _Grid) -> None:
         console.print(_tabulate(grid, tight))
     print(printed.get().replace(_RICH_NO_BREAK, " "))
     if left:
-        print_text(f"Not shown, as the terminal is too narrow: {', '.join(' '.join(head.split()) for head, _ in left)}")
+        heads = ", ".join(" ".join(head.split()) for head, _ in left)
+        print_text(f"Not shown, as the terminal is too narrow: {heads}")
 
 
 def _tabulate(grid: _Grid, tight: bool) -> "RichTable":
