@@ -24,7 +24,8 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import SampleRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Job, Settings
 
 MOVES = {
     "default": None,

@@ -50,14 +50,15 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_paramet
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Inputs, Job, Settings, change_fit, group_insertions, prepare, set_priors
+from needlefit.studies.folds import group_insertions, prepare
+from needlefit.studies.job import Inputs, Job, Settings, change_fit, set_priors
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.run import Run
-from needlefit.studies.score import Scorer, make_predictors
+from needlefit.studies.score import make_predictors, make_scorer
 from needlefit.studies.store import restore_run
 from needlefit.studies.stored_fit import reopen_fit
-from needlefit.studies.study_files import check_study, load_study, load_target
+from needlefit.studies.study_files import check_study, load_study_file, load_target
 
 Name = str | Path
 Table = Mapping[str, Any]
@@ -474,9 +475,7 @@ def score_study(
     job, jobs = _prepare(
         _replace_inputs(_load_study(study), dataset, medium, recipe, stored=False), seed, jobs
     )
-    floors = {one.id: job.floor(one) for one in job.insertions}
-    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors)
-    rows = []
+    scorer, rows = make_scorer(job), []
     for fold in job.folds:
         problem = job.problem(fold)
         fits = {
@@ -493,7 +492,7 @@ def score_study(
         for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
             for insertion, (method, curves) in product(insertions, methods.items()):
                 place = {"fold": fold.name, "role": role, "method": method}
-                rows += scorer.score(place, replace(insertion, surfaces=()), curves)[0]
+                rows += scorer.score(place, replace(insertion, surfaces=()), curves).errors
     return pd.DataFrame(rows).drop(columns=["boundaries", "comparison"])
 
 
@@ -692,7 +691,7 @@ def _load_study(study: Name | FileRecord | Table) -> _Study:
             expected="a single one",
             fix=f"run them one by one: {', '.join([name, *(other for other, _ in others)])}",
         )
-    return _Study(name, load_study(file), file=file)
+    return _Study(name, load_study_file(file), file=file)
 
 
 def _require_fit(record: FileRecord) -> FitRecord:

@@ -14,7 +14,8 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import find_file
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import find_fit
-from needlefit.studies.job import Fold, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Fold, Settings
 from needlefit.studies.kinds import cohort as cohort_run
 from needlefit.studies.kinds.cohort import find_datasets, run
 from needlefit.studies.report import write_run

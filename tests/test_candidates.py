@@ -8,7 +8,8 @@ from needlefit.inference.sampling.importance import Effort
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import candidates
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_candidates, rank_candidates
-from needlefit.studies.job import Job, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
 
 

@@ -14,7 +14,8 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Settings
 from needlefit.studies.provenance import describe_configuration
 
 SCRIPT = shipped_folder() / "studies" / "compression_prior.py"

@@ -19,7 +19,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Settings
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])

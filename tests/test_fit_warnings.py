@@ -28,8 +28,8 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import DEPTHS_KEY
 from needlefit.studies.fit_warnings import list_warnings
+from needlefit.studies.folds import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
-from needlefit.studies.job import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.run import Run
 from needlefit.studies.stated_depths import examine_depths
 

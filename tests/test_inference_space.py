@@ -32,7 +32,8 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Inputs, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.planned_draws import PlannedInsertion
 from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement

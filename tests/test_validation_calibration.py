@@ -16,7 +16,8 @@ from needlefit.inference.problem import Problem
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import Fold, Job, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import calibration
 from needlefit.studies.kinds.calibration import (
@@ -41,7 +42,7 @@ from needlefit.studies.rank_statistics import (
     tabulate_ecdfs,
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
-from needlefit.studies.study_files import load_study
+from needlefit.studies.study_files import load_study_file
 from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_planned_insertions
 
 STIFF = {"mu1_pa": 0.3, "bevel_mm": 0.95}
@@ -171,7 +172,7 @@ insertions = ["chicken-03", "chicken-02"]
 
 
 def prepare_study(name: str):
-    record = load_study(find_file("study", name))
+    record = load_study_file(find_file("study", name))
     assert record is not None
     return prepare(name, record, Settings())
 
@@ -231,7 +232,7 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
 
 
 def test_truths_outside_the_bounds_of_the_medium_are_drawn_again():
-    job = prepare("study5", load_study(find_file("study", "study5")), Settings())
+    job = prepare("study5", load_study_file(find_file("study", "study5")), Settings())
     plan, bounds = plan_synthetic(job), job.parameters.bounds
     record = job.medium.model_dump(by_alias=True, exclude_unset=True)
     record["parameters"]["bevel_mm"] = {"bounds": [1e-3, 0.25]}

@@ -23,7 +23,8 @@ from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
-from needlefit.studies.job import Inputs, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
 from needlefit.studies.kinds.prediction import (

@@ -25,8 +25,9 @@ from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
+from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
-from needlefit.studies.job import Fold, Job, Settings, prepare
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.planned_draws import PlannedInsertion, draw_depth_errors
 from needlefit.studies.prediction_scores import find_end_error
 

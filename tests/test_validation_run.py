@@ -28,11 +28,11 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.job import make_folds
+from needlefit.studies.folds import make_folds
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
-from needlefit.studies.score import Scorer, curve_predictor, make_predictors, model_predictor
-from needlefit.studies.validity import list_outside
+from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
+from needlefit.studies.validity import ValidityCounts, list_outside, tabulate_validity
 
 MEDIUM = (PROJECT / "configs/media/gel.toml").read_text()
 RECIPE = """schema = 1
@@ -152,11 +152,12 @@ def test_scored_simulations_are_counted_and_named():
     one = insertion(41.0, (25.0,), (1, 2))
     data = dataset([one])
     scorer = Scorer(data, "listed", {one.id: {"te_mm": 0.25}})
+    scored = list[Row]()
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
-        scorer.score(place, one, model_predictor(values, medium(), data))
+        scored += scorer.score(place, one, model_predictor(values, medium(), data)).validity
     assert predict(STEEP, medium(), one).converged
-    table = json.loads(json.dumps(scorer.counts.table()))
+    table = json.loads(json.dumps(tabulate_validity([ValidityCounts(scored=tuple(scored))])))
     assert table["scored"] == {"simulations": 3, "outside": 2}
     assert table["fitted_outside"] == 1
     assert [row["method"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
@@ -231,11 +232,10 @@ def along_x(scored: Insertion):
 @pytest.mark.parametrize(("bend", "flagged"), [(0.1, True), (0.24, True), (0.26, False), (3.0, False)])
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged: bool, side: int) -> None:
-    (row,), _ = scorer().score({}, straight(bend, side), curve_predictor(along_x))
+    (row,) = scorer().score({}, straight(bend, side), curve_predictor(along_x)).errors
     assert row["edp_flagged"] is flagged
-    (row,), _ = scorer(dict.fromkeys(FLOOR, math.nan)).score(
-        {}, straight(bend, side), curve_predictor(along_x)
-    )
+    unknown = scorer(dict.fromkeys(FLOOR, math.nan))
+    (row,) = unknown.score({}, straight(bend, side), curve_predictor(along_x)).errors
     assert row["edp_flagged"] is False
 
 
@@ -254,7 +254,7 @@ def test_each_needle_has_baseline_curves_of_its_own() -> None:
 
 
 def test_a_failed_solve_is_infinitely_wrong_and_not_drawn() -> None:
-    (row,), points = scorer().score({}, straight(1.0), lambda scored: {"measured": None})
+    (row,), points, _ = scorer().score({}, straight(1.0), lambda scored: {"measured": None})
     assert row["ipe_mean_mm"] == row["te_mm"] == row["edp_percent"] == math.inf
     assert math.isnan(row["predicted_deflection_mm"])
     assert row["converged"] is False and points == []

@@ -170,11 +170,11 @@ def validate(
         from needlefit.project.toml import add_file_context, load
         from needlefit.schemas.study import FitRecord
         from needlefit.studies.result_sources import name_source
-        from needlefit.studies.study_files import load_study
+        from needlefit.studies.study_files import load_study_file
 
         combined = [study] if study == EVERY_STUDY else []
         fits = [(name, find_file("fit", name)) for name in PAPER_FITS if combined]
-        todo = [StudyTask(name, load_study(path), path) for name, path in find_studies(study)]
+        todo = [StudyTask(name, load_study_file(path), path) for name, path in find_studies(study)]
         todo += [StudyTask(name, load(path, FitRecord), path) for name, path in fits]
         names = [work.name for work in todo]
         execution.prepare([*names, *combined], names)

@@ -32,7 +32,8 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.project.toml import describe_key
 from needlefit.studies.fit_frames import NEW_SPECIMEN
-from needlefit.studies.job import Fold, Job, Settings, group_insertions
+from needlefit.studies.folds import group_insertions
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.score import Row
 
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted

@@ -13,11 +13,10 @@ from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import change_advance
 from needlefit.studies.job import Job, Settings
-from needlefit.studies.score import Row, Scorer, model_predictor
-from needlefit.studies.validity import ValidityCounts
+from needlefit.studies.score import Row, make_scorer, model_predictor
 
 
-def find_better_advance(job: Job, errors: Sequence[Row], scorer: Scorer, settings: Settings) -> Row | None:
+def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> Row | None:
     """Return the other rule and its mean TE_3D beside the stated rule's, mm, where it fits better.
 
     It is tried where the fit of the first fold misses tips by more than the noise. `errors` are rows of that
@@ -33,15 +32,15 @@ def find_better_advance(job: Job, errors: Sequence[Row], scorer: Scorer, setting
     missed, noise = (float(np.mean([row[name] for row in own])) for name in ("te_3d_mm", "floor_te_3d_mm"))
     if not noise < missed < math.inf:
         return None
-    medium, scorer = change_advance(job.medium), replace(scorer, counts=ValidityCounts())
+    medium = change_advance(job.medium)
     parameters = with_hyperparameters(Parameters.from_record(medium), recipe.likelihood)
     problem = replace(job.problem(fold), medium=medium, parameters=parameters)
     rng = random_stream(recipe.seed, fold.name, "other advance", "starts")
     fit = minimize(problem, recipe, rng, Callbacks(stop=settings.stop, jobs=settings.jobs))
     if not math.isfinite(fit.objective):
         return None
-    curves = model_predictor(fit.values, medium, job.dataset)
-    error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves)[0]])
+    curves, scorer = model_predictor(fit.values, medium, job.dataset), make_scorer(job)
+    error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves).errors])
     if not error < missed:
         return None
     return {"advance": medium.advance, "te_3d_mm": float(error), "stated_te_3d_mm": missed}

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from needlefit.metrics import METRICS, compute_metrics
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
 from needlefit.studies.fit_frames import MODEL_METHODS
-from needlefit.studies.validity import ValidityCounts
+from needlefit.studies.job import Job
 
 Row = dict[str, Any]
 
@@ -101,6 +101,14 @@ COMPARISONS: Mapping[InsertionPose, str] = {
 }
 
 
+class Scores(NamedTuple):
+    """The rows of the tables "errors" and "shapes", and the validity of every simulation that was scored."""
+
+    errors: list[Row]
+    shapes: list[Row]
+    validity: list[Row]
+
+
 @dataclass(frozen=True)
 class Scorer:
     """What scoring needs besides method and insertion."""
@@ -108,12 +116,10 @@ class Scorer:
     dataset: Dataset
     layer_count_rule: LayerCountRule  #: which count holds for an insertion that ends at a boundary
     floors: Mapping[str, NoiseFloor]  #: the noise floor of every insertion, by id
-    #: keeps the validity of every simulation that is scored
-    counts: ValidityCounts = field(default_factory=ValidityCounts)
 
-    def score(self, place: Row, insertion: Insertion, method: Predictor) -> tuple[list[Row], list[Row]]:
-        """Return the rows of `errors` and of `shapes`; `place` has fold, role and method."""
-        errors, shapes = [], []
+    def score(self, place: Row, insertion: Insertion, method: Predictor) -> Scores:
+        """Return the scores of a method on an insertion; `place` has fold, role and method."""
+        errors, shapes, validity = list[Row](), list[Row](), list[Row]()
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
             row = {**where, **self._about(insertion)}
@@ -121,13 +127,13 @@ class Scorer:
                 errors.append({**row, **dict.fromkeys(METRICS.names(), math.inf), **_FAILED})
                 continue
             if isinstance(curve, SimulatedCurve):
-                self.counts.score(where, curve.shape.validity)
+                validity.append({**where, "faults": list(curve.shape.validity.faults)})
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
             goal = select_points(pose, drop, insertion, planes=self.dataset.planes)
             simulated, measured = align_points(goal, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
             shapes += _shape_rows(where, simulated, measured)
-        return errors, shapes
+        return Scores(errors, shapes, validity)
 
     @cached_property
     def _holes(self) -> Mapping[str, str]:
@@ -158,6 +164,12 @@ class Scorer:
             "edp_flagged": bool(bend < floor),  # never where no floor is stated (NaN)
             "converged": True,
         }
+
+
+def make_scorer(job: Job) -> Scorer:
+    """Return what scores the insertions of a job."""
+    floors = {one.id: job.floor(one) for one in job.insertions}
+    return Scorer(job.dataset, job.record.layer_count_rule, floors)
 
 
 _FAILED = {

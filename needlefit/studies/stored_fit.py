@@ -20,7 +20,8 @@ from needlefit.project.toml import check
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.job import Inputs, Settings, prepare
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.provenance import require_same_configuration
 from needlefit.studies.run import Run
 

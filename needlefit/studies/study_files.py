@@ -18,7 +18,8 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
-from needlefit.studies.job import Inputs, Job, Settings, prepare
+from needlefit.studies.folds import prepare, print_notes
+from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.result_sources import name_source, read_sources
@@ -51,12 +52,12 @@ def _rebase(key: str, value: Any, folder: Path) -> Any:  # noqa: ANN401 - whatev
     return value
 
 
-def load_fit(path: Path) -> FitRecord:
+def load_fit_file(path: Path) -> FitRecord:
     """Load the file of a fit; ConfigError if it does not hold what a fit wants."""
     return check(read_study_table(path), FitRecord, path)
 
 
-def load_study(path: Path) -> FileRecord:
+def load_study_file(path: Path) -> FileRecord:
     """Load a study file and check it against the record of its kind.
 
     Raises ConfigError if it does not hold what a study of its kind wants.
@@ -68,7 +69,7 @@ def load_study(path: Path) -> FileRecord:
 
 
 def check_study(table: Mapping[str, Any], where: str) -> FileRecord:
-    """Return the record of a study whose keys are given in memory; errors as of `load_study`."""
+    """Return the record of a study whose keys are given in memory; errors as of `load_study_file`."""
     plain: dict[str, Any] = {key: to_json_values(value) for key, value in table.items()}
     return check(plain, _record_type(plain), where)
 
@@ -103,7 +104,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
 
     Raises ConfigError, DataError if anything in it is missing or wrong.
     """
-    record: FileRecord = load_fit(path) if kind == "fit" else load_study(path)
+    record: FileRecord = load_fit_file(path) if kind == "fit" else load_study_file(path)
     with add_file_context(path):
         if not isinstance(record, FitRecord):
             _find_files(record.model_dump(mode="json", by_alias=True))
@@ -162,7 +163,7 @@ def load_target(target: str) -> Target:
         return Target(*reopen_fit(run, str(folder)), folder / RUN_FILE, run)
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)
-    record = load_fit(path) if kind == "fit" else load_study(path)
+    record = load_fit_file(path) if kind == "fit" else load_study_file(path)
     if isinstance(record, TrackStudyRecord):
         wanted = wanted if study else ""
         for one in record.fits:
@@ -201,23 +202,30 @@ def is_study(target: str) -> bool:
 def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the fit that a record names; `name` keys its random numbers."""
     if settings.inputs.target is not None:
-        return prepare(name, settings.inputs.target[1], settings)
+        return _prepare_noted(name, settings.inputs.target[1], settings)
     found = load_target(record.target)
     if found.run is not None:
         settings = replace(settings, inputs=found.inputs)
     with add_file_context(found.file):
-        return prepare(name, found.record, settings)
+        return _prepare_noted(name, found.record, settings)
 
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the study that a record names, with what it holds out; of a fit, the fit's."""
     if settings.inputs.target is None:
         kind, path = find_study_or_fit(record.target)
-        study = None if kind == "fit" else load_study(path)
+        study = None if kind == "fit" else load_study_file(path)
         if isinstance(study, StudyRecord):
             with add_file_context(path):
-                return prepare(name, study, replace(settings, file=path))
+                return _prepare_noted(name, study, replace(settings, file=path))
     return prepare_target(record, name, settings)
+
+
+def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:
+    """Return the job of a fit or study; what a user wants to know before the work is printed."""
+    job = prepare(name, record, settings)
+    print_notes(job, settings)
+    return job
 
 
 def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:

@@ -1,10 +1,10 @@
 """How many simulations of a run were outside what the model assumes."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from needlefit.mechanics.shape import LIMITS, Validity
+from needlefit.mechanics.shape import LIMITS
 
 VALIDITY_KEY = "validity"  #: key in `run.json`
 #: methods whose invalid predictions give a warning; those of a published set are counted only
@@ -17,44 +17,47 @@ MOSTLY_OUTSIDE = 0.5  #: share of draws outside above which they determine no pa
 _WORDS = {"draws": "draws of the posterior", "predicted": "predictions of held-out insertions"}
 
 
-@dataclass
+@dataclass(frozen=True)
 class ValidityCount:
     """A number of simulations, and how many of them are outside the model's assumptions."""
 
     simulations: int = 0
     outside: int = 0
 
-    def add(self, simulations: int, outside: int) -> None:
-        self.simulations += simulations
-        self.outside += outside
+    def __add__(self, other: "ValidityCount") -> "ValidityCount":
+        return ValidityCount(self.simulations + other.simulations, self.outside + other.outside)
 
 
-@dataclass
+@dataclass(frozen=True)
 class ValidityCounts:
-    """The simulations of one run, and how many of them are outside the model's assumptions."""
+    """The simulations of one fold, and how many of them are outside the model's assumptions."""
 
     #: ends of all starts of all searches: one is outside if any of its insertions is
-    starts: ValidityCount = field(default_factory=ValidityCount)
+    starts: ValidityCount = ValidityCount()
     #: of the posterior, sampled or by importance about the fit; counted likewise
-    draws: ValidityCount = field(default_factory=ValidityCount)
+    draws: ValidityCount = ValidityCount()
     #: needles predicted of held-out insertions, one for each draw
-    predicted: ValidityCount = field(default_factory=ValidityCount)
+    predicted: ValidityCount = ValidityCount()
     #: fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty: inside)
-    scored: list[dict[str, Any]] = field(default_factory=list)
+    scored: tuple[dict[str, Any], ...] = ()
 
-    def score(self, place: Mapping[str, Any], validity: Validity) -> None:
-        self.scored.append({**place, "faults": list(validity.faults)})
 
-    def table(self) -> dict[str, Any]:
-        """Return the counts as JSON values."""
-        beyond = [row for row in self.scored if row["faults"]]
-        counts = {"scored": ValidityCount(len(self.scored), len(beyond))}
-        counts |= {name: getattr(self, name) for name in ("starts", "draws", "predicted")}
-        table: dict[str, Any] = {name: vars(count) for name, count in counts.items()}
-        table["limits"] = {name: limit for name, limit, _ in LIMITS}
-        table["fitted_outside"] = sum(row["method"] in FITTED_METHODS for row in beyond)
-        table["scored_outside"] = beyond[:MAX_LISTED_ROWS]
-        return table
+def tabulate_validity(folds: Sequence[ValidityCounts]) -> dict[str, Any]:
+    """Return the counts of all folds as JSON values."""
+    scored = [row for one in folds for row in one.scored]
+    beyond = [row for row in scored if row["faults"]]
+    counts = {
+        "scored": ValidityCount(len(scored), len(beyond)),
+        "starts": sum((one.starts for one in folds), ValidityCount()),
+        "draws": sum((one.draws for one in folds), ValidityCount()),
+        "predicted": sum((one.predicted for one in folds), ValidityCount()),
+    }
+    return {
+        **{name: vars(count) for name, count in counts.items()},
+        "limits": {name: limit for name, limit, _ in LIMITS},
+        "fitted_outside": sum(row["method"] in FITTED_METHODS for row in beyond),
+        "scored_outside": beyond[:MAX_LISTED_ROWS],
+    }
 
 
 def list_outside(run: Mapping[str, Any]) -> list[str]:

@@ -73,7 +73,7 @@ def _scene(path: Path) -> object:
 
 
 def _study(path: Path) -> object:
-    return _late("studies.study_files.load_study")(path)
+    return _late("studies.study_files.load_study_file")(path)
 
 
 def _medium(path: Path) -> object:

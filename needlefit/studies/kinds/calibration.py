@@ -48,8 +48,9 @@ from needlefit.studies import rank_statistics
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, FaultKind, RunFault, Status
 from needlefit.studies.fold_draws import Specimens
+from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
-from needlefit.studies.job import Inputs, Job, Settings, prepare
+from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.rank_statistics import (
     DESIGN,

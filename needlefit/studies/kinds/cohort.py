@@ -48,7 +48,8 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.fold_draws import find_fit
-from needlefit.studies.job import Fold, Job, Settings, find_named, group_insertions, prepare
+from needlefit.studies.folds import group_insertions, prepare, print_notes
+from needlefit.studies.job import Fold, Job, Settings, find_named
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.studies.report import StudyReport, answer_in_words
@@ -215,6 +216,7 @@ def _fit_dataset(
         dataset = source()
         failed["origin"] = dataset.origin
         job = prepare(f"{name} {file.parent}", asked, settings, dataset)
+        print_notes(job, settings)
     except NeedlefitError as error:
         return {**rows, "failures": [{**failed, "note": str(error)}]}
     for specimen, insertions in group_insertions(job.folds[0].tune, record.groups).items():

@@ -42,7 +42,8 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.fold_draws import PREDICTION_DRAWS
-from needlefit.studies.job import Fold, Job, Settings, check_reach, prepare
+from needlefit.studies.folds import check_reach, prepare, print_notes
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.judge import CLOSER, STATUS, check_data, check_intervals, judge_tracks
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.planned_draws import vary_bevels
@@ -85,6 +86,7 @@ def make_jobs(
     specimen in which none is fitted to.
     """
     job = prepare(name, record.tuning(one), settings, dataset)
+    print_notes(job, settings)
     held = select_insertions(job.dataset, one.validate_.selection(), key="validate")
     tuned = select_insertions(job.dataset, one.tune.selection())
     count = min(one.folds or 1, len(held))

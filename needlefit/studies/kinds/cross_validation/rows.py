@@ -72,10 +72,10 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> lis
     return rows
 
 
-def list_error_fit(problem: Problem, fold: Fold, fit: Fit) -> Iterator[Row]:
+def list_error_fit(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
     """Yield the values that minimise the errors; hyperparameters are of the likelihood alone."""
-    parameters = problem.parameters
-    for name, value in fit.values.items():
+    parameters = job.problem(fold, "fitted_metric").parameters
+    for name, value in () if fit is None else fit.values.items():
         if name in HYPERPARAMETERS:
             continue
         factor, source = parameters.ties.get(name, (1.0, name))

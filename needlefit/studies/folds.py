@@ -1,0 +1,245 @@
+"""Divide the insertions of a loaded study into folds; refuse, before hours of work, what cannot be fitted."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from needlefit.datasets.dataset_warnings import is_copy
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.planes import leaves_plane, set_planes
+from needlefit.datasets.select import select_insertions
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.likelihood.observation import require_curvature
+from needlefit.mechanics.plan import check_size, count_element_solves
+from needlefit.project.locate import join_names
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import add_key_context
+from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.job import Fold, Job, Settings, load_study
+
+MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
+MAX_NAMED_INSERTIONS = 8  #: insertions that a warning names
+#: kinds of warnings that are also printed before the work, which takes long and is of no use then
+DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "common_pose", "data_changed")
+_GUIDE_PARAMETER = "guide_distance_mm"
+
+
+def prepare(
+    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
+) -> Job:
+    """Load a study or fit, as `load_study`, and plan its folds."""
+    return plan_folds(load_study(name, record, settings, dataset))
+
+
+def plan_folds(job: Job) -> Job:
+    """Return a loaded study with its folds, and whether its needles are compared in a plane or in space.
+
+    Raises ConfigError if the folds cannot be made, or an insertion cannot be fitted as the study states.
+    """
+    folds = make_folds(job.record, job.dataset)
+    chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
+    with add_key_context("planes"):
+        planes = _choose_planes(job, chosen)
+        dataset = set_planes(job.dataset, chosen, planes)
+    folds = tuple(fold.of_dataset(dataset) for fold in folds)
+    warnings = [*job.warnings]
+    if planes == 1 and dataset.pose == "known":
+        warnings += _warn_left_planes(job, chosen)
+    if isinstance(job.record, StudyRecord) and not job.record.same_specimen:
+        key = "validate" if job.record.leave_out is None else "leave_out"
+        warnings += warn_shared_specimens(job.name, folds, job.place(key))
+    planned = replace(job, dataset=dataset, folds=folds, warnings=tuple(warnings))
+    _check_layers(planned)
+    if planned.recipe.likelihood.measurement == "curvature":
+        for insertion in (each for fold in folds for each in fold.tune):
+            require_curvature(insertion)
+    check_reach(planned)
+    _check_size(planned)
+    return planned
+
+
+def print_notes(job: Job, settings: Settings) -> None:
+    """Print what a user wants to know of the data before the work, which takes long."""
+    planes = job.dataset.planes
+    doubtful = job.dataset.pose == "known" and "bevel_plane" in {one.kind for one in job.dataset.warnings}
+    if job.record.planes is None and (doubtful or planes == 2):
+        settings.note(
+            "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
+            if planes == 2
+            else "needles are fitted in one plane: errors explain what is out of it (`planes = 2`: in space)"
+        )
+    for one in dict.fromkeys(job.warnings):
+        if one.kind in DATA_WARNINGS:
+            settings.note(f"warning: {one}")
+
+
+# ---- the folds
+
+
+def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
+    """Return the folds of a study, or the single fold of a fit, which scores nothing.
+
+    Raises ConfigError if a selection matches nothing, an insertion or a copy of it stands on both sides, or
+    there is nothing to leave out.
+    """
+    tune = select_insertions(dataset, record.tune, record.layer_count_rule)
+    if not isinstance(record, StudyRecord):
+        return (Fold("all", tune, ()),)
+    if record.leave_out is not None:
+        return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
+    validate: dict[str, Insertion] = {}
+    for n, selection in enumerate(record.validate_, start=1):
+        chosen = select_insertions(dataset, selection, record.layer_count_rule, f"validate.{n}")
+        validate |= {insertion.id: insertion for insertion in chosen}
+    both = sorted(validate.keys() & {insertion.id for insertion in tune})
+    if both:
+        raise ConfigError(
+            f"{', '.join(both)} would both tune and validate",
+            expected="insertions on one side only",
+            fix="narrow [tune] or [[validate]]",
+            key="validate",
+        )
+    return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
+
+
+def _require_no_copies(fold: Fold) -> Fold:
+    """Return a fold; ConfigError if it holds out a copy of an insertion fitted to: it tests nothing."""
+    pairs = ((one, other) for one in fold.validate for other in fold.tune if is_copy(one, other))
+    if found := next(pairs, None):
+        one, other = found
+        raise ConfigError(
+            f"{one.id} is held out, and is a copy of {other.id}, which is fitted to",
+            expected="an insertion of its own: errors on a copy are those of the fit",
+            fix=f"remove {one.id} from the dataset, or restore its own file",
+            key="validate",
+        )
+    return fold
+
+
+def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
+    """Return a warning if held-out insertions share specimens with those fitted to.
+
+    Such a study says how well a model knows the specimens that it was fitted to, not others.
+    """
+    shared: dict[str, None] = {}
+    for fold in folds:
+        held = {one.specimen for one in fold.validate}
+        shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
+    if not shared:
+        return []
+    named = join_names(list(shared), MAX_NAMED_SPECIMENS)
+    what = f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
+    fix = "hold out whole specimens, or write same_specimen = true in the study if it is meant"
+    return [ResultWarning("same_specimen", f"{what}be larger", where or f"study {name}", fix)]
+
+
+def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
+    """Return one fold for each "insertion" or "specimen", which it leaves out.
+
+    Raises ConfigError if there is only one.
+    """
+    held = group_insertions(insertions, what)
+    if len(held) < 2:
+        within = what == "specimen" and len(insertions) > 1
+        raise ConfigError(
+            f"there is only one {what}: none can be left out",
+            expected=f"insertions into two {what}s or more" if within else f"two {what}s or more",
+            fix='write leave_out = "insertion" and same_specimen = true to predict insertions into this '
+            "specimen, or add insertions into another one"
+            if within
+            else "select more insertions",
+            key="leave_out",
+        )
+    return tuple(
+        Fold(f"without {name}", tuple(i for i in insertions if i not in members), members)
+        for name, members in held.items()
+    )
+
+
+def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
+    """Group the insertions by "specimen", or each "insertion" by itself, in their order."""
+    names = [insertion.specimen if what == "specimen" else insertion.id for insertion in insertions]
+    return {
+        name: tuple(i for i, own in zip(insertions, names, strict=True) if own == name)
+        for name in dict.fromkeys(names)
+    }
+
+
+# ---- what is refused or doubted before the work
+
+
+def _choose_planes(job: Job, chosen: Iterable[Insertion]) -> int | None:
+    """Return the number of planes that a study asks for, or its tissue model needs; None: either will do."""
+    if not (job.medium.torsional_friction_n and any(one.turns for one in chosen)):
+        return job.record.planes
+    if job.record.planes == 1:
+        why = "torsional friction leads needles that were turned out of their planes"
+        raise ConfigError(why, expected="2, or no torsional_friction_n of the medium")
+    return 2  # while the tip follows the hub even a half turn bends it to the side
+
+
+def _warn_left_planes(job: Job, chosen: Sequence[Insertion]) -> list[ResultWarning]:
+    """Return a warning that names the insertions that leave the planes in which they are compared."""
+    left = sorted({one.id for one in chosen if leaves_plane(one, job.dataset.noise)})
+    if not left:
+        return []
+    named = join_names(left, MAX_NAMED_INSERTIONS)
+    what = f"compared in the plane of their bevels, which they leave: {named}"
+    if any(one.curvature is not None for one in chosen):
+        what += ", and by their curvatures along y alone"
+    fix = "leave `planes` out, or state 2: needles are then simulated and compared in space"
+    return [ResultWarning("bevel_plane", what, job.place("planes"), fix)]
+
+
+def _check_layers(job: Job) -> None:
+    """Refuse a medium with fewer layers than an insertion meets."""
+    count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
+    for insertion in job.insertions:
+        if max(insertion.sequence) > job.medium.layers:
+            raise ConfigError(
+                f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
+                f"layer {max(insertion.sequence)}",
+                fix="name the medium that the needle went into, or select other insertions",
+                key="medium",
+            )
+
+
+def check_reach(job: Job) -> None:
+    """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
+    for insertion in job.insertions:
+        stated = job.parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
+        _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))
+        length = insertion.needle.length
+        if insertion.depth + guide >= length:
+            raise ConfigError(
+                f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
+                f"the tissue the needle of {length:g} mm is too short",
+                where=job.place_in_medium(f"parameters.{_GUIDE_PARAMETER}"),
+                expected=f"below {length - insertion.depth:g} mm",
+                fix="lessen the guide's distance or its upper bound",
+            )
+
+
+def _check_size(job: Job) -> None:
+    """Refuse, before hours of work, insertions of which a single evaluation would take a minute."""
+    rules, total = mesh(job.medium), 0.0
+    for insertion in job.insertions:
+        try:
+            check_size((insertion.depth,), rules)
+        except ModelError as error:
+            raise ConfigError(
+                f"insertion {insertion.id}: {error.what}",
+                where=job.place_in_medium("constraint_spacing_mm"),
+                expected=error.expected,
+                fix=error.fix,
+            ) from None
+        conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
+        total += conditions * count_element_solves((insertion.depth,), rules.spacing, rules.element)
+    if total > MAX_EVALUATION_ELEMENT_SOLVES:
+        raise ConfigError(
+            f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
+            where=job.place_in_medium("constraint_spacing_mm"),
+            expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
+            fix="select fewer insertions, or take a larger constraint spacing",
+        )

@@ -1,0 +1,468 @@
+"""Run one fold: fit to its insertions, draw parameters, predict and score the insertions that it holds out.
+
+The result depends on the job and the fold alone, so that folds may run beside each other. What they use
+besides (`FoldServices`) keeps finished work and shows progress.
+"""
+
+import math
+import os
+import pickle
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from needlefit.inference.error_fit import ErrorMinimisingFit, Target, examine_errors
+from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
+from needlefit.inference.identifiability.identify import (
+    LOG_POSTERIOR_TOLERANCE,
+    FitProfiles,
+    identify,
+    profile_parameters,
+)
+from needlefit.inference.optimize import minimize
+from needlefit.inference.predict import Draws
+from needlefit.inference.problem import Problem, find_outside_validity
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.checkpoint import Checkpoint
+from needlefit.project.progress import no_progress
+from needlefit.project.random_streams import random_stream
+from needlefit.project.tasks import compute_beside, stop_requested
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity
+from needlefit.studies.answer import RunFault, find_fault_kind
+from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
+from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
+from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
+from needlefit.studies.identification import (
+    add_intervals,
+    identify_parameters,
+    intervals_of_draws,
+    reconcile_verdict,
+)
+from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.kinds.cross_validation.progress import SEARCH_PHASES, StudyProgress
+from needlefit.studies.kinds.cross_validation.rows import (
+    list_error_fit,
+    list_fitted,
+    list_published,
+    make_start_row,
+)
+from needlefit.studies.needle_placement import place_needles
+from needlefit.studies.needles_in_scan import NeedleInScan
+from needlefit.studies.score import Row, Scores, curve_predictor, make_predictors, make_scorer
+from needlefit.studies.stated_depths import examine_depths
+from needlefit.studies.validity import MOSTLY_OUTSIDE, ValidityCount, ValidityCounts
+
+Rows = tuple[Row, ...]
+
+
+@dataclass(frozen=True)
+class FoldServices:
+    """How the folds of a run are carried out: where finished work is kept, and who sees the progress."""
+
+    settings: Settings
+    checkpoint: Checkpoint
+    progress: StudyProgress
+    #: posteriors of single specimens, by their insertions: folds that share specimens sample each once
+    specimens: dict[tuple[str, ...], Draws] = field(default_factory=dict)
+    process: int = field(default_factory=os.getpid)
+
+    def here(self, job: Job) -> "FoldServices":
+        """Return these; in a copy of their process, which nobody watches, those with that one's stop."""
+        if os.getpid() == self.process:
+            return self
+        settings = replace(self.settings, progress=no_progress, stop=stop_requested)
+        return replace(self, settings=settings, progress=StudyProgress(job, no_progress))
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """What one fold gave: the rows of each table of `Run.frames`, and what the run as a whole states."""
+
+    errors: Rows
+    shapes: Rows
+    starts: Rows
+    parameters: Rows
+    error_fit: Rows
+    directions: Rows
+    identification: Rows
+    profiles: Rows
+    predictive: Rows
+    bands: Rows
+    curvature: Rows
+    draws: Rows
+    population: Rows
+    needles: tuple[NeedleInScan, ...]
+    depths: Rows  #: what leans on stated depths of boundaries; of the first fold
+    validity: ValidityCounts
+    search_faults: tuple[str, ...]
+    faults: tuple[RunFault, ...]  #: of draws that are not certified
+    posterior: Posterior | None  #: if it was asked for
+    interrupted: bool
+
+
+@dataclass(frozen=True)
+class FoldDrawn:
+    """Draws of a fold's parameters, of its specimens' mean, and the predictions by them."""
+
+    specimens: Specimens
+    draws: Draws
+    shown: Draws  #: as many as figures show
+    posterior: Posterior | None  #: if it was asked for
+    predicted: tuple[HeldOutPrediction, ...]
+    outside: int  #: of the draws that are shown, those outside what the model assumes
+
+
+@dataclass(frozen=True)
+class FoldFits:
+    """The fits of a fold by the names of their searches, their profiles, and draws about the first one."""
+
+    fits: Mapping[str, Fit]
+    profiles: FitProfiles | None
+    drawn: FoldDrawn | None
+    error_fit: ErrorMinimisingFit | None
+    interrupted: bool
+
+
+def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
+    """Fit to the insertions of a fold, learn what they determine, score and predict the others."""
+    found = fit_fold(job, fold, services)
+    services.progress.finish(fold, "errors")
+    drawn, least = found.drawn, found.error_fit
+    predicted = drawn.predicted if drawn else ()
+    usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
+    fitted, error_fit = usable.get("fitted"), usable.pop("fitted_metric", None)
+    if least is not None and error_fit is not None:  # at the point to be reported
+        values = job.problem(fold, "fitted_metric").values(np.array(least.theta))
+        usable["fitted_metric"] = replace(error_fit, theta=least.theta, values=values)
+    about_fit = _FitRows()
+    if fitted is not None:
+        about_fit = _describe_fit(job, fold, fitted, found.profiles, drawn)
+    scored = list(_score(job, fold, usable, predicted))
+    return FoldResult(
+        errors=tuple(_mark_estimate(row) for one in scored for row in one.errors),
+        shapes=tuple(row for one in scored for row in one.shapes),
+        starts=tuple(_list_starts(job, fold, found.fits)),
+        parameters=(
+            *about_fit.parameters,
+            *list_error_fit(job, fold, usable.get("fitted_metric")),
+            *list_published(job, fold, usable.get("hand_tuned_b")),
+        ),
+        error_fit=() if least is None else (_describe_error_fit(fold, least),),
+        directions=about_fit.directions,
+        identification=about_fit.identification,
+        profiles=about_fit.profiles,
+        predictive=tuple(one.row for one in predicted),
+        bands=tuple(row for one in predicted for row in one.band),
+        curvature=tuple(row for one in predicted for row in one.sensors),
+        draws=tuple(_list_draws(job, fold, drawn)) if drawn else (),
+        population=about_fit.population,
+        needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
+        depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
+        validity=ValidityCounts(
+            starts=_count_outside_starts(job, fold, found.fits),
+            draws=ValidityCount(len(drawn.shown.thetas), drawn.outside) if drawn else ValidityCount(),
+            predicted=sum((ValidityCount(one.solved, one.outside) for one in predicted), ValidityCount()),
+            scored=tuple(row for one in scored for row in one.validity),
+        ),
+        search_faults=tuple(_find_search_faults(found)),
+        faults=tuple(_find_draw_faults(drawn)) if drawn else (),
+        posterior=drawn.posterior if drawn else None,
+        interrupted=found.interrupted,
+    )
+
+
+# ---- fits and draws
+
+
+def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
+    """Fit to the insertions of a fold, and draw parameters about the fit.
+
+    While draws are made and insertions predicted, a copy of this process goes on with the other searches and
+    the profiles.
+    """
+    stop = services.settings.stop
+    (first, *others), profiles = job.searches, None
+    fits = search_fits(job, fold, [first], services)
+    _note_fit(job, fits, services)
+    beside: list[Callable[[], bytes]] = [
+        lambda: pickle.dumps(search_fits(job, fold, others, services.here(job))),
+        lambda: pickle.dumps(_profile(job, fold, fits, services.here(job))),
+    ]
+    with compute_beside(() if services.settings.jobs == 1 else beside, stop) as finish:
+        drawn = _draw(job, fold, fits, services)
+        if not stop():
+            more, profiles = map(pickle.loads, finish() or [work() for work in beside])
+            fits |= more
+    interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
+    if better := _move_to_better(job.problem(fold), fits, profiles):
+        fits["fitted"], drawn = better, None
+        profiles = _profile(job, fold, fits, services)
+    drawn = drawn or _draw(job, fold, fits, services)
+    interrupted = interrupted or stop()
+    error_fit = _minimise_errors(job, fold, fits, drawn, services)
+    return FoldFits(fits, profiles, drawn, error_fit, interrupted)
+
+
+def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldServices) -> dict[str, Fit]:
+    """Return the fits of searches: of everything free, by the metric if asked, and of b alone."""
+    fits = {}
+    for search in searches:
+        if services.settings.stop():
+            break
+        fits[search] = _search(job, fold, search, services)
+    return fits
+
+
+def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
+    """Return the fit of one search; each finished start is kept and reported."""
+    settings, key, phase = services.settings, f"{fold.name}/{search}", SEARCH_PHASES[search]
+    kept, starts = read_starts(services.checkpoint, key), job.recipe.starts
+    ended = len(kept)
+
+    def report(approached: int, total: int = starts) -> None:
+        services.progress.report(fold, phase, approached + ended, 2 * starts)
+
+    def keep(start: Start) -> None:
+        nonlocal ended
+        keep_start(services.checkpoint, key, start)
+        ended += 1
+        report(starts)
+
+    report(0)
+    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
+    callbacks = Callbacks(kept, keep, settings.stop, report, settings.jobs)
+    return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+
+
+def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None:
+    """Print the best fit, before there are intervals."""
+    fit = fits.get("fitted")
+    if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
+        return
+    values = (
+        f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
+        for name in job.parameters.free
+    )
+    services.settings.first(f"{job.name}: best fit: {', '.join(values)}; intervals follow")
+
+
+def _profile(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FitProfiles | None:
+    """Return the profiles of the posterior about the fit; many folds are scored, not examined."""
+    fit = fits.get("fitted")
+    if len(job.folds) > 1 or fit is None or fit.interrupted or not math.isfinite(fit.objective):
+        return None
+    if fit.minimized != "posterior":  # no noise is stated: there is no posterior
+        return None
+    step, settings = services.progress.phase(fold, "profiles"), services.settings
+    step(0)
+    return profile_parameters(job.problem(fold), fit, settings.jobs, settings.stop, step)
+
+
+def _move_to_better(problem: Problem, fits: Mapping[str, Fit], profiles: FitProfiles | None) -> Fit | None:
+    """Return the fit at the best point that its profiles met, if that is better than all its starts."""
+    if profiles is None or profiles.gain <= LOG_POSTERIOR_TOLERANCE:
+        return None
+    fit, theta, best = fits["fitted"], np.array(profiles.best), profiles.best
+    objective = -problem.log_posterior(theta)
+    if not objective < fit.objective:
+        return None
+    met = Start(len(fit.starts), best, best, objective, evaluations=0, failures=0, stopped=MET_BY_PROFILE)
+    values = problem.values(theta)
+    return replace(fit, theta=best, values=values, objective=objective, starts=(*fit.starts, met))
+
+
+def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices) -> FoldDrawn | None:
+    """Return draws of a fold's parameters, and the predictions of the insertions that it holds out.
+
+    They are made by draws that are certified. None without a fit, and where a fit alone is interrupted.
+    """
+    settings, fit = services.settings, fits.get("fitted")
+    if fit is None or not math.isfinite(fit.objective) or (settings.stop() and not fold.validate):
+        return None
+    if fit.minimized != "posterior":  # no noise is stated: there is no posterior
+        return None
+    sampled, step = (services.progress.phase(fold, phase) for phase in ("posterior draws", "predictions"))
+    sampled(0)
+    made = draw_fold_parameters(job, fold, fit, settings, services.checkpoint, sampled)
+    sampled(1)
+    specimens = Specimens(job, fold, made.draws, settings.jobs, services.specimens)
+    step(0)
+    predicted = () if specimens.faults else predict_held_out(specimens, bands=True, step=step)
+    shown = specimens.replace_mean(made.shown)
+    outside = find_outside_validity(job.problem(fold), shown.thetas)
+    return FoldDrawn(
+        specimens,
+        specimens.replace_mean(made.draws),
+        shown,
+        made.posterior if settings.sample else None,
+        tuple(predicted),
+        int(outside.sum()),
+    )
+
+
+def _minimise_errors(
+    job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None, services: FoldServices
+) -> ErrorMinimisingFit | None:
+    """Return the point to be reported of the fit that minimises the errors."""
+    fit = fits.get("fitted_metric")
+    if fit is None or fit.interrupted or not math.isfinite(fit.objective) or services.settings.stop():
+        return None
+    problem, target = job.problem(fold, "fitted_metric"), None
+    if drawn is not None and len(thetas := drawn.draws.thetas):
+        median = job.parameters.values(np.median(thetas, axis=0))
+        columns = [job.parameters.free.index(name) for name in problem.names]
+        target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
+    services.progress.report(fold, "errors of the fit")
+    rng = random_stream(job.recipe.seed, fold.name, "error tolerance")
+    return examine_errors(problem, fit, target, job.parameters, rng)
+
+
+def _mark_estimate(row: Row) -> Row:
+    """Return a row of errors with what was scored: the median of draws, or the needle of one point."""
+    return {**row, "estimate": "median" if row["method"] == MEDIAN_METHOD else "point"}
+
+
+def _find_search_faults(found: FoldFits) -> Iterator[str]:
+    """Yield why the best point of the fit may not be the best."""
+    fit, profiles = found.fits.get("fitted"), found.profiles
+    if fit is not None and fit.fault:
+        yield fit.fault
+    if profiles is not None and profiles.gain > LOG_POSTERIOR_TOLERANCE:
+        yield (
+            f"the profiles met a log posterior {profiles.gain:.3g} above that of the fit: raise the "
+            "recipe’s starts or evaluations"
+        )
+
+
+def _find_draw_faults(drawn: FoldDrawn) -> Iterator[RunFault]:
+    """Yield why draws are not certified; a posterior that was asked for has its own faults."""
+    if drawn.posterior is None:
+        kind = find_fault_kind(drawn.shown)
+        yield from (RunFault(kind, f"the posterior: {why}") for why in drawn.shown.faults)
+
+
+# ---- rows of the tables
+
+
+def _list_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> Iterator[Row]:
+    """Yield the starts of all searches."""
+    for name, fit in fits.items():
+        problem, place = job.problem(fold, name), {"fold": fold.name, "fit": name}
+        yield from ({**place, **make_start_row(problem, start, fit)} for start in fit.starts)
+
+
+def _count_outside_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> ValidityCount:
+    """Return the ends of all starts, and how many of them are outside what the model assumes."""
+    count = ValidityCount()
+    for name, fit in fits.items():
+        ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
+        count += ValidityCount(len(ends), int(find_outside_validity(job.problem(fold, name), ends).sum()))
+    return count
+
+
+def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:
+    """Yield draws in Pa and mm: of the specimens' mean, of each and of a new one."""
+    draws, every = drawn.shown, {TUNED_SPECIMENS: drawn.shown.thetas}
+    if not draws.faults:
+        every |= drawn.specimens.list_draws(draws.thetas)
+    for specimen, thetas in every.items():
+        where = {"fold": fold.name, **draws.describe(), "specimen": specimen}
+        yield from ({**where, **job.parameters.values(theta)} for theta in thetas)
+
+
+def _describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
+    """Return the objective of the fit that minimises the errors, and its tolerance."""
+    return {
+        "fold": fold.name,
+        "objective_mm": found.objective,
+        "least_objective_mm": found.least,
+        "tolerance_mm": found.tolerance.value,
+        "tolerance_by_noise_mm": found.tolerance.by_noise,
+        "tolerance_by_insertions_mm": found.tolerance.by_insertions,
+        "evaluations": found.evaluations,
+    }
+
+
+def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[Row]:
+    """Return what leans on stated depths, by the first fold; without stated noise that cannot be known."""
+    if fit.minimized != "posterior" or fold is not job.folds[0]:
+        return []
+    return examine_depths(job.problem(fold), np.array(fit.theta))
+
+
+def _place_needles(
+    job: Job, fold: Fold, fit: Fit, drawn: FoldDrawn | None, jobs: int
+) -> Iterator[NeedleInScan]:
+    """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
+    bands = [row for one in (drawn.predicted if drawn else ()) for row in one.band]
+    shown = drawn.shown if drawn else None
+    problem, fitted = job.problem(fold), len(job.folds) == 1
+    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted)
+
+
+@dataclass(frozen=True)
+class _FitRows:
+    """What the data determine about the fit of a fold, as rows of these tables."""
+
+    parameters: Rows = ()
+    directions: Rows = ()
+    identification: Rows = ()
+    profiles: Rows = ()
+    population: Rows = ()
+
+
+def _describe_fit(
+    job: Job, fold: Fold, fit: Fit, profiles: FitProfiles | None, drawn: FoldDrawn | None
+) -> _FitRows:
+    """Return the fitted parameters of a fold and what the data determine.
+
+    They are judged by draws of the posterior; without certified ones, by the information.
+    """
+    problem, place = job.problem(fold), {"fold": fold.name}
+    draws, posterior = (drawn.draws, drawn.posterior) if drawn else (None, None)
+    further, population = None, list[Row]()
+    if drawn is not None and drawn.specimens.separate:
+        further = None if drawn.draws.faults else drawn.specimens.population.new
+        population = drawn.specimens.tabulate_population()
+        posterior = None  # the sampler's has one set of parameters, specimens several
+    verdict = identify(problem, fit, draws.certified if draws else None, further)
+    directions = [
+        {**place, "parameters": one.parameters, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+        for one in (verdict.directions if fit.minimized == "posterior" else ())
+    ]
+    # without stated noise nothing says how far the data can be trusted, outside its validity the model
+    invalid = drawn is not None and drawn.outside > MOSTLY_OUTSIDE * len(drawn.shown.thetas)
+    if fit.minimized != "posterior" or invalid:
+        nothing = dict.fromkeys(verdict.determined, False)
+        notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")
+        verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
+        verdict = replace(verdict, notes=notes) if invalid else verdict
+    judged, points = list[Row](), list[Row]()
+    if profiles is not None:
+        found = identify_parameters(problem, profiles, verdict.sds, verdict, verdict.loosened)
+        judged = [{**place, **row} for row in found.rows]
+        points = [{**place, **row} for row in found.points]
+        verdict = reconcile_verdict(verdict, found.by_profile)
+    fitted = list_fitted(job, fold, fit, verdict)
+    sampled = intervals_of_draws(job.parameters, draws, posterior)
+    add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error)
+    return _FitRows(tuple(fitted), tuple(directions), tuple(judged), tuple(points), tuple(population))
+
+
+# ---- scores
+
+
+def _score(
+    job: Job, fold: Fold, fits: Mapping[str, Fit], predicted: Sequence[HeldOutPrediction]
+) -> Iterator[Scores]:
+    """Yield the scores of every method on every insertion, then of the predictive medians."""
+    scorer = make_scorer(job)
+    for method, curves in make_predictors(job.problem(fold), fits, job.hand_tuned).items():
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            place = {"fold": fold.name, "role": role, "method": method}
+            yield from (scorer.score(place, one, curves) for one in insertions)
+    medians = {one.row["insertion"]: one.median for one in predicted if one.median is not None}
+    median = curve_predictor(lambda insertion: medians[insertion.id])
+    place = {"fold": fold.name, "role": "validate", "method": MEDIAN_METHOD}
+    yield from (scorer.score(place, one, median) for one in fold.validate if one.id in medians)
