@@ -26,7 +26,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameter_changes import change_parameters
+from needlefit.inference.parameter_changes import change_fit, change_parameters, set_priors
 from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
@@ -51,7 +51,7 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.folds import group_insertions, prepare
-from needlefit.studies.job import Inputs, Job, Settings, change_fit, set_priors
+from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
 from needlefit.studies.run import Run

@@ -74,7 +74,7 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
 
 @pytest.mark.usefixtures("few_draws")
 def test_draws_outside_the_model_determine_nothing(world, monkeypatch):
-    from needlefit.studies.kinds.cross_validation import run as cross_validation
+    from needlefit.studies.kinds.cross_validation import fold as cross_validation
 
     monkeypatch.chdir(world.folder)
     known = needlefit.fit("gel").frames["parameters"].query("method == 'fitted'")

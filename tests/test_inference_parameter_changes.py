@@ -9,11 +9,10 @@ from pydantic import ValidationError
 from refusals import refusal
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameter_changes import MODULUS_BOUNDS_PA, change_parameters
+from needlefit.inference.parameter_changes import MODULUS_BOUNDS_PA, change_fit, change_parameters
 from needlefit.inference.parameters import Parameters
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.job import change_fit
 
 FIT = {"schema": 2, "dataset": "twin", "medium": "phantom1"}
 

@@ -10,10 +10,10 @@ from test_inference_identify import FINE, fit_at
 
 from needlefit.errors import ConfigError
 from needlefit.inference.identifiability.identify import identify
+from needlefit.inference.parameter_changes import set_material_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.project.toml import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
-from needlefit.studies.job import set_material_prior
 
 ALPHA = {"mean": 3.0, "sd": 0.5}
 MODULUS = {"median": 1e5, "factor": math.e, "correlation": 0.5}

@@ -32,7 +32,7 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare
+from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.planned_draws import PlannedInsertion
 from needlefit.studies.prediction_scores import score_tip_in_space
@@ -188,7 +188,9 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
     notes: list[str] = []  # what was decided, with the key that decides otherwise
     doubted = replace(dataset([flat, half]), warnings=(ResultWarning("bevel_plane", "x"),))
     planar = Settings(inputs=Inputs(dataset=doubted, medium=medium()), note=notes.append)
-    assert prepare("x", record, planar).dataset.planes == 1 and "`planes = 2`" in notes[0]
+    job = prepare("x", record, planar)
+    print_notes(job, planar)
+    assert job.dataset.planes == 1 and "`planes = 2`" in notes[0]
     flattened = record.model_copy(update={"planes": 1})
     with pytest.raises(ConfigError, match="planes"):
         prepare("x", flattened, settings)

@@ -197,9 +197,9 @@ def require_no_faults(faults: Iterable[str]) -> None:
 def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
     """Run, write and print every work; their checkpoints stay. A dataset is read once for all."""
     from needlefit.datasets.read import read
-    from needlefit.project.toml import add_file_context
+    from needlefit.project.toml import add_file_context, find_named
     from needlefit.schemas.study import FitRecord, StudyRecord
-    from needlefit.studies.job import Inputs, find_named
+    from needlefit.studies.job import Inputs
 
     done, read_once = [], cache(read)
     for work in todo:

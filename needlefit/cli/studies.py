@@ -230,11 +230,11 @@ def predict(
     --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
     """
     with begin(context) as execution:
+        from needlefit.inference.parameter_changes import load_medium
         from needlefit.project.input_files import is_file
         from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.job import load_medium
         from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene, plan_like_deepest
         from needlefit.studies.result_sources import name_source
         from needlefit.studies.store import RESULTS_FILE, restore_run

@@ -1,13 +1,24 @@
-"""Free and fix parameters of a tissue model by name, in place of what its file says of them."""
+"""Load a tissue model with what a fit states of it: priors, and parameters that are free or fixed."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 from needlefit.errors import ConfigError
 from needlefit.inference.parameter_names import dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, check_values, state_usual_bounds, without_prior
 from needlefit.mechanics.laws import LAWS
-from needlefit.project.toml import renamed_keys
-from needlefit.schemas.medium import MAX_CUT_ANGLE_DEG, MIN_CUT_ANGLE_DEG, MediumRecord, ParameterRecord
+from needlefit.project.json_values import to_json_values
+from needlefit.project.toml import add_file_context, add_key_context, check, find_named, load, renamed_keys
+from needlefit.schemas.medium import (
+    MAX_CUT_ANGLE_DEG,
+    MIN_CUT_ANGLE_DEG,
+    MaterialRecord,
+    MediumRecord,
+    ParameterRecord,
+    spell_parameter,
+)
+from needlefit.schemas.study import FitRecord
 
 #: of a modulus that is freed where no other one is free and untied
 MODULUS_BOUNDS_PA = (1e2, 1e9)
@@ -17,6 +28,31 @@ FREED_BOUNDS = {
     "cut_angle_deg": (MIN_CUT_ANGLE_DEG, MAX_CUT_ANGLE_DEG),
     "guide_distance_mm": (1.0, 120.0),
 }
+
+
+def load_medium(record: FitRecord) -> tuple[MediumRecord, Path]:
+    """Return the medium that a fit names, with its priors and what it frees and fixes, and its file."""
+    file = find_named("medium", record.medium)
+    medium = set_priors(load(file, MediumRecord), record.priors)
+    with add_file_context(file):
+        Parameters.from_record(medium)  # faults of the medium itself, before those of the changes
+    return change_parameters(medium, record.free, record.fix), file
+
+
+def change_fit(record: FitRecord, free: Sequence[str], fix: Mapping[str, float], where: str) -> FitRecord:
+    """Return a fit that also estimates the parameters `free`, and holds those in `fix` (Pa, mm, degrees).
+
+    They take the place of what the fit itself frees and fixes. `where` is what messages name.
+
+    Raises ConfigError if a name is in both.
+    """
+    names = [spell_parameter(name) for name in free]
+    values = {spell_parameter(name): value for name, value in fix.items()}
+    changes: dict[str, Any] = {
+        "free": [*(name for name in record.free if name not in values), *names],
+        "fix": to_json_values({n: at for n, at in record.fix.items() if n not in names} | values),
+    }
+    return check(record.model_dump(mode="json", by_alias=True) | changes, type(record), where)
 
 
 def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[str, float]) -> MediumRecord:
@@ -91,3 +127,47 @@ def _find_freed_bounds(parameters: Parameters, name: str, law: str) -> tuple[flo
     if at is None or (at == 0 and not is_shape_parameter(name)):
         return low, high
     return min(low, at), max(high, at)
+
+
+def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
+    """Return the medium, its layers with the priors of the files that a fit names."""
+    for layer, path in priors.items():
+        material = load(Path(path), MaterialRecord)
+        with add_key_context(f"priors.{layer}"):
+            medium = set_material_prior(medium, layer, material)
+    return medium
+
+
+#: a fixed alpha that a test identifies becomes free within this many standard deviations
+ALPHA_REACH_SD = 4.0
+TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
+
+
+def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
+    """Return the medium with the prior of a compression test on one layer.
+
+    An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
+    mean.
+
+    Raises ConfigError if there is no such layer, the medium's law is another one, or the layer's parameter is
+    tied or fixed.
+    """
+    if layer not in {str(number) for number in range(1, medium.layers + 1)}:
+        raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")
+    if medium.law != TEST_LAW:
+        raise ConfigError(
+            f"the medium's law is `{medium.law}`", expected=f"`{TEST_LAW}`: the prior is of its alpha"
+        )
+    table = state_usual_bounds(medium) | medium.parameters
+    for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
+        if stated is None or name not in table:
+            continue
+        bounds, tie = table[name].bounds, table[name].tie
+        if bounds is None and tie is None and stated.mean is not None and stated.sd is not None:
+            bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
+        if bounds is None:
+            fix = "give it bounds" + (", or the prior to the layer that it is tied to" if tie else "")
+            state = "tied" if tie else "fixed"
+            raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
+        table[name] = ParameterRecord(bounds=bounds, prior=stated)
+    return medium.model_copy(update={"parameters": table})

@@ -192,6 +192,12 @@ def add_key_context(key: str) -> Iterator[None]:
         raise
 
 
+def find_named(key: FileKind, name: str) -> Path:
+    """Return the file that a study names under `key`; the key is also the kind of file."""
+    with add_key_context(key):
+        return find_file(key, name)
+
+
 @contextmanager
 def renamed_keys(names: Mapping[str, str]) -> Iterator[None]:
     """Have every ConfigError from within that names no place name its key as the file read calls it."""

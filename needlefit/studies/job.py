@@ -1,6 +1,6 @@
 """Load a study or fit with everything that it names: dataset, medium, recipe, and the paper's parameters."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,27 +10,23 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError
-from needlefit.inference.parameter_changes import change_parameters
+from needlefit.inference.parameter_changes import load_medium
 from needlefit.inference.parameters import (
     Parameters,
-    state_usual_bounds,
     with_hyperparameters,
     without_bevel_spread,
     without_prior,
 )
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.project.json_values import to_json_values
-from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
-from needlefit.project.toml import add_file_context, add_key_context, check, load, locate_key
+from needlefit.project.toml import add_file_context, add_key_context, find_named, load, locate_key
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.reporting import paper
-from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, spell_parameter
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 
@@ -215,78 +211,3 @@ def load_study(
         file=settings.file,
         medium_file=medium_file,
     )
-
-
-def find_named(key: FileKind, name: str) -> Path:
-    """Return the file that a study names under `key`; the key is also the kind of file."""
-    with add_key_context(key):
-        return find_file(key, name)
-
-
-def load_medium(record: FitRecord | StudyRecord) -> tuple[MediumRecord, Path]:
-    """Return the medium that a fit names, with its priors and what it frees and fixes, and its file."""
-    file = find_named("medium", record.medium)
-    medium = set_priors(load(file, MediumRecord), record.priors)
-    with add_file_context(file):
-        Parameters.from_record(medium)  # faults of the medium itself, before those of the changes
-    return change_parameters(medium, record.free, record.fix), file
-
-
-def change_fit(record: FitRecord, free: Sequence[str], fix: Mapping[str, float], where: str) -> FitRecord:
-    """Return a fit that also estimates the parameters `free`, and holds those in `fix` (Pa, mm, degrees).
-
-    They take the place of what the fit itself frees and fixes. `where` is what messages name.
-
-    Raises ConfigError if a name is in both.
-    """
-    names = [spell_parameter(name) for name in free]
-    values = {spell_parameter(name): value for name, value in fix.items()}
-    changes: dict[str, Any] = {
-        "free": [*(name for name in record.free if name not in values), *names],
-        "fix": to_json_values({n: at for n, at in record.fix.items() if n not in names} | values),
-    }
-    return check(record.model_dump(mode="json", by_alias=True) | changes, type(record), where)
-
-
-def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
-    """Return the medium, its layers with the priors of the files that a fit names."""
-    for layer, path in priors.items():
-        material = load(Path(path), MaterialRecord)
-        with add_key_context(f"priors.{layer}"):
-            medium = set_material_prior(medium, layer, material)
-    return medium
-
-
-#: a fixed alpha that a test identifies becomes free within this many standard deviations
-ALPHA_REACH_SD = 4.0
-TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
-
-
-def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
-    """Return the medium with the prior of a compression test on one layer.
-
-    An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
-    mean.
-
-    Raises ConfigError if there is no such layer, the medium's law is another one, or the layer's parameter is
-    tied or fixed.
-    """
-    if layer not in {str(number) for number in range(1, medium.layers + 1)}:
-        raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")
-    if medium.law != TEST_LAW:
-        raise ConfigError(
-            f"the medium's law is `{medium.law}`", expected=f"`{TEST_LAW}`: the prior is of its alpha"
-        )
-    table = state_usual_bounds(medium) | medium.parameters
-    for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
-        if stated is None or name not in table:
-            continue
-        bounds, tie = table[name].bounds, table[name].tie
-        if bounds is None and tie is None and stated.mean is not None and stated.sd is not None:
-            bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
-        if bounds is None:
-            fix = "give it bounds" + (", or the prior to the layer that it is tied to" if tie else "")
-            state = "tied" if tie else "fixed"
-            raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
-        table[name] = ParameterRecord(bounds=bounds, prior=stated)
-    return medium.model_copy(update={"parameters": table})

@@ -29,7 +29,7 @@ from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_m
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file, join_names
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
-from needlefit.project.toml import add_study_context, load
+from needlefit.project.toml import add_study_context, find_named, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
 from needlefit.reporting.figures import Drawing
@@ -49,7 +49,7 @@ from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.fold_draws import find_fit
 from needlefit.studies.folds import group_insertions, prepare, print_notes
-from needlefit.studies.job import Fold, Job, Settings, find_named
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.studies.report import StudyReport, answer_in_words

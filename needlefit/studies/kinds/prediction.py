@@ -35,6 +35,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS
@@ -49,7 +50,7 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
-from needlefit.studies.job import Inputs, Job, Settings, find_named
+from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.planned_draws import simulate_scene, vary_bevels
 from needlefit.studies.provenance import find_changes, require_same_configuration
