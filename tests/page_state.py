@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
-from needlefit.inference.compared_points import SimulatedCurve, align, align_points, pad_planes
+from needlefit.inference.compared_points import align, align_points, pad_planes
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.torsion import find_roll
@@ -30,8 +30,9 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
         return None
     whole = abs(beyond) <= 1e-6
     if whole:  # read from the tip, so that both tips are compared
-        curve = SimulatedCurve(shape)
-        errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
+        errors = compare_curves(
+            *align_points(measured.target, lambda s: compute_positions(shape, s + beyond))
+        )
     elif measured.target.pose != "free":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])

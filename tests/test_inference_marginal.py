@@ -23,7 +23,8 @@ from needlefit.inference.likelihood.nodes import (
     make_group,
     make_nodes,
 )
-from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
+from needlefit.inference.likelihood.observation import whiten_residuals
+from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load

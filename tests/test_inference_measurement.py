@@ -15,14 +15,10 @@ from needlefit.datasets.sections import format_sections
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections, design_matrix, fit_matrices, make_knots
-from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observation import (
-    SHARED_ERROR_LENGTH_MM,
-    make_observation,
-    select_sections,
-    whiten_deflections,
-)
+from needlefit.inference.likelihood.observation import whiten_deflections
+from needlefit.inference.likelihood.observations import make_observation, read_points
+from needlefit.inference.likelihood.observations.sections import SHARED_ERROR_LENGTH_MM, select_sections
 from needlefit.inference.problem import make_problem
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord

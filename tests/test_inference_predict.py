@@ -9,8 +9,9 @@ from scipy.special import ndtr, ndtri
 
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.inference.baseline_fit import fit_baseline
-from needlefit.inference.compared_points import align_points, select_points
+from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import PredictiveMixture, cdf, crps, interval, quantile, wilson_interval
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions

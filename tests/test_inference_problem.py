@@ -19,8 +19,9 @@ from refusals import refusal
 
 from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.compared_points import align_points, select_points
+from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import PreparedModel, make_options, predict
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.optimize import minimize
 from needlefit.mechanics import batch
 from needlefit.mechanics.needle import Needle

@@ -30,8 +30,9 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
 from needlefit.inference.baselines import BASELINES
-from needlefit.inference.compared_points import find_end, share_simulations
+from needlefit.inference.forward_model import find_end, share_simulations
 from needlefit.inference.likelihood import observation
+from needlefit.inference.likelihood.observations import make_observation, tip_track
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
@@ -116,9 +117,8 @@ def test_a_needle_turned_as_a_whole_has_the_same_density(runs_in_space):
     """Tips, guide and bevel, turned by a quarter about the depth: y becomes z."""
     turned = [
         replace(
-            with_tip(one, -one.out_of_plane, one.tip),
-            guide=-one.guide_z,
-            guide_z=one.guide,
+            with_tip(one, -one.out_of_plane, one.planar[:, 1]),
+            guide=replace(one.guide, y=-one.guide.z, z=one.guide.y),
             turns=((0.0, 90.0),),
         )
         for one in runs_in_space
@@ -147,7 +147,7 @@ def test_runs_under_a_resting_guide_are_one_insertion():
     assert [one.id for one in sources] == ["a", "a", "c"]
     thin = replace(tracks[1], needle=Needle(200.0, 2.5e3))
     assert [one.id for one in share_simulations([tracks[0], thin], 1.0)] == ["a", "b"]
-    assert find_end(track("d", REST, 0.997 * DEPTH), 1.0) == 60.0
+    assert find_end(0.997 * 60.0, 1.0) == 60.0
     together = simulate_tips(tracks)
     alone = [simulate_tips([one])[0] for one in tracks]
     for one, other in zip(together, alone, strict=True):
@@ -161,11 +161,14 @@ def test_runs_under_a_resting_guide_are_one_insertion():
 
 
 def test_shift_and_slope_of_the_frame_change_nothing(runs):
-    turned = [with_tip(one, one.tip - 40.0 + 0.1 * one.depths) for one in runs]
+    turned = [with_tip(one, one.planar[:, 1] - 40.0 + 0.1 * one.planar[:, 0]) for one in runs]
     here, there = problem(runs), problem(turned)
     assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
     assert there.jacobian(THETA)[0] == pytest.approx(here.jacobian(THETA)[0], abs=1e-8)
-    here, there = problem(runs), problem([with_tip(one, one.tip + 5.0 - 0.1 * one.depths) for one in runs])
+    here, there = (
+        problem(runs),
+        problem([with_tip(one, one.planar[:, 1] + 5.0 - 0.1 * one.planar[:, 0]) for one in runs]),
+    )
     at = THETA + 0.2
     value, slope = here.objective_gradient(at)
     assert there.objective(at) == pytest.approx(value, abs=1e-9) and here.objective(at) == value
@@ -178,8 +181,8 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
 
 def in_session(runs):
     """The runs with headings, in frames of one slope."""
-    ends = [np.gradient(one.tip, one.depths) - 0.03 for one in runs]
-    return [replace(one, heading=np.arctan(end)) for one, end in zip(runs, ends, strict=True)]
+    ends = [np.gradient(one.planar[:, 1], one.planar[:, 0]) - 0.03 for one in runs]
+    return [replace(one, headings=(np.arctan(end),)) for one, end in zip(runs, ends, strict=True)]
 
 
 SESSION_NOISE = replace(NOISE, heading_sd=0.01, slope_sd=0.005)
@@ -190,7 +193,7 @@ ERRORS = TrackErrorsRecord(gain_sd=0.2, slope_sd_deg=0.4, entry_sd_mm=0.3, entry
 
 def respond_to_guide(one, depths):
     """The change (n,) of the tip at `depths` by a guide that moves twice as far, linearised."""
-    moved = [replace(one, guide=factor * one.guide) for factor in (0.9, 1.1)]
+    moved = [replace(one, guide=one.guide.scale(factor)) for factor in (0.9, 1.1)]
     less, more = simulate_deflections(moved, [depths] * 2)
     return (more[0] - less[0]) / 0.2
 
@@ -206,18 +209,18 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
         likelihood=observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors}),
     )
     n, off, cov, columns, gains = len(DEPTH), [], [], [], []
-    step, at = observation.HEADING_STEP_MM, np.append(DEPTH, DEPTH[1:] - observation.HEADING_STEP_MM)
+    step, at = tip_track.HEADING_STEP_MM, np.append(DEPTH, DEPTH[1:] - tip_track.HEADING_STEP_MM)
     take = np.block(
         [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
     )  # tips and headings of tips at both places
     for one, tip in zip(tracks, simulate_tips(tracks), strict=True):
-        before = simulate_deflections([one], [DEPTH - observation.HEADING_STEP_MM])[0]
-        path = (tip[0] - before[0])[1:] / observation.HEADING_STEP_MM
-        off.append(np.append(tip[0] - one.tip, path - np.tan(one.heading[1:])))
+        before = simulate_deflections([one], [DEPTH - tip_track.HEADING_STEP_MM])[0]
+        path = (tip[0] - before[0])[1:] / tip_track.HEADING_STEP_MM
+        off.append(np.append(tip[0] - one.planar[:, 1], path - np.tan(one.headings[0][1:])))
         turn = np.append(DEPTH, np.ones(n - 1))
         columns.append([np.append(np.ones(n), np.zeros(n - 1)), turn, np.append(np.zeros(n), np.ones(n - 1))])
         own = np.diag(np.append(np.full(n, NOISE.point_sd**2), np.full(n - 1, 0.01**2)))
-        moved = np.interp(at, DEPTH, one.guide)
+        moved = np.interp(at, DEPTH, one.guide.y)
         fading = np.exp(-at / errors.entry_length_mm)
         size = np.exp(-0.5 * ((at[:, None] - at) / errors.entry_length_mm) ** 2) * np.outer(fading, fading)
         entry = errors.entry_sd_mm**2 + errors.entry_yield**2 * np.outer(moved, moved)
@@ -234,7 +237,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     for shared in (steered * np.concatenate(gains), steered * turns, rest * turns):
         whole += np.outer(shared, shared)
     for part in (1, 2):
-        shared = observation.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
+        shared = tip_track.SESSION_SD_RAD * np.concatenate([one[part] for one in columns])
         whole += np.outer(shared, shared)
     shifts, residual = block_diag(*[one[0][:, None] for one in columns]), np.concatenate(off)
     whitening, log_norm = observation.whiten(whole, shifts)
@@ -255,8 +258,8 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
 
 def test_later_readings_do_not_enter_the_prediction(runs):
     rest = [measured(track(f"run{n}", REST), n, 0.01 * n, n) for n in range(4)]
-    known = [observation.make_observation(dataset(runs), one) for one in (*rest, runs[0])]
-    later = runs[0].tip.copy()
+    known = [make_observation(dataset(runs), one) for one in (*rest, runs[0])]
+    later = runs[0].planar[:, 1].copy()
     later[5:] += 9.0
     other = replace(known[-1], measured=np.column_stack([DEPTH, later]))
     one, two = (
@@ -270,7 +273,7 @@ def test_a_line_takes_its_slope_from_runs_alike():
     """With one reading to place a run, its further ones have the slope of the others, or of those alike."""
     frames = ((REST, 0.01), (REST, 0.02), (REST, 0.03), (GUIDE, 0.07), (GUIDE, 0.08), (GUIDE, 0.09))
     tracks = [with_tip(track(f"run{n}", guide), one * DEPTH) for n, (guide, one) in enumerate(frames)]
-    seen = [observation.make_observation(dataset([]), one) for one in tracks]
+    seen = [make_observation(dataset([]), one) for one in tracks]
     for name, slopes in (("straight", (0.05, 0.05)), ("steered_line", (0.02, 0.08))):
         for further, slope in zip((seen[0], seen[-1]), slopes, strict=True):
             found = track_predictions.predict_by_curve(BASELINES[name], seen, further, 1)
@@ -317,7 +320,7 @@ class Groups:
         """A run of a kind, its group with this gain and slope."""
         normal, error = self.rng.standard_normal, self.errors
         one, noise = self.plain[kind], NOISE.point_sd * self.rng.standard_normal(len(DEPTH))
-        covariance = observation.entry_covariance(one, DEPTH, error) + 1e-12 * np.eye(len(DEPTH))
+        covariance = tip_track.entry_covariance(one, DEPTH, error) + 1e-12 * np.eye(len(DEPTH))
         entry = np.linalg.cholesky(covariance) @ normal(len(DEPTH))
         gain, slope = gain + error.gain_sd * normal(), slope + SESSION_NOISE.slope_sd * normal()
         tip = self.tips[kind] + gain * self.responses[kind] + slope * DEPTH + 5 * normal() + entry + noise
@@ -331,7 +334,7 @@ class Groups:
         likelihood = (
             self.likelihood if errors is None else self.likelihood.model_copy(update={"tip_tracks": errors})
         )
-        seen = [observation.make_observation(self.data, one, likelihood=likelihood) for one in every]
+        seen = [make_observation(self.data, one, likelihood=likelihood) for one in every]
         curves = []
         for kind, one in zip(kinds, seen, strict=True):
             change = 0.1 * self.responses[kind]
@@ -340,7 +343,7 @@ class Groups:
         (found,) = track_predictions.predict_runs(
             np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
         )
-        return found[:, -1], every[-1].tip[-1]
+        return found[:, -1], every[-1].planar[-1, 1]
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():

@@ -10,10 +10,11 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium, problem,
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes
-from needlefit.inference.compared_points import read_points
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
-from needlefit.inference.likelihood.observation import append_sensors, make_observation, pose_sds
+from needlefit.inference.likelihood.observation import pose_sds
+from needlefit.inference.likelihood.observations import make_observation, read_points
+from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import with_bevel_spread, without_prior
 from needlefit.inference.planned_layers import with_planned_layers

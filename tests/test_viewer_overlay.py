@@ -13,8 +13,9 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium
 
 from needlefit.geometry.curves import arc_length, compare_curves
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.compared_points import align_points, select_points
+from needlefit.inference.compared_points import align_points
 from needlefit.inference.forward_model import ParameterDraws, predict, select_layer_draws
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session

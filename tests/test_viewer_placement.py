@@ -8,7 +8,7 @@ import pytest
 from test_viewer_opening import run_study
 
 from needlefit.datasets.read import read as read_dataset
-from needlefit.inference.compared_points import select_points
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.studies.needle_placement import NEEDLE_POINTS

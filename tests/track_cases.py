@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from inference_cases import medium
 
-from needlefit.datasets.insertion import Dataset, Noise, TipReadings, TipTrack, make_track
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.tip_tracks import TipReadings, make_track
 from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.problem import Problem, make_problem
@@ -68,7 +69,7 @@ def track(
     side: int = 1,
     guide_z: np.ndarray | None = None,
     roll: float = 0.0,
-) -> TipTrack:
+) -> Insertion:
     """A run not yet measured: its tip is 0; with `guide_z` it is in space, its bevel rolled, degrees."""
     readings = TipReadings(depth, np.zeros(len(depth)), guide)
     if guide_z is not None:
@@ -77,59 +78,59 @@ def track(
     return make_track(name, "gel", "gel", NEEDLE, side, readings, (np.empty(0), (1,)), turns)
 
 
-def with_tip(one: TipTrack, tip: np.ndarray, tip_z: np.ndarray | None = None) -> TipTrack:
+def with_tip(one: Insertion, tip: np.ndarray, tip_z: np.ndarray | None = None) -> Insertion:
     """The run with these readings of its tip."""
     z = one.out_of_plane if tip_z is None else tip_z
-    return replace(one, planar=np.column_stack([one.depths, tip]), out_of_plane=z)
+    return replace(one, planar=np.column_stack([one.planar[:, 0], tip]), out_of_plane=z)
 
 
-def simulate_tips(tracks: list[TipTrack]) -> tuple[np.ndarray, ...]:
+def simulate_tips(tracks: list[Insertion]) -> tuple[np.ndarray, ...]:
     """The tips (1, n) of every run at the truth."""
-    return simulate_deflections(tracks, [one.depths for one in tracks])
+    return simulate_deflections(tracks, [one.planar[:, 0] for one in tracks])
 
 
-def simulate_deflections(tracks: list[TipTrack], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+def simulate_deflections(tracks: list[Insertion], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
     """The tips (1, K) of every run at its depths `at` (K,), at the truth."""
     points = PreparedModel(MEDIUM, tracks).read_points([TRUTH], at)
     return tuple(one[..., 1] for one in points)
 
 
-def simulate_in_space(one: TipTrack) -> np.ndarray:
+def simulate_in_space(one: Insertion) -> np.ndarray:
     """The tips (n, 2) along y and z of a run at the truth."""
-    ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.depths])
+    ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.planar[:, 0]])
     return np.asarray(pad_planes(points, 2)[:, 1:])
 
 
-def measured_in_space(one: TipTrack, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> TipTrack:
+def measured_in_space(one: Insertion, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> Insertion:
     """The same of a run in space, in a frame with these slopes along y and z."""
-    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.tip), 2))
-    return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.depths, slopes) + 3.0).T)
+    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.planar), 2))
+    return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.planar[:, 0], slopes) + 3.0).T)
 
 
-def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> TipTrack:
+def measured(one: Insertion, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> Insertion:
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
     (tip,) = simulate_tips([one])
-    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.tip))
-    return with_tip(one, tip[0] + shift + slope * one.depths + noise)
+    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.planar))
+    return with_tip(one, tip[0] + shift + slope * one.planar[:, 0] + noise)
 
 
-def dataset(tracks: list[TipTrack], planes: int = 1) -> Dataset:
+def dataset(tracks: list[Insertion], planes: int = 1) -> Dataset:
     found = Dataset(
         "cases", "cases", "synthetic", tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
     )
     return replace(found, planes=planes)
 
 
-def problem(tracks: list[TipTrack], medium: MediumRecord = MEDIUM, planes: int = 1) -> Problem:
+def problem(tracks: list[Insertion], medium: MediumRecord = MEDIUM, planes: int = 1) -> Problem:
     return make_problem(dataset(tracks, planes), tracks, medium, WeightsRecord())
 
 
-def written(folder: Path, tracks: list[TipTrack], toml: str = TOML) -> Path:
+def written(folder: Path, tracks: list[Insertion], toml: str = TOML) -> Path:
     """A folder with the runs as somebody's table, depths beginning anywhere."""
-    rows, in_space = [], all(one.guide_z is not None for one in tracks)
+    rows, in_space = [], all(one.directions == 2 for one in tracks)
     for one in tracks:
-        places = [one.depths + 0.7, one.tip, one.guide - 25.0, np.ones(len(one.tip))]
-        places += [one.out_of_plane, one.guide_z + 4.0] if in_space else []
+        places = [one.planar[:, 0] + 0.7, one.planar[:, 1], one.guide.y - 25.0, np.ones(len(one.planar))]
+        places += [one.out_of_plane, one.guide.z + 4.0] if in_space else []
         rows += [
             ",".join([one.id, one.medium, *(f"{x:.5f}" for x in row)]) for row in zip(*places, strict=True)
         ]

@@ -10,7 +10,7 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
-from needlefit.datasets.insertion import Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
 from needlefit.datasets.outlying_needles import find_needle_warnings
 from needlefit.datasets.outlying_points import (
@@ -125,8 +125,8 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     free shape lies by its bend, and a base or guide that moved, or a bevel that was turned, bends the needle
     too: they show nothing.
     """
-    track = insertion if isinstance(insertion, TipTrack) else None
-    if track.guided if track else insertion.pose_source == "none" or insertion.base_moved:
+    guide = insertion.guide
+    if guide.moved if guide else insertion.pose_source == "none" or insertion.base_moved:
         return "unknown"
     if insertion.turns:
         return "unknown"
@@ -136,8 +136,8 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
     noise_sd = SIGNIFICANT_SD * float(np.hypot(scatter, np.hypot(noise.point_sd, noise.correlated_sd)))
     least = MIN_BEND_SLOPE * insertion.depth
-    measures = [(bend, max(least if track else 0.5 * least, noise_sd))]
-    if track is None:
+    measures = [(bend, max(least if guide else 0.5 * least, noise_sd))]
+    if guide is None:
         limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
         measures.append((insertion.deflection, limit))
     if all(value > limit for value, limit in measures):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Literal, Self, cast
 
 import numpy as np
 
@@ -57,9 +57,42 @@ class Noise:
         return self.point_sd > 0 or self.correlated_sd > 0
 
 
+GUIDE_STILL_MM = 0.05  # a guide that moved by less than this, mm, counts as fixed: stages jitter
+
+
+@dataclass(frozen=True, eq=False)
+class GuideMotion:
+    """Where a clamping guide stood across the insertion axis on the way to each of n depths, mm."""
+
+    depths: Floats  # (n,); inserted lengths, from 0
+    # `y`, `z`: (n,); from where it stood at the first
+    y: Floats
+    z: Floats
+
+    @property
+    def moved(self) -> bool:
+        """Whether it moved."""
+        return bool(np.ptp(self.y) > GUIDE_STILL_MM or self.moved_along_z)
+
+    @property
+    def moved_along_z(self) -> bool:
+        """Whether it moved along z."""
+        return bool(np.ptp(self.z) > GUIDE_STILL_MM)
+
+    def scale(self, factor: float) -> Self:
+        """Return the motion of a guide that went `factor` times as far from where it first stood."""
+        first = self.y[0], self.z[0]
+        y, z = (at + factor * (axis - at) for at, axis in zip(first, (self.y, self.z), strict=True))
+        return replace(self, y=y, z=z)
+
+    def flatten(self) -> Self:
+        """Return the motion along y alone."""
+        return replace(self, z=np.zeros(len(self.z)))
+
+
 @dataclass(frozen=True, eq=False)
 class Insertion:
-    """One measured insertion, reduced to its bending plane.
+    """One insertion: what was done, and what was measured of it, in a frame C at its bending plane.
 
     Attributes
     ----------
@@ -120,6 +153,15 @@ class Insertion:
     curvature : (n, 4) array or None
         Of each sensor its distance from the tip, mm, the curvatures along y and z of C, and their standard
         deviation, 1/mm.
+    guide : GuideMotion or None
+        How a guide was moved on the way; None of one that was not.
+    observed : str
+        Name of the observation (`inference/likelihood/observations/`) that compares `planar` with the
+        simulation: "points", "tip_track", or one of a plugin.
+    directions : int
+        2 where `out_of_plane` was measured, 1 where the places are known along y alone.
+    headings : tuple of (N,) arrays
+        Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
     """
 
     id: str
@@ -153,6 +195,15 @@ class Insertion:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     turns: tuple[tuple[float, float], ...] = ()
     curvature: Floats | None = None
+    guide: GuideMotion | None = None
+    observed: str = "points"
+    directions: Literal[1, 2] = 2
+    headings: tuple[Floats, ...] = ()
+
+    @property
+    def guided(self) -> bool:
+        """Whether a guide moved during the insertion."""
+        return self.guide is not None and self.guide.moved
 
     def with_planar(self, planar: Floats, out_of_plane: Floats | None = None) -> Self:
         """Return the insertion as if its measured points were `planar` (N, 2) in C, at z = 0 by default."""
@@ -249,6 +300,7 @@ class Dataset:
                 "depth_mm": one.depth,
                 "bevel_side": one.side,
                 "deflection_mm": one.deflection,
+                "observed": one.observed,
                 "points": len(one.planar),
                 "pose_source": one.pose_source,
             }
@@ -321,95 +373,3 @@ def find_free_reach(drop: float, insertion: Insertion) -> float:
             fix="lessen frame.drop_proximal_mm, or leave the insertion out",
         )
     return reach
-
-
-GUIDE_STILL_MM = 0.05  # a guide that moved by less than this, mm, counts as fixed: stages jitter
-
-
-class TipReadings(NamedTuple):
-    """The readings of a run; the first is first contact."""
-
-    depth: Floats  # (n,); inserted length at each reading, mm, from 0
-    tip: Floats  # (n,); lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope
-    # (n,); lateral place of the guide on the way to each reading, mm, from where it stood at the first.
-    guide: Floats
-    heading: Floats | None = None  # (n,); direction of the tip as the tracker reports it, rad
-    # tip_z, guide_z, heading_z: (n,); the same across these, in a right-handed frame with the depth
-    tip_z: Floats | None = None
-    guide_z: Floats | None = None
-    heading_z: Floats | None = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TipTrack(Insertion):
-    """An insertion that was observed by its tip on the way, not by its shape at the end.
-
-    `planar` (n, 2) holds the depth and the tip of each reading, mm, `out_of_plane` the tip along z; `depth`
-    is that of the last one. The `specimen` is the piece punctured; runs into one piece are no independent
-    ones.
-    """
-
-    guide: Floats  # (n,)
-    heading: Floats | None = None  # (n,); see `TipReadings`
-    guide_z: Floats | None = None  # (n,); None where the tip was not tracked along z
-    heading_z: Floats | None = None  # (n,)
-
-    @property
-    def depths(self) -> Floats:
-        """Inserted length at each reading, (n,) mm."""
-        return self.planar[:, 0]
-
-    @property
-    def tip(self) -> Floats:
-        """Lateral place of the tip at each reading in the tracker's frame, (n,) mm."""
-        return self.planar[:, 1]
-
-    @property
-    def guided(self) -> bool:
-        """Whether the guide moved during the run."""
-        return bool(np.ptp(self.guide) > GUIDE_STILL_MM or self.guided_along_z)
-
-    @property
-    def guided_along_z(self) -> bool:
-        """Whether the guide moved along z."""
-        return self.guide_z is not None and bool(np.ptp(self.guide_z) > GUIDE_STILL_MM)
-
-    def find_roll(self, depth: float) -> float:
-        """Return the roll of the bevel behind a depth (mm), degrees from that at first contact."""
-        return next((roll for start, roll in reversed(self.turns) if start <= depth), 0.0)
-
-    def list_directions(self, planes: int) -> tuple[Self, ...]:
-        """Return what was read along y, and in two planes, in place of that, what was read along z."""
-        if planes == 1 or self.guide_z is None:
-            return (self,)
-        planar, parts = np.column_stack([self.depths, self.out_of_plane]), (self.guide_z, self.heading_z)
-        return self, replace(self, planar=planar, guide=parts[0], heading=parts[1], guide_z=None)
-
-
-def make_track(
-    name: str,
-    medium: str,
-    specimen: str,
-    needle: Needle,
-    side: int,
-    readings: TipReadings,
-    layers: tuple[Floats, tuple[int, ...]],
-    turns: tuple[tuple[float, float], ...] = (),
-) -> TipTrack:
-    """Return a run whose bevel faces `side` (+1: toward greater tip), but for its `turns`.
-
-    `layers` are the boundaries (m - 1,), mm, and the m layer numbers between them.
-    """
-    boundaries, sequence = layers
-    across = np.zeros(len(readings.depth)) if readings.tip_z is None else readings.tip_z
-    planar = np.column_stack([readings.depth, readings.tip])
-    guide_z = None if readings.tip_z is None else np.zeros(len(across))
-    return TipTrack(
-        id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
-        layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
-        frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
-        centerline=np.column_stack([planar, across]), planar=planar, out_of_plane=across,
-        turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
-        guide=readings.guide, heading=readings.heading, heading_z=readings.heading_z,
-        guide_z=guide_z if readings.guide_z is None else readings.guide_z,
-    )  # fmt: skip

@@ -7,15 +7,7 @@ from functools import partial
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import (
-    Dataset,
-    Insertion,
-    InsertionPose,
-    Noise,
-    TipTrack,
-    find_free_reach,
-    find_pose,
-)
+from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
 from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
@@ -88,11 +80,11 @@ def draw_measurement_errors(
 def draw_errors_across(
     dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
 ) -> Floats:
-    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 of tips tracked in one.
+    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 if nothing was.
 
     They are drawn after those in the plane, which do not depend on them.
     """
-    if isinstance(insertion, TipTrack) and insertion.guide_z is None:
+    if insertion.directions == 1:
         return np.zeros((draws, len(insertion.planar)))
     s = insertion.measure_arc(1)
     points = draw_point_noise(s, dataset.noise, rng, draws)[..., 0]

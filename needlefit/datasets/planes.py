@@ -9,7 +9,7 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import CURVATURE_COLUMNS
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import ConfigError
@@ -48,13 +48,15 @@ def turns_out_of_plane(insertion: Insertion) -> bool:
 def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
     """Whether a needle was turned out of its plane, or left it by more than its errors, the roll's too.
 
-    So do stated curvatures along z. A run of a tip track leaves it where its guide does.
+    So do stated curvatures along z. Of an unknown pose no plane is known: then the guide must have left it.
     """
-    if isinstance(insertion, TipTrack):
-        turned = insertion.guide_z is not None and turns_out_of_plane(insertion)
-        return turned or insertion.guided_along_z
-    if turns_out_of_plane(insertion):
+    guide = insertion.guide
+    if insertion.directions == 1:
+        return False
+    if turns_out_of_plane(insertion) or (guide is not None and guide.moved_along_z):
         return True
+    if insertion.pose_source == "none":
+        return False
     if (read := insertion.curvature) is not None:
         sds = np.hypot(read[:, 3], insertion.roll_sd * np.abs(read[:, 1]).max())
         if np.mean((read[:, 2] / sds) ** 2) > SIGNIFICANT_SD**2:
@@ -71,7 +73,7 @@ def set_planes(dataset: Dataset, insertions: Sequence[Insertion], stated: int | 
 
     Raises ConfigError if two are stated for shapes of unknown pose, or tips that were tracked in one plane.
     """
-    flat = any(isinstance(one, TipTrack) and one.guide_z is None for one in insertions)
+    flat = any(one.directions == 1 for one in insertions)
     if stated == 2 and (flat or dataset.pose == "free"):
         raise ConfigError(
             f"the needles of {dataset.name} have no known " + ("place along z" if flat else "pose"),
@@ -84,8 +86,14 @@ def set_planes(dataset: Dataset, insertions: Sequence[Insertion], stated: int | 
     if planes == 2:
         return replace(dataset, planes=2)
     kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
-    kept = (replace(one, guide_z=None) if isinstance(one, TipTrack) else one for one in kept)
-    return replace(dataset, insertions=tuple(kept))
+    return replace(dataset, insertions=tuple(map(_flatten_guide, kept)))
+
+
+def _flatten_guide(insertion: Insertion) -> Insertion:
+    """Return an insertion under a guide as if that had not moved along z, nor anything been read there."""
+    if insertion.guide is None:
+        return insertion
+    return replace(insertion, guide=insertion.guide.flatten(), directions=1)
 
 
 def _project_turns(insertion: Insertion) -> Insertion:

@@ -7,7 +7,7 @@ from typing import Literal, TypeVar
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.locate import join_names, sort_by_similarity
@@ -69,8 +69,7 @@ def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule:
         and (low is None or insertion.depth >= low)
         and (high is None or insertion.depth <= high)
         and (
-            selection.guided is None
-            or (isinstance(insertion, TipTrack) and insertion.guided == selection.guided)
+            selection.guided is None or (insertion.guide is not None and insertion.guided == selection.guided)
         )
     )
 
@@ -117,7 +116,7 @@ def find_hole_source(dataset: Dataset, medium: str) -> HoleSource:
     into = [one for one in dataset.insertions if one.medium == medium]
     if any(one.hole for one in into):
         return "stated"
-    if any(isinstance(one, TipTrack) for one in into):
+    if dataset.pose == "tracker":
         return "separate"
     if dataset.pose == "known":
         return "entry"

@@ -14,14 +14,8 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
-from needlefit.inference.compared_points import (
-    ComparedPoints,
-    Curve,
-    align_points,
-    pad_planes,
-    select_points,
-    turn_about_x,
-)
+from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, pad_planes, turn_about_x
+from needlefit.inference.likelihood.observations import select_points
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,9 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import Insertion, TipTrack
-from needlefit.inference.compared_points import (
-    find_end,
-    read_batch_derivatives,
-    read_batch_points,
-    share_simulations,
-)
+from needlefit.datasets.insertion import GuideMotion, Insertion
+from needlefit.errors import DataError
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
 from needlefit.inference.parameters import Parameters, make_tissue
 from needlefit.mechanics.batch import (
@@ -78,6 +74,8 @@ class InsertionInputs(Protocol):
     @property
     def guide_distance(self) -> float | None: ...
     @property
+    def guide(self) -> GuideMotion | None: ...
+    @property
     def base_moved(self) -> float: ...
     @property
     def sequence(self) -> tuple[int, ...]: ...
@@ -130,6 +128,54 @@ def stack_values(
     return values | bevel
 
 
+DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
+#: constraint points that a moved guide must have between two readings: they tell where the tip stood
+MIN_CONSTRAINT_POINTS = 2
+
+
+def find_end(depth: float, spacing: float) -> float:
+    """Return how deep an insertion is simulated, mm: to the constraint point at or beyond its last reading.
+
+    Constraint points lie at whole multiples of their spacing, whatever the depths of the readings.
+    """
+    # the tolerance keeps rounding from adding one
+    return spacing * math.ceil(depth / spacing - DEPTH_TOLERANCE_MM)
+
+
+def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[Insertion, ...]:
+    """Return of each insertion the one whose simulation it is read from.
+
+    Those that are read on the way, of one needle into the same layers under a guide at rest, are one
+    insertion, the deepest, that is read at different depths. Everything else is simulated for itself.
+
+    Raises DataError if a moved guide's readings are too close: the tip is known at constraint points only.
+    """
+    deepest: dict[tuple[object, ...], Insertion] = {}
+    keys = []
+    for one in insertions:
+        key = None
+        if OBSERVATIONS[one.observed].on_the_way:
+            if one.guided or any(depth for depth, _ in one.turns):
+                _require_distance(one, MIN_CONSTRAINT_POINTS * spacing)
+            else:
+                layers = one.sequence, tuple(one.boundaries.tolist())
+                key = one.needle, one.side, one.turns, one.bevel_factor, layers
+                if one.depth > deepest.setdefault(key, one).depth:
+                    deepest[key] = one
+        keys.append(key)
+    return tuple(one if key is None else deepest[key] for one, key in zip(insertions, keys, strict=True))
+
+
+def _require_distance(insertion: Insertion, least: float) -> None:
+    nearest = float(np.diff(insertion.planar[:, 0]).min())
+    if nearest < least:
+        raise DataError(
+            f"run {insertion.id} has readings {nearest:.3g} mm apart while guide or bevel moves",
+            expected=f"{least:g} mm or more, {MIN_CONSTRAINT_POINTS} times the model's constraint spacing",
+            fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
+        )
+
+
 _Known = TypeVar("_Known")  #: shapes, or shapes and their derivatives
 
 
@@ -170,7 +216,7 @@ class PreparedModel:
         """Return, one by one, `read_points` (B, K, 2) of each insertion at its `s` (K,), mm."""
 
         def read(one: _Simulation, shapes: NeedleShapes, at: Floats, rows: slice) -> tuple[Floats]:
-            return (read_batch_points(one.insertion, shapes, at),)
+            return (OBSERVATIONS[one.insertion.observed].read_batch_points(shapes, at),)
 
         found = self._read(sets, s, lambda batches: simulate_batches(batches, jobs), read)
         return (points for (points,) in found)
@@ -183,7 +229,7 @@ class PreparedModel:
         starts = (("mu", "mu"), ("bevel", "offset"), ("cut", "cut_angle"), ("guide", "guides"))
         kinds = [kind for start, kind in starts if any(name.startswith(start) for name in moving)]
         kinds += ["shape"] * any(map(is_shape_parameter, moving))
-        tracked = any(isinstance(one.insertion, TipTrack) for one in self._simulations)
+        tracked = any(OBSERVATIONS[one.insertion.observed].on_the_way for one in self._simulations)
         every = [parameters.slopes(values) for values in sets]
         slopes = {name: np.array([one[name] for one in every]) for name in every[0]}  # (B, P) each
         chained: dict[object, Floats] = {}
@@ -191,8 +237,8 @@ class PreparedModel:
         def read(
             one: _Simulation, known: tuple[NeedleShapes, Jacobians], at: Floats, rows: slice
         ) -> tuple[Floats, Floats]:
-            shapes, jacobians = known
-            by = read_batch_derivatives(one.insertion, shapes, jacobians, at)  # (some of F B, K, 2 or 3, Q)
+            (shapes, jacobians), kind = known, OBSERVATIONS[one.insertion.observed]
+            by = kind.read_batch_derivatives(shapes, jacobians, at)  # (some of F B, K, 2 or 3, Q)
             key = one.layers, jacobians.names
             if key not in chained:
                 chained[key] = one.chain(slopes, parameters, jacobians.names)
@@ -200,7 +246,7 @@ class PreparedModel:
             moves = by.reshape(len(by), math.prod(by.shape[1:3]), by.shape[-1]) @ by_theta
             moves[~shapes.converged] = np.nan
             moves = moves.reshape(*by.shape[:3], by_theta.shape[-1])
-            return read_batch_points(one.insertion, shapes, at), moves
+            return kind.read_batch_points(shapes, at), moves
 
         def run(batches: list[Batch]) -> tuple[tuple[NeedleShapes, Jacobians], ...]:
             return linearize_batches(batches, kinds, jobs, tracked=tracked)
@@ -310,8 +356,8 @@ def _make_steps(
 ) -> tuple[Step, ...]:
     """Return the insertion, and behind it the base's move, if there was one.
 
-    Of a tip track they are the way to each reading under the guide's place then, the last one on to a
-    constraint point. Without a guide on the insertion axis the needle is held by its base alone.
+    Under a guide that may move they are the way to each of its places, the last one on to a constraint
+    point. Without a guide on the insertion axis the needle is held by its base alone.
     """
     strength, bevel = insertion.bevel_factor * values[medium.bevel_parameter], Bevel(side=insertion.side)
     if medium.advance == "path_angle":
@@ -320,14 +366,13 @@ def _make_steps(
         bevel = replace(bevel, offset=strength)
     distance = values.get("guide_distance_mm", insertion.guide_distance)
     controls = Controls() if distance is None else Controls(guides=(Guide(-distance),))
-    if isinstance(insertion, TipTrack):
-        end, x = find_end(insertion, medium.constraint_spacing_mm), -values["guide_distance_mm"]
-        starts = insertion.depths[:-1].tolist()
-        bevels = [replace(bevel, roll_deg=insertion.find_roll(depth)) for depth in starts]
-        if not insertion.guided and len({one.roll_deg for one in bevels}) == 1:
+    if (guide := insertion.guide) is not None:
+        end, x = find_end(insertion.depth, medium.constraint_spacing_mm), -values["guide_distance_mm"]
+        starts = guide.depths[:-1].tolist()
+        bevels = [replace(bevel, roll_deg=_find_roll(insertion.turns, depth)) for depth in starts]
+        if not guide.moved and len({one.roll_deg for one in bevels}) == 1:
             return (Step(end, bevels[0], controls),)
-        guide_z = np.zeros(len(insertion.guide)) if insertion.guide_z is None else insertion.guide_z
-        places = zip(insertion.guide[1:].tolist(), guide_z[1:].tolist(), strict=True)
+        places = zip(guide.y[1:].tolist(), guide.z[1:].tolist(), strict=True)
         held = [Controls(guides=(Guide(x, y, z=z),)) for y, z in places]
         return tuple(map(Step, [*starts[1:], end], bevels, held))
     turned = [(0.0, 0.0), *(turn for turn in insertion.turns if turn[0] < insertion.depth)]
@@ -339,6 +384,11 @@ def _make_steps(
     if insertion.base_moved:
         steps.append(replace(steps[-1], controls=replace(controls, base_y=insertion.base_moved)))
     return tuple(steps)
+
+
+def _find_roll(turns: Sequence[tuple[float, float]], depth: float) -> float:
+    """Return the roll of the bevel behind a depth (mm), degrees from that at first contact."""
+    return next((roll for start, roll in reversed(turns) if start <= depth), 0.0)
 
 
 def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance) -> ModelOptions:

@@ -9,21 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from needlefit.arrays import Bools, Floats
-from needlefit.datasets.insertion import Dataset, Insertion, Noise, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.inference.compared_points import (
     ComparedPoints,
-    SimulatedCurve,
     align,
     align_points,
     differentiate_align,
     pad_planes,
-    select_points,
 )
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy, make_observation
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
+from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation, select_points
 from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
 from needlefit.inference.parameter_names import BEVEL_SPREAD
 from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
@@ -53,8 +52,8 @@ class Problem:
     def __post_init__(self) -> None:
         if not self.insertions:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
-        tracked = any(isinstance(one, TipTrack) for one in self.insertions)
-        if tracked and GUIDE_DISTANCE not in self.parameters.names:
+        held = any(one.guide is not None for one in self.insertions)
+        if held and GUIDE_DISTANCE not in self.parameters.names:
             raise ConfigError(
                 "the tissue model does not state the guide's distance",
                 key="parameters",

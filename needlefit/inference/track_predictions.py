@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import TipTrack
+from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline
 from needlefit.inference.likelihood.nodes import NodeGroup
@@ -117,13 +117,13 @@ def predict_by_curve(
     return later
 
 
-def _predict_slope(slopes: Floats, runs: Sequence[object], baseline: Baseline) -> tuple[float, float]:
+def _predict_slope(slopes: Floats, runs: Sequence[Insertion], baseline: Baseline) -> tuple[float, float]:
     """Return mean and variance of the slope of the last run, from those (k,) of the others.
 
     By runs alike, where there are any: the scatter is taken from both kinds, each about its own mean.
     """
     k = len(slopes)
-    *guided, like = (isinstance(one, TipTrack) and one.guided for one in runs)
+    *guided, like = (one.guided for one in runs)
     apart = baseline.track_slope == "alike" and k > MIN_TUNED_RUNS and like in guided
     kinds = np.array(guided) if apart else np.full(k, like)
     alike = slopes[kinds == like]

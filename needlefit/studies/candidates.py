@@ -14,11 +14,12 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Bools, Floats
-from needlefit.datasets.insertion import Insertion, TipTrack
+from needlefit.datasets.insertion import Insertion
 from needlefit.inference.identifiability.design_gain import PredictedData, nested_gain
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
 from needlefit.inference.likelihood.observation import append_pose_curves
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample_about_modes
@@ -86,7 +87,8 @@ def rank_candidates(
         if settings.stop():
             break
         row: Row = {"role": role, "insertion": insertion.id, "depth_mm": insertion.depth}
-        planned = simulate_design(job, Fold("candidate", (_thin_points(insertion),), ()), values)
+        thin = OBSERVATIONS[insertion.observed].thin(insertion, MEASURED_POINTS)
+        planned = simulate_design(job, Fold("candidate", (thin,), ()), values)
         if planned is None:
             rows.append(row | {"note": "no solution, or outside the medium"})
             continue
@@ -133,16 +135,6 @@ def _whiten_draws(problem: Problem, sets: Sets, jobs: int) -> Floats:
         return white
     moved = first + found(coordinates).reshape(len(sets), *moves.shape[1:])
     return append_pose_curves(one, np.concatenate([first, moved], axis=1))
-
-
-def _thin_points(insertion: Insertion) -> Insertion:
-    """Return an insertion of which fewer points are measured; of a tip track all."""
-    if isinstance(insertion, TipTrack):
-        return insertion
-    step = max(1, math.ceil(len(insertion.planar) / MEASURED_POINTS))
-    chosen = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]  # keeps the tip
-    sd = None if insertion.sd is None else insertion.sd[chosen]
-    return replace(insertion.with_planar(insertion.planar[chosen]), sd=sd)
 
 
 def lay_out_candidates(candidates: pd.DataFrame) -> list[Table]:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import InsertionPose, TipTrack, find_free_reach
+from needlefit.datasets.insertion import GuideMotion, InsertionPose, find_free_reach
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
@@ -66,6 +66,7 @@ class StoredInsertion:
     boundaries: Floats
     needle: Needle
     turns: tuple[tuple[float, float], ...] = ()
+    guide: GuideMotion | None = None  #: insertions under one are not stored
 
     @classmethod
     def read(cls, run: Mapping[str, Any], name: str) -> Self:
@@ -83,7 +84,7 @@ def _read_needle(dataset: Mapping[str, Any], name: str) -> Needle:
 
 
 def describe_insertions(job: "Job") -> dict[str, Any]:
-    """Return what `run.json` stores of every insertion, besides its layers; of tip tracks nothing."""
+    """Return what `run.json` stores of every insertion, besides its layers; under a moved guide nothing."""
     drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
     return {
         INSERTIONS_KEY: {
@@ -95,7 +96,7 @@ def describe_insertions(job: "Job") -> dict[str, Any]:
                 **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
             }
             for one in job.insertions
-            if not isinstance(one, TipTrack)
+            if one.guide is None
         },
         NEW_BEVEL_KEY: {fold.name: _find_bevel_sd(job, fold) for fold in job.folds},
     }  # fmt: skip

@@ -22,7 +22,9 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve, align, pad_planes, turn_about_x
-from needlefit.inference.likelihood.observation import Observation, append_sensors, make_observation
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.predict import (
     Draws,
     PredictiveMixture,

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, TipTrack, find_pose
+from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import SimulatedCurve, align, pad_planes, select_points
+from needlefit.inference.compared_points import align, pad_planes
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
+from needlefit.inference.likelihood.observations import read_points, select_points
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
@@ -42,11 +43,11 @@ def place_needles(
 
     `predicted` are the rows of the table "bands". Tip tracks were never in a scan: of them there is none.
     """
+    if problem.dataset.pose == "tracker":
+        return
     bands = group_values((row["insertion"], row) for row in predicted if row["fold"] == fold.name)
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in insertions:
-            if isinstance(insertion, TipTrack):
-                continue
             placement, band = Placement(insertion.frame, insertion.patient), None
             points = _simulate_needle(problem, insertion, np.array(fit.theta))
             if role == "validate":
@@ -72,7 +73,7 @@ def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> F
     if not shape.converged:
         return None
     s = _choose_places(problem, insertion)
-    return place_points(problem.dataset, insertion, s, SimulatedCurve(shape)(s))
+    return place_points(problem.dataset, insertion, s, read_points(insertion, shape, s))
 
 
 def _choose_places(problem: Problem, insertion: Insertion) -> Floats:

@@ -20,9 +20,9 @@ from scipy.spatial.distance import cdist
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
-from needlefit.inference.compared_points import read_batch_points, read_points
 from needlefit.inference.forward_model import PreparedModel, predict, stack_values, tabulate_sets
 from needlefit.inference.likelihood.nodes import enforce_order, shift_depths
+from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
@@ -176,7 +176,8 @@ class PlannedInsertion:
     def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
         shapes = PreparedModel(self._medium, [one for one, _ in nodes]).simulate(which, self._jobs)
-        found = [read_batch_points(one, shape, at) for (one, at), shape in zip(nodes, shapes, strict=True)]
+        kind, pairs = OBSERVATIONS[self._insertion.observed], zip(nodes, shapes, strict=True)
+        found = [kind.read_batch_points(shape, at) for (_, at), shape in pairs]
         return np.array(found), shapes[0].valid
 
     def simulate(self, stride: int = 1, sd: float = 0.0) -> PlannedNeedles:

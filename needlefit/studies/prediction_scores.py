@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.likelihood.observation import SENSOR_STEP_MM
+from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
     PredictiveMixture,

@@ -15,9 +15,10 @@ from needlefit.datasets.select import count_layers, name_holes, select_same_need
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
 from needlefit.inference.baselines import list_baselines
-from needlefit.inference.compared_points import Curve, SimulatedCurve, align_points, select_points
+from needlefit.inference.compared_points import Curve, align_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observations import SimulatedCurve, select_points
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle

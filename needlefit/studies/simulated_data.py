@@ -11,31 +11,30 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
-from needlefit.inference.compared_points import pad_planes, read_points, turn_about_x
+from needlefit.inference.compared_points import pad_planes, turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
-    SENSOR_STEP_MM,
-    SectionData,
-    append_sensors,
     points_covariance,
     pose_modes,
     pose_modes_in_space,
     pose_sds,
     pose_sds_in_space,
-    select_sections,
 )
+from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
+from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM, append_sensors
+from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
+from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
@@ -279,11 +278,7 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
         shape = None if met is None else predict(values, job.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
-        if isinstance(one, TipTrack):
-            points = read_points(one, shape, one.depths)
-        else:
-            points = sample_inserted_points(shape, len(one.planar))
-        points = pad_planes(points, 2)
+        points = pad_planes(OBSERVATIONS[one.observed].simulate_places(one, shape), 2)
         measured = one.with_planar(points[:, :2], points[:, 2])
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(job.problem(fold), insertions=tuple(made))

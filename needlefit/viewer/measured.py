@@ -12,8 +12,9 @@ from needlefit.datasets.planes import set_planes
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
-from needlefit.inference.compared_points import pad_planes, select_points
+from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
+from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import find_last_shape

@@ -88,7 +88,8 @@ def make_measured_overlay(
     `floor` is the TE of its noise floor, mm, in space where the dataset's needles are compared there; NaN
     where there is none. A shape whose pose, or the place of whose entry, is unknown is laid on `shape`.
     """
-    from needlefit.inference.compared_points import align, pad_planes, select_points
+    from needlefit.inference.compared_points import align, pad_planes
+    from needlefit.inference.likelihood.observations import select_points
 
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion, planes=dataset.planes)
     points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.planes)

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import Insertion, TipTrack, split_boundary_sd
+from needlefit.datasets.insertion import Insertion, split_boundary_sd
 
 DepthTreatment = Literal["fixed", "linear"]
 
@@ -122,11 +122,9 @@ def make_nodes(
 
 
 def scale_guide(insertion: Insertion, factor: float) -> Insertion:
-    """Return a tip track whose guide moved `factor` times as far from where it first stood."""
-    assert isinstance(insertion, TipTrack)
-    first, along_z = insertion.guide[0], insertion.guide_z
-    guide_z = None if along_z is None else along_z[0] + factor * (along_z - along_z[0])
-    return replace(insertion, guide=first + factor * (insertion.guide - first), guide_z=guide_z)
+    """Return an insertion whose guide moved `factor` times as far from where it first stood."""
+    assert insertion.guide is not None
+    return replace(insertion, guide=insertion.guide.scale(factor))
 
 
 def roll_bevel(insertion: Insertion, angle: float) -> Insertion:

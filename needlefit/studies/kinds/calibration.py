@@ -20,7 +20,6 @@ import pandas as pd
 from pydantic import Field
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import TipTrack
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.grouping import group_values
@@ -165,7 +164,7 @@ def find_stiff_direction(job: Job) -> dict[str, float]:
             where=locate_key(job.dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    if any(isinstance(one, TipTrack) for one in job.insertions):
+    if job.dataset.pose == "tracker":
         raise ConfigError(
             f"the dataset `{job.dataset.name}` holds tip tracks, which are not simulated",
             expected="measured shapes",

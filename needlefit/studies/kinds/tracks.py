@@ -11,7 +11,7 @@ import pandas as pd
 from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import Dataset, Insertion, TipTrack
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions, select_same_needle
 from needlefit.errors import ConfigError
@@ -20,7 +20,9 @@ from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import add_estimated_noise
-from needlefit.inference.likelihood.observation import Observation, make_observation
+from needlefit.inference.likelihood.observation import Observation
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.likelihood.observations.tip_track import list_directions
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
@@ -208,7 +210,7 @@ def restore_directions(job: Job, dataset: Dataset) -> Job:
         return job
     whole, (fold,) = {one.id: one for one in dataset.insertions}, job.folds
     tune, validate = (tuple(whole[one.id] for one in part) for part in (fold.tune, fold.validate))
-    if any(isinstance(one, TipTrack) and one.guide_z is None for one in (*tune, *validate)):
+    if any(one.directions == 1 for one in (*tune, *validate)):
         return job
     return replace(job, dataset=replace(job.dataset, planes=2), folds=(Fold(fold.name, tune, validate),))
 
@@ -228,9 +230,8 @@ def _predict_runs(
     flat = replace(job.dataset, planes=1)
     tuned, held = (
         [
-            [make_observation(flat, one, likelihood=plain) for one in track.list_directions(planes)]
+            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, planes)]
             for track in tracks
-            if isinstance(track, TipTrack)
         ]
         for tracks in (fold.tune, fold.validate)
     )
@@ -248,9 +249,8 @@ def _predict_runs(
             ahead = predict_runs(*simulate_runs(job, draws, jobs, rng), placed, rng)
         certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
-            assert isinstance(track, TipTrack)
             parts = np.split(predicted, planes, axis=1)
-            for direction, one, part in zip("yz", track.list_directions(planes), parts, strict=False):
+            for direction, one, part in zip("yz", list_directions(track, planes), parts, strict=False):
                 row, rows = _score_run(one, count, part, certified)
                 about = {"fit": job.name, "method": method, "direction": direction}
                 runs.append({**about, **row})
@@ -290,13 +290,15 @@ def simulate_runs(
     return scale[good], tuned, held, [one[good] for one in curves]
 
 
-def _score_run(track: TipTrack, placed: int, predicted: Floats, certified: bool) -> tuple[Row, list[Row]]:
+def _score_run(track: Insertion, placed: int, predicted: Floats, certified: bool) -> tuple[Row, list[Row]]:
     """Return the row of `runs` and the rows of `readings`; intervals are NaN where not certified.
 
     `predicted` (B, n - placed) are draws of the readings after the first `placed`, mm.
     """
     mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
-    first, measured = track.tip[0], track.tip[placed:]
+    (depths, tips), guide = track.planar.T, track.guide
+    assert guide is not None
+    first, measured = tips[0], tips[placed:]
     known = {"measured": measured, "median": predict.quantile(mixture, 0.5)}
     row: Row = {"run": track.id, "medium": track.medium, "specimen": track.specimen}
     row |= {"readings": len(measured), "rms_mm": float(np.sqrt(np.mean((known["median"] - measured) ** 2)))}
@@ -310,11 +312,11 @@ def _score_run(track: TipTrack, placed: int, predicted: Floats, certified: bool)
     row |= {f"tip_{name}_mm": float(of[-1] - first) for name, of in known.items()}
     rows = [
         {
-            **{"run": track.id, "medium": track.medium, "depth_mm": float(depth), "guide_mm": float(guide)},
+            **{"run": track.id, "medium": track.medium, "depth_mm": float(depth), "guide_mm": float(place)},
             **{f"{name}_mm": float(of[n - placed] - first) for name, of in known.items() if n >= placed},
             **{"scored": n >= placed, "measured_mm": float(tip - first)},
         }
-        for n, (depth, guide, tip) in enumerate(zip(track.depths, track.guide, track.tip, strict=True))
+        for n, (depth, place, tip) in enumerate(zip(depths, guide.y, tips, strict=True))
     ]
     return row, rows
 

@@ -1,0 +1,191 @@
+"""Read tip tracks: a table with a row for each reading of a tip on its way, and the guide that was moved."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import NEEDLE_COLUMN
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
+from needlefit.datasets.insertion import GuideMotion, Insertion
+from needlefit.datasets.needles import find_unknown_needle, make_needles
+from needlefit.geometry.frames import IDENTITY_FRAME
+from needlefit.mechanics.needle import Needle
+from needlefit.schemas.dataset import TrackDatasetRecord
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
+
+REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
+# Columns that may be absent or have empty cells, with their default values.
+OPTIONAL_TRACK_COLUMNS = {
+    **{"heading_deg": np.nan, "tip_z_mm": np.nan, "guide_z_mm": 0.0, "heading_z_deg": np.nan},
+    **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0},
+}
+# Least number of readings of a run: shift and slope take two, and a bend needs more than one.
+MIN_READINGS = 5
+MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
+
+
+class TipReadings(NamedTuple):
+    """The readings of a run; the first is first contact."""
+
+    depth: Floats  # (n,); inserted length at each reading, mm, from 0
+    tip: Floats  # (n,); lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope
+    # (n,); lateral place of the guide on the way to each reading, mm, from where it stood at the first.
+    guide: Floats
+    heading: Floats | None = None  # (n,); direction of the tip as the tracker reports it, rad
+    # tip_z, guide_z, heading_z: (n,); the same across these, in a right-handed frame with the depth
+    tip_z: Floats | None = None
+    guide_z: Floats | None = None
+    heading_z: Floats | None = None
+
+
+def make_track(
+    name: str,
+    medium: str,
+    specimen: str,
+    needle: Needle,
+    side: int,
+    readings: TipReadings,
+    layers: tuple[Floats, tuple[int, ...]],
+    turns: tuple[tuple[float, float], ...] = (),
+) -> Insertion:
+    """Return a run whose bevel faces `side` (+1: toward greater tip), but for its `turns`.
+
+    `layers` are the boundaries (m - 1,), mm, and the m layer numbers between them.
+    """
+    boundaries, sequence = layers
+    across = np.zeros(len(readings.depth)) if readings.tip_z is None else readings.tip_z
+    planar = np.column_stack([readings.depth, readings.tip])
+    along_z = np.zeros(len(across)) if readings.guide_z is None else readings.guide_z
+    headings = (readings.heading, readings.heading_z)
+    return Insertion(
+        id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
+        layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
+        frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
+        centerline=np.column_stack([planar, across]), planar=planar, out_of_plane=across,
+        turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
+        guide=GuideMotion(readings.depth, readings.guide, along_z), observed="tip_track",
+        directions=1 if readings.tip_z is None else 2,
+        headings=tuple(one for one in headings if one is not None),
+    )  # fmt: skip
+
+
+def _parse_track_columns(
+    table: CsvTable, record: TrackDatasetRecord, found: list[Fault]
+) -> dict[str, NDArray[Any]] | None:
+    """Return every column (N,) under our names; None after a fault."""
+    source = record.tip_tracks
+    known = (*REQUIRED_TRACK_COLUMNS, *OPTIONAL_TRACK_COLUMNS, NEEDLE_COLUMN)
+    before = len(found)
+    table = rename_columns(table, source.columns, source.constants, found)
+    for name in sorted((source.columns.keys() | source.constants.keys()) - {*known}):
+        what, fix = f"`columns` or `constants` names {name}", "correct [tip_tracks] of dataset.toml"
+        found.append(Fault(str(table.path), what, f"one of {', '.join(known)}", fix))
+    if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, found) or len(found) > before:
+        return None
+    values = {name: parse_numbers(table, name, found) for name in REQUIRED_TRACK_COLUMNS[2:]}
+    for name, default in OPTIONAL_TRACK_COLUMNS.items():
+        values[name] = np.full(len(table.lines), default)
+        if name in table.cells:
+            given = parse_numbers(table, name, found, optional=True)
+            values[name] = np.where(np.isnan(given), default, given)
+    texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
+    no_needle = np.full(len(table.lines), "")
+    texts[NEEDLE_COLUMN] = table.cells.get(NEEDLE_COLUMN, pd.Series(no_needle)).to_numpy(dtype=str)
+    return texts | values if len(found) == before else None
+
+
+def parse_tracks(
+    table: CsvTable, record: TrackDatasetRecord, found: list[Fault], remarks: list[str]
+) -> Iterator[Insertion]:
+    """Yield the runs of a table; note every fault. A run with a reading marked invalid is left out."""
+    if (values := _parse_track_columns(table, record, found)) is None:
+        return
+    ids, media, needles = values.pop("id"), values.pop("medium"), make_needles(record)
+    for id_ in dict.fromkeys(ids.tolist()):
+        rows = np.flatnonzero(ids == id_)
+        own = {name: column[rows] for name, column in values.items()}
+        bad = np.flatnonzero(own["valid"] == 0)
+        if len(bad):
+            remarks.append(
+                f"Run {id_} is left out: {len(bad)} of its {len(rows)} readings are marked invalid, "
+                f"from {own['depth_mm'][bad[0]]:.0f} mm on."
+            )
+            continue
+        faults = list(
+            _find_run_faults(id_, str(media[rows[0]]), own, [table.where(int(n)) for n in rows], record)
+        )
+        found += faults
+        if faults:
+            continue
+        medium, depth = record.media[media[rows[0]]], own["depth_mm"] - own["depth_mm"][0]
+        heading, tip_z, heading_z = (
+            None if np.isnan(part).any() else part
+            for part in (np.radians(own["heading_deg"]), own["tip_z_mm"], np.radians(own["heading_z_deg"]))
+        )
+        roll = own["bevel_roll_deg"][1:]
+        turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
+        yield make_track(
+            id_,
+            str(media[rows[0]]),
+            medium.specimen or str(media[rows[0]]),
+            needles[str(own[NEEDLE_COLUMN][0])],
+            int(own["bevel_side"][0]),
+            TipReadings(
+                depth=depth,
+                tip=own["tip_mm"],
+                guide=own["guide_mm"] - own["guide_mm"][0],
+                heading=heading,
+                tip_z=tip_z,
+                guide_z=None if tip_z is None else own["guide_z_mm"] - own["guide_z_mm"][0],
+                heading_z=None if tip_z is None else heading_z,
+            ),
+            (np.array(medium.boundaries_mm), medium.layers),
+            tuple((float(depth[n]), float(roll[n])) for n in turned),
+        )
+
+
+def _find_run_faults(
+    id_: str,
+    medium: str,
+    values: Mapping[str, NDArray[Any]],
+    places: Sequence[str],
+    record: TrackDatasetRecord,
+) -> Iterator[Fault]:
+    """Say what is wrong with one run; `places` are those of its readings."""
+    first, depth, sides = places[0], values["depth_mm"], values["bevel_side"]
+    needles = values[NEEDLE_COLUMN].tolist()
+    yield from find_unknown_needle(needles[0], first, record)
+    for n in [n for n, name in enumerate(needles) if name != needles[0]][:1]:
+        what = f"the needle of run {id_} changes from {needles[0]!r} to {needles[n]!r}"
+        yield Fault(places[n], what, "one needle for all of a run", "correct the cells")
+    if not id_:
+        yield Fault(first, "a reading has no id", "the run that it belongs to", "fill the cell")
+    elif fault := name_fault(id_):
+        yield Fault(first, f"id is {id_!r}: {fault}", EXPECTED_NAME, "rename the run")
+    if medium not in record.media:
+        known = ", ".join(record.media)
+        fix = "correct it, or add a table [media.NAME] to dataset.toml"
+        yield Fault(first, f"run {id_} went into {medium!r}, which is not described", known, fix)
+    if len(depth) < MIN_READINGS:
+        what = f"run {id_} has {len(depth)} reading{'s' if len(depth) > 1 else ''}"
+        expected = f"at least {MIN_READINGS}: a shift and a slope are the tracker's"
+        yield Fault(first, what, expected, "add the others, or leave the run out")
+    for n in np.flatnonzero(np.diff(depth) <= 0)[:1]:
+        what = f"run {id_} goes from {depth[n]:g} back to {depth[n + 1]:g} mm"
+        fix = "leave out the readings that follow, or the run"
+        yield Fault(places[n + 1], what, "depths that increase from reading to reading", fix)
+    for n in np.flatnonzero(np.diff(depth) > MAX_STEP_MM)[:1]:
+        what = f"run {id_} goes {depth[n + 1] - depth[n]:g} mm deeper between two readings"
+        expected = f"mm, at most {MAX_STEP_MM:g} at once"
+        yield Fault(places[n + 1], what, expected, "convert to mm, or add the readings between")
+    absent = np.flatnonzero(np.isnan(values["tip_z_mm"]))
+    if 0 < len(absent) < len(depth):
+        expected = "the tip along z in every reading of a run, or in none"
+        yield Fault(places[absent[0]], f"run {id_} has no tip_z_mm here", expected, "fill the cell")
+    if sides[0] not in (1.0, -1.0) or np.ptp(sides) > 0:
+        yield Fault(first, f"bevel_side of run {id_} is {sides[0]:g}", "1 or -1, one for all of a run", "")

@@ -1,0 +1,155 @@
+"""Observations: what can be measured of an insertion, here or by a plugin, and how a simulation is compared.
+
+An insertion states the name of its observation (`Insertion.observed`). What a file here does not override is
+that of points along the needle, read at the end of the insertion.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_free_reach, find_pose
+from needlefit.geometry.curves import COMPARISON_POINTS
+from needlefit.inference.compared_points import ComparedPoints, rotate_to_entry_axes
+from needlefit.inference.likelihood.observation import (
+    PLAIN_LIKELIHOOD,
+    Discrepancy,
+    Observation,
+    StatedErrors,
+    join_observations,
+)
+from needlefit.mechanics.batch import (
+    Jacobians,
+    NeedleShapes,
+    compute_batch_positions,
+    differentiate_batch_positions,
+)
+from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.registry import Registry
+from needlefit.schemas.recipe import LikelihoodRecord
+
+
+@dataclass(frozen=True)
+class ObservationType:
+    """One thing that can be measured of an insertion."""
+
+    #: what insertions state in `observed`
+    name: str
+    #: whether it is read while the needle is inserted: insertions alike are then simulated once
+    on_the_way: bool = False
+
+    def select_points(
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+    ) -> ComparedPoints:
+        """Return the measured points that a curve is compared with; see the function of that name."""
+        along = insertion.measure_arc(planes)
+        if pose == "known":
+            fractions = np.linspace(0.0, 1.0, stations)
+            s, at = insertion.depth * fractions, fractions * along[-1]
+        else:
+            to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
+            s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
+        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
+        measured = measured if pose == "known" else rotate_to_entry_axes(measured)
+        z = np.interp(at, along, insertion.out_of_plane)
+        return ComparedPoints(s, measured, find_pose(pose, insertion), z)
+
+    def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
+        """Return the simulated points (K, 2), in space (K, 3), at beam coordinates `s` (K,), mm."""
+        return compute_positions(shape, s)
+
+    def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
+        """Return `read_points` (B, K, 2), in space (B, K, 3), of many simulations of one insertion."""
+        return compute_batch_positions(shapes, s)
+
+    def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
+        """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `read_batch_points`."""
+        return differentiate_batch_positions(shapes, jacobians, s)
+
+    def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
+        """Return as many simulated points as were measured, (N, 2) or (N, 3), mm."""
+        return sample_inserted_points(shape, len(insertion.planar))
+
+    def thin(self, insertion: Insertion, count: int) -> Insertion:
+        """Return an insertion of which about `count` places were measured, of more."""
+        step = max(1, math.ceil(len(insertion.planar) / count))
+        chosen = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]  # keeps the tip
+        sd = None if insertion.sd is None else insertion.sd[chosen]
+        return replace(insertion.with_planar(insertion.planar[chosen]), sd=sd)
+
+    def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return what the likelihood compares; DataError if the errors that are stated leave it no width."""
+        raise NotImplementedError
+
+
+OBSERVATIONS = Registry(ObservationType, __name__, "observation")
+
+
+def make_observation(
+    dataset: Dataset,
+    insertion: Insertion,
+    noise: Noise | None = None,
+    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
+    insertions: int = 1,
+    model_error: Discrepancy | None = None,
+) -> Observation:
+    """Return the observation of one insertion, by all that was measured of it.
+
+    `noise` replaces what the dataset states; the stored points are then taken as the needle's own. See
+    `StatedErrors` for the others.
+
+    Raises DataError if no noise is stated: without any, a likelihood has no width.
+    """
+    smoothed = noise is None and likelihood.measurement == "stored" and likelihood.noise == "correlated"
+    stated = dataset.noise if noise is None else noise
+    errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed)
+    if likelihood.measurement == "curvature":
+        return OBSERVATIONS["curvature"].observe(insertion, errors)
+    # the cross-sections are what the points were drawn through
+    has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
+    found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
+    if insertion.curvature is None:
+        return found
+    return join_observations(found, OBSERVATIONS["curvature"].observe(insertion, errors))
+
+
+def select_points(
+    pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS, planes: int = 1
+) -> ComparedPoints:
+    """Return the measured points that a curve is compared with, entry side first, tip last.
+
+    Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
+
+    Direction known (the entry is the first point of the inserted needle, which has moved with it): the same,
+    after the shift across that brings the simulated points closest to the measured ones.
+
+    Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the tip,
+    over [0, min(measured length, D) - `drop`]. The simulated points are then laid on the measured ones by the
+    rigid motion that fits them best. Both are shown in the axes of the measured entry side: x along the
+    least-squares line through the first fifth of the scored points, from which deflections are measured.
+    """
+    return OBSERVATIONS[insertion.observed].select_points(pose, drop, insertion, stations, planes)
+
+
+def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:
+    """Return the simulated points (K, 2), in space (K, 3), of an insertion, mm; NaN where the solve failed.
+
+    `s` (K,), mm, are those of its observation: beam coordinates, or depths.
+    """
+    if not shape.converged:
+        return np.full((len(s), 2 if shape.w is None else 3), np.nan)
+    return OBSERVATIONS[insertion.observed].read_points(shape, s)
+
+
+@dataclass(frozen=True)
+class SimulatedCurve:
+    """A simulated insertion as a function: see `read_points`."""
+
+    shape: NeedleShape
+    insertion: Insertion
+
+    def __call__(self, s: Floats) -> Floats:
+        """Return the points at `s` (K,)."""
+        return read_points(self.insertion, self.shape, s)

@@ -1,0 +1,100 @@
+"""Points along the needle, measured at the end of the insertion, in a pose that is known or not.
+
+Equations: docs/inference.md, sections 1 to 3.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, find_pose, select_compared_places
+from needlefit.geometry.frames import make_tracker_columns
+from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
+from needlefit.inference.compared_points import rotate_to_entry_axes
+from needlefit.inference.likelihood.nodes import make_nodes
+from needlefit.inference.likelihood.observation import (
+    Discrepancy,
+    Observation,
+    StatedErrors,
+    no_errors_error,
+    points_covariance,
+    pose_modes,
+    pose_modes_in_space,
+    pose_sds,
+    pose_sds_in_space,
+    split_pose_modes,
+    whiten_known,
+)
+from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.schemas.dataset import MeasurementRecord
+
+
+def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
+    """Return the matrix (R, K) that smooths deflections at the arc lengths `s` (K,) of stored points.
+
+    Of a spline it leads to its coefficients; None where the points are the needle's own.
+    """
+    if measurement.operator == "spline" and measurement.knot_spacing_mm is not None:
+        knots = make_knots(s[0], s[-1], measurement.knot_spacing_mm)
+        return fit_matrices(s, np.ones(len(s)), knots).operator
+    if measurement.operator == "gaussian" and measurement.width_mm is not None:
+        # every point stands for the stretch halfway to its neighbours
+        weights = np.gradient(s) * np.exp(-0.5 * ((s[:, None] - s) / measurement.width_mm) ** 2)
+        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+    return None
+
+
+@dataclass(frozen=True)
+class _Points(ObservationType):
+    def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return the observation of an insertion by its points; DataError if no noise is stated."""
+        dataset, noise = errors.dataset, errors.noise
+        measurement = dataset.measurement if errors.smoothed else DEFAULT_MEASUREMENT
+        along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.planes)
+        arc, axes = insertion.measure_arc(dataset.planes), [*insertion.planar.T, insertion.out_of_plane]
+        measured = np.column_stack([np.interp(along, arc, axis) for axis in axes[: 1 + dataset.planes]])
+        measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
+        sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
+        cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
+        if measurement.bias_sd_mm is not None and measurement.bias_length_mm is not None:
+            # An unknown operator: a smooth bias that all insertions of a fit share. Its covariance counts as
+            # often as there are insertions, so that together they do not average it away.
+            size = measurement.bias_sd_mm * math.sqrt(errors.insertions)
+            cov = cov + Discrepancy(size, measurement.bias_length_mm).covariance(s)
+        cov = cov if errors.model_error is None else cov + errors.model_error.covariance(s)
+        operator = points_operator(measurement, s)
+        if operator is not None and measurement.operator == "spline":
+            cov, free = operator @ cov @ operator.T, operator @ free
+        if dataset.planes == 2:
+            cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
+            operator = None if operator is None else block_diag(operator, operator)
+            modes, sds = pose_modes_in_space(measured), pose_sds_in_space(insertion, noise)
+        else:
+            modes, sds = pose_modes(measured), pose_sds(insertion, noise)
+        pose = np.empty((len(cov), 0))
+        if dataset.pose == "known":
+            pose, free = (_apply(operator, part) for part in split_pose_modes(insertion, modes, sds))
+        # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
+        try:
+            whitening, log_norm, curves = whiten_known(cov, pose, free, errors.likelihood)
+        except np.linalg.LinAlgError:
+            raise no_errors_error(dataset, insertion) from None
+        depths, varies = errors.likelihood.depths, errors.bevels_vary
+        nodes = make_nodes(insertion, s, depths, bevel=varies, constants=len(curves))
+        offset: Floats | float = 0.0
+        if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
+            stored = measured[:, 1:].T.ravel()
+            offset = whitening @ (_apply(operator, stored) - stored)
+        whitening = whitening if operator is None else whitening @ operator
+        known_of = find_pose(dataset.pose, insertion)
+        return Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves, offset)
+
+
+def _apply(operator: Floats | None, values: Floats) -> Floats:
+    return values if operator is None else np.asarray(operator @ values)
+
+
+POINTS = _Points("points")

@@ -1,0 +1,105 @@
+"""Cross-sections of a scan through which a reconstruction drew a smoothing spline, in a known pose.
+
+What is compared are the coefficients of that spline: the simulated needle gets the same spline. Equations:
+docs/inference.md, section 2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from needlefit.arrays import Bools, Floats
+from needlefit.datasets.insertion import Insertion, find_pose
+from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices
+from needlefit.inference.likelihood.nodes import make_nodes
+from needlefit.inference.likelihood.observation import (
+    Observation,
+    StatedErrors,
+    pose_modes,
+    pose_modes_in_space,
+    pose_sds,
+    pose_sds_in_space,
+    split_pose_modes,
+    whiten_known,
+)
+from needlefit.inference.likelihood.observations import ObservationType
+
+SHARED_ERROR_LENGTH_MM = 7.5  #: length over which errors that neighbouring cross-sections share fade, mm
+#: cross-sections within so many deviations of the depth from the needle's base are left out: a depth that
+#: errs must not move them off the needle
+DEPTH_ERRORS_KEPT = 4.0
+
+
+@dataclass(frozen=True)
+class SectionData:
+    """The cross-sections of one insertion, as the likelihood takes them."""
+
+    s: Floats  #: (K,) their beam coordinates, mm; negative outside the tissue
+    places: Floats  #: (K, 3) places in C, mm
+    operator: Floats  #: (F, K) from their deflections to the F coefficients of the spline
+    #: (2 F, 2 F) of these coefficients along y and then z, by the spline and by what neighbours share, mm^2
+    covariance: Floats
+    shared: Floats  #: (2 K, 2 K) covariance of what neighbours share along y and then z, mm^2
+    slope: Floats  #: (K, 2) slopes of the spline there, dy/dx and dz/dx
+    reached: Bools  #: (C,) which of the spline's coefficients the F are
+    stored: SplineSections  #: as stored; those left out are not in it
+
+
+def select_sections(insertion: Insertion) -> SectionData | None:
+    """Return the cross-sections of an insertion between base (or guide) and tip; None where it has none."""
+    stored = insertion.sections
+    if stored is None:
+        return None
+    s = np.minimum(insertion.depth, stored.s * (insertion.depth / stored.s[-1]))
+    base = insertion.depth - insertion.needle.length + DEPTH_ERRORS_KEPT * insertion.depth_sd
+    first = base if insertion.guide_distance is None else max(base, -insertion.guide_distance)
+    kept = s >= first
+    s, stored = s[kept], stored.select(kept)
+    places = insertion.frame.to_local(stored.points)
+    fit = fit_matrices(stored.q, stored.weights, stored.knots)
+    fade = np.exp(-np.abs(s[:, None] - s) / SHARED_ERROR_LENGTH_MM)  # (K, K)
+    along = insertion.frame.rotation.T @ stored.shared_along
+    further = np.outer(along[1:], along[1:])  # of y and z
+    shared = stored.shared_sd**2 * fade
+    own = stored.sigma**2 * fit.spread + fit.operator @ shared @ fit.operator.T
+    covariance = block_diag(own, own) + np.kron(further, fit.operator @ fade @ fit.operator.T)
+    shared = block_diag(shared, shared) + np.kron(further, fade)
+    by_q = fit.slope @ (fit.operator @ places)  # (K, 3)
+    slope = by_q[:, 1:] / by_q[:, :1]
+    return SectionData(s, places, fit.operator, covariance, shared, slope, fit.reached, stored)
+
+
+@dataclass(frozen=True)
+class _Sections(ObservationType):
+    def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return the observation of an insertion by the coefficients of the spline through its sections."""
+        known, dataset, model_error = select_sections(insertion), errors.dataset, errors.model_error
+        assert known is not None
+        operator = block_diag(*[known.operator] * dataset.planes)
+        cov = known.covariance[: len(operator), : len(operator)]
+        if model_error is not None:
+            misfit = block_diag(*[model_error.covariance(known.s)] * dataset.planes)
+            cov = cov + operator @ misfit @ operator.T
+        if dataset.planes == 2:
+            measured = known.places
+            # the roll turns the needle, not what sections share; the modes turn both
+            quarter = operator @ np.kron(
+                [[0.0, -insertion.roll_sd], [insertion.roll_sd, 0.0]], np.eye(len(measured))
+            )
+            cov = cov + quarter @ known.shared @ quarter.T
+            modes = pose_modes_in_space(measured, known.slope)
+            sds = pose_sds_in_space(insertion, dataset.noise)
+        else:
+            measured = known.places[:, :2]
+            modes, sds = pose_modes(measured, known.slope[:, 0]), pose_sds(insertion, dataset.noise)
+        pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
+        whitening, log_norm, curves = whiten_known(cov, pose, free, errors.likelihood)
+        depths, varies = errors.likelihood.depths, errors.bevels_vary
+        nodes = make_nodes(insertion, known.s, depths, bevel=varies, constants=len(curves))
+        whitening = whitening @ operator
+        known_of = find_pose(dataset.pose, insertion)
+        return Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves)
+
+
+SECTIONS = _Sections("sections")

@@ -1,0 +1,223 @@
+"""A tip that was tracked on the way, in the frame of a tracker: known up to a shift and a slope of it.
+
+One insertion is simulated with the guide moved as recorded. The readings are compared with its tips at their
+depths, after the shift and slope that fit best. Equations: docs/inference.md, "Tip tracks".
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, Pose
+from needlefit.geometry.frames import make_tracker_columns
+from needlefit.inference.compared_points import ComparedPoints, count_entry_side
+from needlefit.inference.likelihood.nodes import FRAME, GROUP_GAIN, GROUP_SLOPE, ErrorAxis, make_nodes
+from needlefit.inference.likelihood.observation import (
+    Discrepancy,
+    Observation,
+    StatedErrors,
+    no_errors_error,
+    points_covariance,
+    whiten,
+)
+from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.mechanics.batch import Jacobians, NeedleShapes
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.schemas.recipe import TrackErrorsRecord
+
+#: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
+HEADING_STEP_MM = 0.25
+#: prior deviation of a session's slope and of its headings' offset, rad: registrations err by less
+SESSION_SD_RAD = 0.2
+
+
+DEPTH_TOLERANCE_MM = 1e-9  #: mm; depths closer than this are one
+
+
+def extrapolate_tip(passed: Floats, tip: Floats, depth: Floats) -> Floats:
+    """Return the tip (..., n) at depths (n,), mm, extrapolated from the two constraint points before each.
+
+    `passed` (M + 1,) are the depths of the constraint points, mm, `tip` (..., M + 1) the tip as it stood at
+    each. Within 0.002 mm of an insertion that stops there (tests). What stands at a constraint point where a
+    guide was moved is the tip after the move, so the points before a reading count, and never the one at it.
+    """
+    # the last constraint point strictly before the reading, by more than rounding
+    at = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
+    before = np.maximum(at - 1, 0)
+    apart = np.where(at > before, passed[at] - passed[before], 1.0)
+    return tip[..., at] + (tip[..., at] - tip[..., before]) * ((depth - passed[at]) / apart)
+
+
+@dataclass(frozen=True)
+class _TipTrack(ObservationType):
+    on_the_way: bool = True
+
+    def select_points(
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+    ) -> ComparedPoints:
+        """Return the readings, whatever `stations`, without the line through the first of them."""
+        depth, *tips = *insertion.planar.T, insertion.out_of_plane
+        frame = make_tracker_columns(depth)
+        first = frame[: count_entry_side(len(depth))]
+        tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
+        return ComparedPoints(depth, np.column_stack([depth, tip]), pose, across)
+
+    def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
+        """Return depths and tips (K, 2), in space (K, 3), at depths `s` (K,), mm."""
+        tips = shape.tip_track[:, ::2].T
+        return np.column_stack([s, *(extrapolate_tip(shape.constraints[:, 0], one, s) for one in tips)])
+
+    def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
+        """Return `read_points` of many simulations; NaN where the solve failed."""
+        found = np.full((len(shapes), len(s), shapes.constraints.shape[2]), np.nan)
+        found[..., 0] = s
+        for plane, tips in enumerate(np.moveaxis(shapes.tip_track[:, :, ::2], -1, 0), start=1):
+            tip = extrapolate_tip(shapes.constraints[0, :, 0], tips, s)
+            found[..., plane] = np.where(shapes.converged[:, None], tip, np.nan)
+        return found
+
+    def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
+        """Return the derivatives of `read_batch_points`."""
+        found = np.zeros((len(shapes), len(s), shapes.constraints.shape[2], len(jacobians.names)))
+        tracks = jacobians.tip_track.reshape(-1, len(shapes), *jacobians.tip_track.shape[-2:])
+        for plane, track in enumerate(tracks, start=1):
+            moved = extrapolate_tip(shapes.constraints[0, :, 0], track.transpose(0, 2, 1), s)
+            found[:, :, plane] = moved.transpose(0, 2, 1)
+        return found
+
+    def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
+        """Return the tips at the depths of the readings."""
+        return self.read_points(shape, insertion.planar[:, 0])
+
+    def thin(self, insertion: Insertion, count: int) -> Insertion:
+        """Return the insertion with all its readings."""
+        return insertion
+
+    def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return the observation of a track, and of its headings if their error is stated.
+
+        What is compared are the tips and then the headings of all readings but the first, which is in no
+        tissue; in space those along y before those along z.
+        """
+        dataset, noise, likelihood = errors.dataset, errors.noise, errors.likelihood
+        if likelihood.measurement == "points":
+            noise = replace(noise, heading_sd=0.0, slope_sd=0.0)
+        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.planes)
+        with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
+        axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
+        for number, one in enumerate(directions):
+            depths, measured = one.planar[:, 0], one.planar
+            cov, operator = points_covariance(depths, noise, one.sd), np.eye(len(depths))
+            frame = make_tracker_columns(depths)
+            if with_headings:
+                measured, operator = add_headings(one)
+                cov = block_diag(cov, noise.heading_sd**2 * np.eye(len(operator) - len(cov)))
+                turned = np.tile([0.0, 1.0, 1.0], (len(operator) - len(frame), 1))
+                frame = np.concatenate([np.column_stack([frame, np.zeros(len(frame))]), turned])
+            at = measured[:, 0]
+            # along the depth; what they do to a heading is their slope there
+            added = entry_covariance(one, at, further)
+            added = added if errors.model_error is None else added + errors.model_error.covariance(at)
+            cov = cov + operator @ added @ operator.T
+            if likelihood.noise == "independent":
+                cov = np.diag(np.diag(cov))
+            own = list_session_axes(insertion.specimen, noise.slope_sd, frame.shape[1] - 1, number)
+            free = frame[:, : frame.shape[1] - len(own)]
+            session = frame[:, free.shape[1] :] * [SESSION_SD_RAD / axis.shared for axis in own]
+            if own and further.slope_sd_deg:
+                own = (*own, make_group_slope(insertion, number))
+                session = np.column_stack([session, math.radians(further.slope_sd_deg) * frame[:, 1]])
+            axes += own
+            parts.append((measured[:, 1], operator, cov, free, session))
+        across, *blocks = zip(*parts, strict=True)
+        operator, cov, free, session = (block_diag(*block) for block in blocks)
+        try:
+            whitening, log_norm = whiten(cov, free)
+        except np.linalg.LinAlgError:
+            raise no_errors_error(dataset, insertion) from None
+        curves = (whitening @ session).T
+        gain = make_gain(insertion, further.gain_sd)
+        roll_sd_deg = further.roll_sd_deg * (len(directions) - 1)
+        nodes = make_nodes(
+            insertion, at, "fixed", bevel=errors.bevels_vary, constants=len(curves), shared=tuple(axes),
+            gain=gain, roll_sd_deg=roll_sd_deg,
+        )  # fmt: skip
+        measured, whitening = np.column_stack([at, *across]), whitening @ operator
+        return Observation(measured, cov, session, free, whitening, log_norm, dataset.pose, nodes, curves)
+
+
+def _name_group(track: Insertion) -> str:
+    """Return the name of the group of a run: its medium, and whether the guide moved."""
+    return f"{track.medium}, {'steered' if track.guided else 'at rest'}"
+
+
+def make_group_slope(track: Insertion, direction: int = 0) -> ErrorAxis:
+    """Return the axis of the slope that a run's group has along y (0) or z (1)."""
+    return ErrorAxis(0.0, 1.0, (track.specimen, GROUP_SLOPE, _name_group(track) + ", along z" * direction))
+
+
+def make_gain(track: Insertion, sd: float) -> tuple[ErrorAxis, float] | None:
+    """Return the axis of a run's gain, and its SD, `sd` of the group and as much of the run; or None."""
+    if not (track.guided and sd):
+        return None
+    part = math.sqrt(0.5)
+    return ErrorAxis(part, part, (track.specimen, GROUP_GAIN, _name_group(track))), sd / part
+
+
+def entry_covariance(track: Insertion, depths: Floats, errors: TrackErrorsRecord) -> Floats:
+    """Return the covariance (K, K), mm^2, of errors by a yielding entry, at `depths` (K,) of the tip.
+
+    The tip is then off by an unknown length, and by an unknown part of how far the guide has moved. Both fade
+    with depth, over the same length over which they vary.
+    """
+    assert track.guide is not None
+    moved = np.interp(depths, track.guide.depths, track.guide.y - track.guide.y[0])
+    fading = np.exp(-depths / errors.entry_length_mm)
+    size = np.array([np.full(len(depths), errors.entry_sd_mm), errors.entry_yield * moved]) * fading
+    return (size.T @ size) * Discrepancy(1.0, errors.entry_length_mm).covariance(depths)
+
+
+def add_headings(track: Insertion) -> tuple[Floats, Floats]:
+    """Return places (2n - 1, 2) and what takes their deflections to n tips and n - 1 headings.
+
+    Behind the readings stand places `HEADING_STEP_MM` before them, where the headings say the tip was.
+    """
+    heading, step = track.headings[0], HEADING_STEP_MM
+    n = len(heading)
+    before = (track.planar - step * np.column_stack([np.ones(n), np.tan(heading)]))[1:]
+    rows = [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
+    return np.concatenate([track.planar, before]), np.block(rows)
+
+
+def list_session_axes(
+    specimen: str, slope_sd: float, parts: int, direction: int = 0
+) -> tuple[ErrorAxis, ...]:
+    """Return the axes of what a session's runs share: slope, and the offset of headings if `parts` is 2.
+
+    They are of a direction, y (0) or z (1). There are none where nothing is known of how much runs differ.
+    """
+    if not slope_sd:
+        return ()
+    whole = math.hypot(slope_sd, SESSION_SD_RAD)
+    slope = ErrorAxis(slope_sd / whole, SESSION_SD_RAD / whole, (specimen, FRAME, 2 * direction))
+    return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
+
+
+def list_directions(track: Insertion, planes: int) -> tuple[Insertion, ...]:
+    """Return what was read along y and, in two planes, in place of that what was read along z."""
+    if planes == 1 or track.directions == 1 or track.guide is None:
+        return (track,)
+    along_z = replace(
+        track,
+        planar=np.column_stack([track.planar[:, 0], track.out_of_plane]),
+        guide=replace(track.guide, y=track.guide.z),
+        headings=track.headings[1:],
+        directions=1,
+    )
+    return track, along_z
+
+
+TIP_TRACK = _TipTrack("tip_track")
