@@ -802,7 +802,7 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
     assert (dataset.pose, track.id, track.medium) == ("tracker", "em", "gel")
     assert track.depths.tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
     assert track.tip[[0, -1]] == pytest.approx([0.086, 2.978]) and not track.guide.any()
-    assert np.ptp(track.out_of_plane) > 0 and not track.guide_z.any()
+    assert np.ptp(track.out_of_plane) > 0 and not track.guide.z.any()
     assert {path.name for path in out.iterdir()} == {"dataset.toml", "tracks.csv"}
     shape, _ = planned([tmp_path / "em.csv"], observable="shapes")
     assert shape.pose == "free" and len(points_of([tmp_path / "em.csv"], observable="shapes")[0].values) == 12

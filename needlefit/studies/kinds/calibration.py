@@ -26,6 +26,7 @@ from needlefit.grouping import group_values
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
@@ -164,7 +165,7 @@ def find_stiff_direction(job: Job) -> dict[str, float]:
             where=locate_key(job.dataset.path, "noise.point_sd_mm"),
             expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
-    if job.dataset.pose == "tracker":
+    if any(OBSERVATIONS[one.observed].on_the_way for one in job.insertions):
         raise ConfigError(
             f"the dataset `{job.dataset.name}` holds tip tracks, which are not simulated",
             expected="measured shapes",
