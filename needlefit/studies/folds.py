@@ -9,7 +9,7 @@ from needlefit.datasets.planes import leaves_plane, set_planes
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.likelihood.observation import require_curvature
+from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
