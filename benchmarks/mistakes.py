@@ -53,7 +53,7 @@ class Needles:
     setup: dict[str, str] = field(default_factory=lambda: dict(SETUP))
 
 
-def measure_needles(rng):
+def measure_needles(rng, noise=POINT_SD, bend=1.0):
     """Simulate needles of 35 to 70 mm, each into another specimen, and measure them with errors."""
     needles = Needles({}, {}, {})
     for n, depth in enumerate(np.linspace(35.0, 70.0, COUNT)):
@@ -63,10 +63,10 @@ def measure_needles(rng):
         s = np.linspace(0, depth, round(depth / SPACING_MM) + 1)
         flat = compute_positions(simulate(NEEDLE, tissue, bevel, float(depth)), s)
         name, side = f"n{n + 1}", -1 if n % 2 == 0 else 1
-        points = np.column_stack([flat[:, 0], side * flat[:, 1], np.zeros(len(flat))])
+        points = np.column_stack([flat[:, 0], bend * side * flat[:, 1], np.zeros(len(flat))])
         points[:, 1:] += np.outer(points[:, 0], np.radians(ANGLE_SD) * rng.normal(size=2))
         points[:, 1:] += SHIFT_SD * rng.normal(size=2)
-        needles.points[name] = points + POINT_SD * rng.normal(size=points.shape)
+        needles.points[name] = points + noise * rng.normal(size=points.shape)
         needles.side[name], needles.depth[name] = side, float(depth)
     return needles
 
@@ -93,6 +93,14 @@ class Mistake:
     where: str | int  # number of a point, any "point", "needle", "all" needles, their "table" or the "setup"
     change: Callable | dict
     word: str = ""
+    noise: float = POINT_SD  # SD of the points, mm
+    bend: float = 1.0  # factor of the bends of all needles
+
+    def measure(self, rng):
+        """Return fresh needles, with the noise stated."""
+        needles = measure_needles(rng, self.noise, self.bend)
+        needles.setup["point sd"] = f"{self.noise:g}"
+        return needles
 
     def make(self, needles, rng):
         """Make it in needles; return the word."""
@@ -139,6 +147,11 @@ def move(*vector):
     return lambda points: points + np.array(vector)
 
 
+def step(vector, points):
+    """Return points of which those from the middle on are moved."""
+    return points + np.outer(np.arange(len(points)) >= len(points) // 2, vector)
+
+
 def scale(*factors):
     """Return what multiplies coordinates."""
     return lambda points: points * np.array(factors)
@@ -160,6 +173,11 @@ KINDS = {
     "the tip 1 mm off": Mistake(-1, move(0, 1, 0)),
     "the tip's y saved as 0": Mistake(-1, scale(1, 0, 1)),
     "the first point 1 mm off": Mistake(0, move(0, 0, 1)),
+    "a point 2 mm off along the needle": Mistake("point", move(2, 0, 0)),
+    "the tip 1 mm off at noise of 0.1 mm": Mistake(-1, move(0, 1, 0), noise=0.1),
+    "the first point 1 mm off at noise of 0.1 mm": Mistake(0, move(0, 0, 1), noise=0.1),
+    "a step of 1 mm in y": Mistake("needle", partial(step, (0, 1, 0)), "step"),
+    "a step of 1 mm in z": Mistake("needle", partial(step, (0, 0, -1)), "step"),
     # one needle
     "a needle 20 SD off its entry in y": Mistake("needle", move(0, 20 * SHIFT_SD, 0)),
     "a needle 20 SD off its entry in z": Mistake("needle", move(0, 0, -20 * SHIFT_SD)),
@@ -167,7 +185,11 @@ KINDS = {
     "a needle's y and z exchanged": Mistake("needle", lambda points: points[..., [0, 2, 1]]),
     "a needle scaled by 1.1": Mistake("needle", scale(1.1, 1.1, 1.1)),
     "a needle's y scaled by 0.1": Mistake("needle", scale(1, 0.1, 1)),
+    "a needle's y scaled by 0.3": Mistake("needle", scale(1, 0.3, 1)),
+    "a needle's y scaled by 0.5": Mistake("needle", scale(1, 0.5, 1)),
+    "a needle's y scaled by 1.5": Mistake("needle", scale(1, 1.5, 1)),
     "a needle's y scaled by 2": Mistake("needle", scale(1, 2, 1)),
+    "a stiff needle's y scaled by 0.1": Mistake("needle", scale(1, 0.1, 1), bend=0.3),
     "a needle turned by 3 degrees in the plane": Mistake("needle", turn("z", 3.0)),
     "a needle turned by 3 degrees out of it": Mistake("needle", turn("y", 3.0)),
     "a needle from the tip to the entry": Mistake("needle", lambda points: points[::-1]),
@@ -200,6 +222,8 @@ KINDS = {
 }  # fmt: skip
 SOUND = {
     "as measured": Mistake("needle", move(0, 0, 0)),
+    "measured with noise of 0.1 mm": Mistake("needle", move(0, 0, 0), noise=0.1),
+    "of a stiff needle": Mistake("needle", move(0, 0, 0), bend=0.3),
     "rounded to 0.5 mm": Mistake("table", partial(round_all, 0.5)),
     "rounded to 1 mm": Mistake("table", partial(round_all, 1.0)),
 }
@@ -236,7 +260,7 @@ def main():
             found = Counter()
             for n in range(sets):
                 rng = np.random.default_rng([options.seed, len(kinds), number, n])
-                needles = measure_needles(rng)
+                needles = mistake.measure(rng)
                 outcome, words = judge(needles, mistake.make(needles, rng))
                 found[outcome] += 1
                 if (kinds is SOUND and outcome != "silent") or outcome == "misnamed":

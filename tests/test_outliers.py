@@ -12,7 +12,7 @@ from needlefit.datasets.needles import describe_rigidity
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
-from needlefit.geometry.neighbours import leave_one_out
+from needlefit.geometry.neighbours import find_steps, leave_last_out, leave_one_out
 from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.schemas.dataset import ImportRecord
 from needlefit.schemas.scene import NeedleRecord
@@ -23,15 +23,15 @@ UP, POINT_SD, SHIFT_SD, ANGLE_SD_DEG = np.array([0.0, 1.0, 0.0]), 0.05, 0.05, 0.
 SIDES = (-1, 1, -1, 1, -1, 1, -1, 1)
 
 
-def measure_needles(seed, sides=SIDES):
+def measure_needles(seed, sides=SIDES, sd=POINT_SD, bend=1.0):
     """Return needles (N, 3), 35 to 70 mm deep in steps of 5 mm, that bend toward their bevels by id."""
     rng, found = np.random.default_rng(seed), {}
     for n, side in enumerate(sides):
         x = np.arange(0.0, 36.0 + 5.0 * n, 5.0)
-        bend = 1.5e-3 * np.exp(0.1 * rng.normal()) * x**2
+        toward = bend * 1.5e-3 * np.exp(0.1 * rng.normal()) * x**2
         across = np.radians(ANGLE_SD_DEG) * rng.normal(size=2) * x[:, None] + SHIFT_SD * rng.normal(size=2)
-        points = np.column_stack([x, side * bend + across[:, 0], across[:, 1]])
-        found[f"n{n + 1}"] = points + [0, POINT_SD, POINT_SD] * rng.normal(size=points.shape)
+        points = np.column_stack([x, side * toward + across[:, 0], across[:, 1]])
+        found[f"n{n + 1}"] = points + [0, sd, sd] * rng.normal(size=points.shape)
     return found
 
 
@@ -67,6 +67,8 @@ def test_sound_needles_give_no_warning(tmp_path, seed):
         (-3, lambda point: point * [1, 0, 1], "empty cell"),
         (-1, move(0, 1, 0), "the tip"),
         (0, move(0, 0, 1), "the first point"),
+        (6, move(2, 0, 0), ": x is"),
+        (-3, move(-2, 0, 0), ": x is"),
     ],
 )
 def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, change, words):
@@ -95,6 +97,50 @@ def test_a_needle_unlike_its_entry_or_the_others_is_named(tmp_path, kind, change
     curves["n5"] = change(curves["n5"])
     found = [one for one in find_warnings(tmp_path, curves) if one.kind != "bevel_plane"]
     assert [one.kind for one in found] == [kind] and "n5 " in found[0].what
+
+
+@pytest.mark.parametrize("vector", [(0, 1, 0), (0, 0, -1), (0, 0.8, 0.8)])
+@pytest.mark.parametrize("first", [3, 6, 9])
+def test_a_step_is_named_between_its_points_and_no_neighbour_is(tmp_path, vector, first):
+    curves = measure_needles(8)
+    curves["n6"][first:] += vector
+    (one,) = find_warnings(tmp_path, curves)
+    assert (one.kind, one.where) == ("point_outlier", f"{tmp_path}/centerlines/n6.csv:{first + 2}")
+    assert f"between points {first} and {first + 1} " in one.what
+    assert float(re.search(r"([\d.]+) mm", one.what)[1]) == pytest.approx(np.linalg.norm(vector), abs=0.2)
+
+
+def test_a_gap_in_the_sampling_is_no_finding(tmp_path):
+    curves = measure_needles(9)
+    curves["n6"], curves["n7"] = np.delete(curves["n6"], 5, axis=0), curves["n7"][[0, 1, *range(2, 13, 2)]]
+    assert find_warnings(tmp_path, curves) == []
+
+
+@pytest.mark.parametrize("index", [0, -1])
+def test_ends_are_compared_with_those_of_the_other_needles(tmp_path, index):
+    """Its own cubic leads on to an end with three times the noise of a point: that names none."""
+    curves = measure_needles(10, sd=0.1)
+    curves["n4"][index] += [0, 0, 1.2]
+    (one,) = find_warnings(tmp_path, curves, sd=0.1)
+    assert one.kind == "point_outlier" and "n4 " in one.what
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.2])
+def test_bend_and_scatter_together_name_a_straight_needle_in_another_unit(tmp_path, factor):
+    curves = measure_needles(11, bend=0.25)
+    assert find_warnings(tmp_path / "sound", curves) == []
+    curves["n7"] = curves["n7"] * [1, factor, 1]
+    found = find_warnings(tmp_path / "made", curves)
+    assert [one.kind for one in found] == ["needle_outlier"] and "n7 " in found[0].what
+
+
+@pytest.mark.parametrize("degrees", [-3, 3])
+def test_a_needle_turned_in_its_plane_is_named_by_its_angle(tmp_path, degrees):
+    curves = measure_needles(12)
+    curves["n4"] = Rotation.from_euler("z", degrees, degrees=True).apply(curves["n4"])
+    (one,) = [each for each in find_warnings(tmp_path, curves) if each.kind != "bevel_side"]
+    assert one.kind == "needle_outlier" and "n4 " in one.what
+    assert float(re.search(r"([\d.]+) degrees", one.what)[1]) == pytest.approx(3, abs=0.6)
 
 
 def test_of_few_needles_none_is_compared_with_the_others(tmp_path):
@@ -157,6 +203,21 @@ def test_points_of_a_cubic_are_predicted_by_their_neighbours():
     rng = np.random.default_rng(6)
     drawn, _ = leave_one_out(x, rng.normal(size=(11, 4000)))
     np.testing.assert_allclose(drawn.std(axis=1), factor, rtol=0.05)
+
+
+def test_steps_and_ends_of_polynomials_are_found_with_their_errors():
+    x = np.linspace(0.0, 10.0, 11)
+    smooth = np.column_stack([x**2, 1 - x])
+    left, factor = leave_last_out(x, smooth + np.outer(x == x[-1], [0.0, 2.0]))
+    np.testing.assert_allclose(left, [0.0, 2.0], atol=1e-9)
+    assert leave_last_out(x, np.random.default_rng(7).normal(size=(11, 4000)))[0].std() == pytest.approx(
+        factor, rel=0.05
+    )
+    steps, factors = find_steps(x, smooth + np.outer(x > x[5], [3.0, 0.0]))
+    np.testing.assert_allclose(steps[5], [3.0, 0.0], atol=1e-9)
+    drawn, _ = find_steps(x, np.random.default_rng(8).normal(size=(11, 4000)))
+    np.testing.assert_allclose(drawn[1:-1].std(axis=1), factors[1:-1], rtol=0.05)
+    assert not np.isfinite(factors[[0, -1]]).any()
 
 
 def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():

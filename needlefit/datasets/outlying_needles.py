@@ -14,10 +14,11 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats
+from needlefit.datasets.comparison import MIN_OTHERS, OUTLIER_SD, Deviation, compare, design_lengths, expect
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
-from needlefit.datasets.outlying_points import MIN_SCATTER_MM, OUTLIER_SD
+from needlefit.datasets.outlying_points import MIN_SCATTER_MM
 from needlefit.datasets.planes import MAX_NAMED_INSERTIONS, MIN_BEND_SLOPE, SIGNIFICANT_SD
 from needlefit.geometry.frames import normalize
 from needlefit.grouping import group_values
@@ -26,17 +27,17 @@ from needlefit.project.result_warnings import ResultWarning
 
 MIN_ORDER, MAX_ORDER = 2, 4  # of the polynomial through the points of a needle
 # How needles into one medium differ by nature, SD: of the logarithm of their bend, of the part of it that is
-# out of their plane, and of a slope. The first is as sure as from so many needles.
-NATURAL_BEND, NATURAL_TWIST, NATURAL_SLOPE, NATURAL_NEEDLES = 0.12, 0.05, 0.002, 8
+# out of their plane, and of a slope.
+NATURAL_BEND, NATURAL_TWIST, NATURAL_SLOPE = 0.12, 0.05, 0.002
+NATURAL_TANGENT = 0.1  # SD of the slope at the entry, over that by which needles bend
+LOG_FACTORS = np.linspace(-4.0, 4.0, 1601)  # by which a needle may bend more than the others
+MIN_SCATTER_CHANCE = 1e-6  # least probability that a scatter counts with: alone it names no needle
 # At the entry tissue gives way toward the bevel, by a part of the bend that the others show: SD of this part
 # over itself, and of the part where there are no others.
 GIVE_SD, UNKNOWN_GIVE = 0.5, 0.3
 ALONG_SD_MM = 0.5  # of a first point along the needle: no point need lie exactly at the entry
 NATURAL_SPACING = 0.01  # SD of the logarithm of the spacing of points that are sampled alike
 MAX_SPACING_RATIO = 1.5  # of one needle's points over the others'; beyond, they are sampled otherwise
-MAX_CHANCE = 1e-4  # of a deviation of a sound needle, by Student's t
-SAME_LENGTH_PART = 0.1  # by which lengths differ where their mean is taken
-MIN_OTHERS = 4  # needles with which another one is compared
 # SD of a tip about the tangent at the entry, over that of points: of a parabola through about five free ones.
 TANGENT_FACTOR = 6.0
 MIN_COMMON = 3  # needles of which a common motion is sought
@@ -55,6 +56,10 @@ class NeedleEnds:
     tip: Floats  # (2,)
     entry_variance: Floats  # (2,); of the stated errors, mm^2
     tip_variance: Floats  # (2,)
+    tangent: float  # slope toward the bevel at the entry, of the parabola through entry, middle and tip
+    tangent_variance: float
+    scatter: Floats  # (2,); variance of the points about the curve, mm^2
+    free: int  # degrees of freedom of it
 
     @property
     def insertion(self) -> Insertion:
@@ -78,23 +83,37 @@ class NeedleEnds:
 
 
 def find_ends(listed: ListedInsertion, noise: Noise) -> NeedleEnds:
-    """Return the ends of an insertion by a polynomial through its points."""
+    """Return the ends of an insertion, and how it begins, by a polynomial through its points."""
     one = listed.insertion
     # of the first point that was read: if it is off across the needle, it is left out of the curve
     start = float(one.frame.to_local(listed.points.values[0])[0])
     x = one.planar[:, 0] - start
     length = float(x[-1])
     order = min(MAX_ORDER, len(x) - 3)
-    weights = np.vander([0.0, 1.0], order + 1) @ np.linalg.pinv(np.vander(x / length, order + 1))  # (2, N)
-    entry, tip = weights @ np.column_stack([one.side * one.planar[:, 1], one.out_of_plane])
+    powers, values = (
+        np.vander(x / length, order + 1),
+        np.column_stack([one.side * one.planar[:, 1], one.out_of_plane]),
+    )
+    fit = np.linalg.pinv(powers)
+    free = len(x) - order - 1
+    scatter = np.sum((values - powers @ (fit @ values)) ** 2, axis=0) / free
+    weights = np.vander([0.0, 1.0, 0.5], order + 1) @ fit  # (3, N)
+    entry, tip, middle = weights @ values
     own = np.zeros(len(x)) if one.sd is None else one.sd
-    errors = weights**2 @ (noise.point_sd**2 + own**2) + noise.correlated_sd**2 + MIN_SCATTER_MM**2
+    single = noise.point_sd**2 + own**2
+    of_tangent = np.array([-3.0, -1.0, 4.0]) / length
+    tangent = float(of_tangent @ [entry[0], tip[0], middle[0]])
+    tangent_variance = float((of_tangent @ weights) ** 2 @ single) + one.pose_angle_sd**2
+    tangent_variance += float(of_tangent @ of_tangent) * noise.correlated_sd**2
+    errors = weights[:2] ** 2 @ single + noise.correlated_sd**2 + MIN_SCATTER_MM**2
     if one.pose_source == "none":  # it lies by its own tangent
         errors[1] += (TANGENT_FACTOR * math.hypot(noise.point_sd, noise.correlated_sd)) ** 2
     else:
         errors += _find_shift_sd(one, noise) ** 2 + np.array([0.0, (one.pose_angle_sd * length) ** 2])
     rolled = [0.0, (one.roll_sd * float(tip[0] - entry[0])) ** 2]
-    return NeedleEnds(listed, length, start, entry, tip, errors[0] + np.zeros(2), errors[1] + rolled)
+    variances = errors[0] + np.zeros(2), errors[1] + rolled
+    ends = (listed, length, start, entry, tip, *variances)
+    return NeedleEnds(*ends, tangent, tangent_variance, scatter, free)
 
 
 def _find_shift_sd(insertion: Insertion, noise: Noise) -> float:
@@ -250,53 +269,51 @@ def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> Resu
 # ---- each needle and the others
 
 
-@dataclass(frozen=True)
-class Deviation:
-    """By how much a needle differs from the others, in one respect."""
-
-    value: float  # what is left of the needle's value
-    sds: float  # the same in standard deviations
-    chance: float  # probability of a greater one, of a sound needle
-
-    @property
-    def is_beyond(self) -> bool:
-        return self.sds > OUTLIER_SD and self.chance < MAX_CHANCE
-
-
-def compare(own: int, design: Floats, values: Floats, stated: Floats, natural: float) -> Deviation:
-    """Compare one of `values` (n,) with what a fit of `design` (n, p) to all others leads to expect.
-
-    `stated` (n,): variances of their errors. The scatter of the others beyond these counts beside the
-    `natural` standard deviation, which is as sure as from `NATURAL_NEEDLES`.
-    """
-    others = np.arange(len(values)) != own
-    fit = np.linalg.pinv(design[others])
-    found = fit @ values[others]
-    free = len(values) - 1 - len(found)
-    scatter = float(np.sum((values[others] - design[others] @ found) ** 2)) / free
-    errors, sure = float(np.mean(stated[others])), NATURAL_NEEDLES + free
-    spread = (NATURAL_NEEDLES * natural**2 + free * max(scatter - errors, 0.0)) / sure
-    lever = float(np.sum((design[own] @ fit) ** 2))
-    variance = float(stated[own]) + spread + lever * (errors + spread)
-    degrees = sure * (variance / ((1.0 + lever) * spread)) ** 2  # of freedom: stated errors are known
-    left = float(values[own] - design[own] @ found)
-    sds = abs(left) / math.sqrt(variance)
-    return Deviation(left, sds, 2 * float(scipy.special.stdtr(degrees, -sds)))
-
-
 def compare_bends(group: Sequence[NeedleEnds]) -> list[Deviation]:
     """Return by which factor, as its logarithm, each needle bends more than the others of its length.
 
     Bends grow by a power of the length.
     """
     sds = np.array([math.sqrt(one.entry_variance[0] + one.tip_variance[0]) for one in group])
-    bends = np.maximum([one.bend for one in group], sds)
-    lengths = np.log([one.length for one in group])
-    design = np.column_stack([np.ones(len(group)), lengths - lengths.mean()])
-    if np.ptp(lengths) < SAME_LENGTH_PART:
-        design = design[:, :1]
-    stated = (sds / bends) ** 2
-    return [compare(own, design, np.log(bends), stated, NATURAL_BEND) for own in range(len(group))]
+    bends = np.array([one.bend for one in group])
+    design, floored = design_lengths([one.length for one in group]), np.maximum(bends, sds)
+    stated, found = (sds / floored) ** 2, list[Deviation]()
+    for own, (bend, sd) in enumerate(zip(bends, sds, strict=True)):
+        expected = expect(own, design, np.log(floored), stated, NATURAL_BEND)
+        # Errors are those of the bend, and its nature that of the logarithm: the most likely one counts.
+        usual = math.exp(expected.value)
+        misfits = LOG_FACTORS**2 / expected.variance + ((bend - usual * np.exp(LOG_FACTORS)) / sd) ** 2
+        own_variance = (sd / max(floored[own], usual)) ** 2
+        factor = math.log(floored[own] / usual)
+        found.append(expected.judge(factor, math.sqrt(float(misfits.min())), own_variance))
+    return [_join_evidence(one, scatter) for one, scatter in zip(found, compare_scatters(group), strict=True)]
+
+
+def compare_scatters(group: Sequence[NeedleEnds]) -> Floats:
+    """Return the probability (n,) of a sound needle that its scatter is less, toward the bevel.
+
+    That is over its scatter out of the plane, which differs by needle, and beside those of the others.
+    """
+    scatters, free = np.array([one.scatter for one in group]), np.array([one.free for one in group])
+    if not np.all(scatters > 0):  # some lie in a plane
+        return np.full(len(group), 0.5)
+    sums = scatters * free[:, None]
+    ratios = scatters[:, 0] / scatters[:, 1]
+    others = (sums.sum(axis=0) - sums) / (free.sum() - free)[:, None]
+    return np.asarray(scipy.special.fdtr(free, free, ratios * others[:, 1] / others[:, 0]))
+
+
+def _join_evidence(bend: Deviation, less: float) -> Deviation:
+    """Return the deviation of a bend beside the probability of less scatter, by Fisher's method.
+
+    Both shrink or grow where coordinates do. No scatter alone says that a needle is unlike the others.
+    """
+    scatter = max(less if bend.value < 0 else 1 - less, MIN_SCATTER_CHANCE)
+    product = max(bend.chance * scatter, np.finfo(np.float64).tiny)
+    both = product * (1 - math.log(product))
+    if both >= bend.chance:
+        return bend
+    return replace(bend, sds=max(bend.sds, -float(scipy.special.ndtri(both / 2))), chance=both)
 
 
 def compare_leans(group: Sequence[NeedleEnds]) -> list[Deviation]:
@@ -304,10 +321,26 @@ def compare_leans(group: Sequence[NeedleEnds]) -> list[Deviation]:
     lengths = np.array([one.length for one in group])
     leans = np.array([one.tip[1] - one.entry[1] for one in group]) / lengths
     stated = np.array([one.tip_variance[1] for one in group]) / lengths**2
-    bend = float(np.mean([abs(one.bend) / one.length for one in group]))
-    natural = math.hypot(NATURAL_TWIST * bend, NATURAL_SLOPE)
+    natural = math.hypot(NATURAL_TWIST * _measure_slope(group), NATURAL_SLOPE)
     design = np.ones((len(group), 1))
     return [compare(own, design, leans, stated, natural) for own in range(len(group))]
+
+
+def compare_tangents(group: Sequence[NeedleEnds]) -> list[Deviation]:
+    """Return by which slope toward its bevel each needle begins more than the others.
+
+    A larger bend, which may be its nature, changes it little.
+    """
+    tangents = np.array([one.tangent for one in group])
+    stated = np.array([one.tangent_variance for one in group])
+    natural = math.hypot(NATURAL_TANGENT * _measure_slope(group), NATURAL_SLOPE)
+    design = design_lengths([one.length for one in group])
+    return [compare(own, design, tangents, stated, natural) for own in range(len(group))]
+
+
+def _measure_slope(group: Sequence[NeedleEnds]) -> float:
+    """Return the mean slope by which needles bend."""
+    return float(np.mean([abs(one.bend) / one.length for one in group]))
 
 
 def compare_spacings(group: Sequence[NeedleEnds]) -> list[Deviation]:
@@ -330,7 +363,7 @@ def _find_unlike(group: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
     while len(left) > MIN_OTHERS:
         forms = [(compare_bends, _describe_bend), (compare_spacings, _describe_spacing)]
         if left[0].is_placed:  # else each has its own plane
-            forms.append((compare_leans, _describe_lean))
+            forms += [(compare_leans, _describe_lean), (compare_tangents, _describe_tangent)]
         found = [
             (deviation, needle, describe)
             for compare_all, describe in forms
@@ -365,3 +398,9 @@ def _describe_spacing(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
 def _describe_lean(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
     angle = math.degrees(math.atan(abs(found.value)))
     return f"leans out of its plane by {angle:.2g} degrees", "check its entry direction and bevel direction"
+
+
+def _describe_tangent(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
+    angle = math.degrees(math.atan(abs(found.value)))
+    side = "toward its bevel" if found.value > 0 else "away from its bevel"
+    return f"leans by {angle:.2g} degrees {side} from its entry on", "check its entry direction and points"

@@ -1,4 +1,6 @@
-"""Predict each point of a curve from its neighbours: what a single point adds is left over."""
+"""Predict points of a curve from their neighbours: what a point, or a step between two, adds is left over."""
+
+import math
 
 import numpy as np
 
@@ -7,6 +9,7 @@ from needlefit.arrays import Floats
 #: neighbours on either side, at least and at most; between, those within the reach, mm
 MIN_NEIGHBOURS, MAX_NEIGHBOURS, REACH_MM = 4, 20, 8.0
 MAX_ORDER = 3  #: of the polynomial through neighbours
+END_ORDER = 2  #: of the one that leads on to an end
 
 
 def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
@@ -15,9 +18,8 @@ def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     The factor is that by which the standard deviation of this distance is larger than that of a point, of
     independent errors. At the ends all neighbours lie on one side. `x` (N,) increases; N is at least 4.
     """
-    count, step = len(x), float(np.median(np.diff(x)))
-    side = int(np.clip(REACH_MM / max(step, 1e-9), MIN_NEIGHBOURS, MAX_NEIGHBOURS))
-    near = min(2 * side, count - 1)
+    count = len(x)
+    near = _count_neighbours(x)
     order = min(MAX_ORDER, near - 2)
     first = np.clip(np.arange(count) - near // 2, 0, count - near - 1)
     window = first[:, None] + np.arange(near + 1)  # (N, near + 1), with the point itself
@@ -28,3 +30,43 @@ def leave_one_out(x: Floats, values: Floats) -> tuple[Floats, Floats]:
     weights = np.linalg.pinv(powers)[:, 0, :]  # (N, near): of the polynomial's value at the point
     left = values - np.einsum("ij,ijk->ik", weights, values[others])
     return left, np.sqrt(1.0 + np.sum(weights**2, axis=1))
+
+
+def leave_last_out(x: Floats, values: Floats) -> tuple[Floats, float]:
+    """Return how far the last point (k,) is from a parabola through those before it, and the same factor.
+
+    The factor is smaller than that of a cubic. What a parabola misses is much the same of like needles.
+    """
+    near = _count_neighbours(x)
+    away = (x[-near - 1 : -1] - x[-1]) / (x[-1] - x[-near - 1])
+    weights = np.linalg.pinv(away[:, None] ** np.arange(END_ORDER + 1))[0]
+    left: Floats = values[-1] - weights @ values[-near - 1 : -1]
+    return left, math.sqrt(1.0 + float(weights @ weights))
+
+
+def find_steps(x: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return the step (N - 1, k) of all points behind each one, beside a cubic, and a factor (N - 1,).
+
+    The factor is infinite where fewer than two points follow or precede.
+    """
+    count = len(x)
+    size = min(_count_neighbours(x) + 2, count)
+    order = min(MAX_ORDER, size - 4)
+    gaps = np.arange(1, count - 2)
+    first = np.clip(gaps + 1 - size // 2, 0, count - size)
+    window = first[:, None] + np.arange(size)
+    away = x[window] - x[gaps, None]
+    powers = (away / np.abs(away).max(axis=1, keepdims=True))[..., None] ** np.arange(order + 1)
+    design = np.concatenate([powers, (window > gaps[:, None])[..., None]], axis=2)
+    weights = np.linalg.pinv(design)[:, -1, :]
+    steps, factor = np.zeros((count - 1, values.shape[1])), np.full(count - 1, np.inf)
+    steps[gaps] = np.einsum("ij,ijk->ik", weights, values[window])
+    factor[gaps] = np.linalg.norm(weights, axis=1)
+    return steps, factor
+
+
+def _count_neighbours(x: Floats) -> int:
+    """Return how many neighbours predict a point."""
+    step = float(np.median(np.diff(x)))
+    side = int(np.clip(REACH_MM / max(step, 1e-9), MIN_NEIGHBOURS, MAX_NEIGHBOURS))
+    return min(2 * side, len(x) - 1)
