@@ -129,6 +129,7 @@ def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Ti
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=friction * rng.uniform(size=layers),
         law=law.name,
+        is_checked=True,  # values and bevels are drawn from more than needles and tissues have
     )
 
 

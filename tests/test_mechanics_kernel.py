@@ -58,7 +58,8 @@ def test_positions_keep_the_length():
     assert abs(length - 55.0) < 1e-6
     assert 0.05 < 55.0 - points[-1, 0] < 0.3  # the tip lags
     # No bevel and a guide-free, tilted base in almost nothing: a straight line of slope 0.1.
-    shape = simulate(NEEDLE, Tissue(mu=[1e-12], alpha=[1.0]), Bevel(0.0), 30.0, Controls(base_slope=0.1))
+    nothing = Tissue(mu=[1e-12], alpha=[1.0], is_checked=True)
+    shape = simulate(NEEDLE, nothing, Bevel(0.0), 30.0, Controls(base_slope=0.1))
     points = compute_positions(shape, np.array([0.0, 30.0]))
     advance = points[1] - points[0]
     np.testing.assert_allclose(advance, [30.0 * np.cos(0.1), 30.0 * np.sin(0.1)], rtol=1e-7)

@@ -52,7 +52,7 @@ def evaluated(tissue: Tissue, layer: int = 0, e: np.ndarray = REST, number: int 
 
 def test_a_table_ends_where_its_law_is_too_steep() -> None:
     """Beyond, tissue is over-compressed; a law that is too steep at once is refused."""
-    tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung")
+    tissue = Tissue(mu=[1e-4], alpha=[20.0], thickness=[1.0], law="fung", is_checked=True)
     assert compile_law("fung", np.array([[20.0]]))[0][0, 0] < 0.5
     held = Controls(base_y=0.0, guides=(Guide(10.0, 0.7, None, in_tissue=True),))
     shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, held)

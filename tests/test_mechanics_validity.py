@@ -3,6 +3,7 @@
 import re
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from refusals import refusal
 from scipy.integrate import solve_bvp
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.batch import Batch, simulate_batches
+from needlefit.mechanics.batch import Batch, linearize, simulate_batches
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
@@ -96,7 +97,7 @@ def test_compression_and_what_is_not_valid():
     at = shape.constraints[:, 0]
     away = np.abs(compute_positions(shape, at) - map_beam_points(shape, shape.constraints))[:, 1]
     assert shape.validity.compression == pytest.approx(away.max() / 40.0, rel=1e-6)
-    found = simulate(NEEDLE, TISSUE, Bevel(30.0), 55.0)
+    found = simulate(NEEDLE, replace(TISSUE, is_checked=True), Bevel(30.0), 55.0)
     assert not found.converged and not found.valid and not found.validity.ok
     assert found.validity.faults == () and np.isnan(found.validity.max_slope)
     good = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
@@ -252,3 +253,43 @@ def test_a_modulus_that_no_needle_has_is_warned_of(modulus, is_doubted):
         Needle.from_tube(200, 1.27, modulus)
     record = NeedleRecord(length_mm=200, outer_diameter_mm=1.27, youngs_modulus_gpa=modulus / 1e3)
     assert len(found) == len([*needle_warnings(record, str)]) == is_doubted
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ({"depth": 0.02}, "depth"),
+        ({"rigidity": 0.0255}, "flexural_rigidity"),
+        ({"boundary": 0.02}, "boundaries"),
+        ({"offset": 8e-5}, "offset"),
+        ({"mu": 2e-4}, "mu"),
+        ({}, ""),
+    ],
+)
+@pytest.mark.parametrize("way", ["simulate", "linearize", "batch", "session"])
+def test_units_are_judged_in_python_whatever_is_called(way, values, named):
+    """A session has no depth before its steps, which may be small."""
+    given = {"depth": 50.0, "rigidity": 25500.0, "boundary": 12.0, "offset": 0.085, "mu": 0.2}
+    given |= values
+    needle, bevel = Needle(200.0, given["rigidity"]), Bevel(given["offset"])
+    tissue = Tissue([given["mu"], 0.3], alpha=1.0, boundaries=[min(given["boundary"], given["depth"] / 2)])
+    steps, rules = (Step(given["depth"], bevel),), ModelOptions()
+    calls = {
+        "simulate": lambda: simulate(needle, tissue, bevel, given["depth"]),
+        "linearize": lambda: linearize(needle, tissue, bevel, given["depth"]),
+        "batch": lambda: Batch(needle, tissue, steps, rules, mu=np.array([[0.2, 0.3]])),
+        "session": lambda: Session(needle, tissue, bevel),
+    }
+    if values == {"depth": 0.02} and way == "session":
+        return
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        calls[way]()
+    assert {str(one.message).split("`")[1] for one in found} == ({named} if named else set())
+
+
+def test_sizes_of_a_tube_in_metres_are_named():
+    with pytest.warns(UserWarning, match="`outer_diameter`.*metres"):
+        Needle.from_tube(0.2, 0.00127, 60e3)
+    with pytest.warns(UserWarning, match="`length`.*metres"):
+        Needle.from_tube(0.2, 1.27, 60e3)

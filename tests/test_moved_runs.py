@@ -161,7 +161,8 @@ def test_data_that_changed_since_are_named_and_the_copy_is_used(places, capsys):
     (warning,) = [one for one in dataset.warnings if one.kind == "data_changed"]
     assert warning.where == str(file)
     assert run("predict", "../moved/gel", "--scene", "./ahead.toml", *OPTIONS) in (0, 5)
-    assert "explain data-changed" in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert printed.count("explain data-changed") == 1 and f"{file}: " in printed
     assert [one for one in open_target("../moved/gel").warnings if one.kind == "data_changed"] == [warning]
 
 

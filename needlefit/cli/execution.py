@@ -100,7 +100,7 @@ class Execution:
                 progress=report,
                 stop=self.stop,
                 first=no_note if asked.quiet else print_remark,
-                note=print_remark,
+                note=self._print_note,
                 file=file,
                 inputs=self.inputs or Inputs(),
             )
@@ -142,6 +142,10 @@ class Execution:
         from needlefit.project.checkpoint import remove_checkpoint
 
         remove_checkpoint(self.checkpoint(name), print_remark)
+
+    def _print_note(self, line: str) -> None:
+        self.invocation.noted.append(line)
+        print_remark(line)
 
     def interrupted(self) -> typer.Exit:
         """Say how to go on; return the exit to raise."""
@@ -309,6 +313,12 @@ def show_warnings(invocation: Invocation, result: "Run") -> None:
 
     data, located = Path(result.timing.get("dataset", "")).parent, []
     for one in read_warnings(result.run):
+        if one.kind == "data_changed":  # its file is none of those that the run used
+            if any(one.what in line for line in invocation.noted):
+                invocation.warned = True
+            else:
+                located.append(one)
+            continue
         file = one.where.partition(", key ")[0].rpartition(":")[0] or one.where.partition(", key ")[0]
         is_there = file and (data / file).is_file()
         located.append(replace(one, where=str(data / one.where)) if is_there else one)

@@ -9,7 +9,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
@@ -28,6 +28,7 @@ class Invocation:
     """One call of the program, and the values of its common options.
 
     `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
+    `noted` are lines that were printed before the work.
     """
 
     words: tuple[str, ...]
@@ -44,6 +45,7 @@ class Invocation:
     quiet: bool = False
     verbose: bool = False
     warned: bool = False
+    noted: list[str] = field(default_factory=list)
 
     def resuming(self) -> str:
         """Return the command line that goes on where this one stopped."""

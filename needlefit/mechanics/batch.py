@@ -17,6 +17,7 @@ from needlefit.arrays import Bools, Floats, Ints
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, count_planes, run_evaluations
@@ -108,6 +109,7 @@ class Batch:
         object.__setattr__(self, "steps", tuple(self.steps))
         if self.rigidity is not None:
             require_roll_of_one_rigidity(self.tissue, self.steps)
+        warn_of_units(self.needle, self.tissue, self.steps, self.rules)
 
     def __len__(self) -> int:
         return len(next(v for v in map(self.__dict__.get, VARYING_FIELDS) if v is not None))
@@ -324,7 +326,10 @@ def linearize(
         NaN where the solution failed.
     """
     require_depth(depth)
-    return linearize_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules, wrt=wrt)
+    steps = (Step(float(depth), bevel, controls),)
+    found = _linearize_steps(needle, tissue, steps, rules, None, wrt)
+    warn_of_units(needle, tissue, steps, rules)
+    return found
 
 
 def linearize_steps(
@@ -337,6 +342,19 @@ def linearize_steps(
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
     """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape."""
+    found = _linearize_steps(needle, tissue, steps, rules, lattice, wrt)
+    warn_of_units(needle, tissue, steps, rules)
+    return found
+
+
+def _linearize_steps(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: ModelOptions,
+    lattice: Lattice | None,
+    wrt: Sequence[str],
+) -> tuple[NeedleShape, Jacobian]:
     if "rigidity" in wrt:
         require_roll_of_one_rigidity(tissue, steps)
     steps = turn_tip(needle, tissue, steps)

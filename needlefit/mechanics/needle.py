@@ -6,7 +6,7 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.project.result_warnings import issue_warnings
-from needlefit.project.unit_warnings import doubt_modulus, warn
+from needlefit.project.unit_warnings import doubt_modulus, doubt_sizes, warn
 from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import NeedleRecord
 
@@ -74,7 +74,9 @@ class Needle:
             expected = f"{MIN_MODULUS_MPA:g} to {MAX_MODULUS_MPA:g}; 200 GPa are 2e5 MPa"
             raise ModelError(what, expected=expected)
         rigidity = compute_rigidity(outer_diameter, youngs_modulus, inner_diameter)
-        issue_warnings(warn(doubt_modulus(youngs_modulus * 1e-3, "youngs_modulus"), str))
+        sizes = {"length": length, "outer_diameter": outer_diameter, "inner_diameter": inner_diameter}
+        doubts = (*doubt_sizes(sizes), *doubt_modulus(youngs_modulus * 1e-3, "youngs_modulus"))
+        issue_warnings(warn(doubts, str))
         return cls(length, rigidity, outer_diameter)
 
     @classmethod

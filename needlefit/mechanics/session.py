@@ -13,6 +13,7 @@ from needlefit.arrays import Floats
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, require_type
 from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
@@ -99,6 +100,7 @@ class Session:
         # a shaft that twists turns the tip to any side
         spatial = spatial or tissue.torsional_friction > 0 or not self.last.planar
         self._begin(self.last, 2 if spatial else 1)
+        warn_of_units(needle, tissue, (self.last,), rules, is_open=True)
 
     def _begin(self, first: Step, planes: int) -> None:
         """Bring the needle to first contact under the inputs of a step."""

@@ -53,7 +53,7 @@ def simulate(
     require_depth(depth)
     steps = (Step(float(depth), bevel, controls),)
     shape = find_last_shape(needle, tissue, steps, rules)
-    warn_of_units(needle, tissue, steps)
+    warn_of_units(needle, tissue, steps, rules)
     return shape
 
 
@@ -74,7 +74,7 @@ def simulate_steps(
         Where constraint points lie; by default so that the last step ends on one.
     """
     shape = find_last_shape(needle, tissue, steps, rules, lattice)
-    warn_of_units(needle, tissue, steps)
+    warn_of_units(needle, tissue, steps, rules)
     return shape
 
 

@@ -1,7 +1,7 @@
 """The tissue: layers that resist the needle's deflection away from its own cut."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Self
 
@@ -39,6 +39,7 @@ class Tissue:
     friction: Floats  #: (n,) friction coefficient gamma between shaft and tissue
     law: str  #: a file of `mechanics/laws`
     torsional_friction: float  #: tau: torque per length that a turning shaft has to overcome, N mm / mm
+    is_checked: bool = field(compare=False, repr=False)  #: whether its units were judged where it was made
 
     def __init__(
         self,
@@ -63,6 +64,7 @@ class Tissue:
             object.__setattr__(self, name, _to_layer_array(name, value, size))
         object.__setattr__(self, "law", law)
         object.__setattr__(self, "torsional_friction", torsional_friction)
+        object.__setattr__(self, "is_checked", is_checked)
         if not (is_bounded(torsional_friction) and torsional_friction >= 0):
             raise ModelError(f"torsional friction is {torsional_friction} N", expected="0 or above")
         object.__setattr__(

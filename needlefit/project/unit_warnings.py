@@ -42,6 +42,7 @@ BOUNDARIES_TO_DEPTH = 0.1  # depth of the last of several boundaries over that o
 MIN_DEPTH_MM = 1.0  # of an insertion, where in metres it would be one of the needle
 LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
 """Millimetres in each."""
+MICROMETRES = 1e3  # in a millimetre
 
 MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6}
 """Gigapascals in each."""
@@ -111,18 +112,27 @@ def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWa
 
 def _doubt_needle(needle: NeedleRecord, key: str) -> Iterator[Doubt]:
     outer, inner, length = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.length_mm
-    if outer is not None:
-        yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, f"{key}.outer_diameter_mm", "mm")
-        if _is_within(outer, DIAMETER_MM):
-            lengths = (LENGTH_TO_DIAMETER[0] * outer, LENGTH_TO_DIAMETER[1] * outer)
-            yield from doubt_range(length, lengths, LENGTH_UNITS, f"{key}.length_mm", "mm")
-        if inner:
-            bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
-            yield from doubt_range(inner, bores, LENGTH_UNITS, f"{key}.inner_diameter_mm", "mm")
+    yield from doubt_sizes(
+        {f"{key}.length_mm": length, f"{key}.outer_diameter_mm": outer, f"{key}.inner_diameter_mm": inner}
+    )
     if (modulus := needle.youngs_modulus_gpa) is not None:
         yield from doubt_modulus(modulus, f"{key}.youngs_modulus_gpa")
     if (rigidity := needle.flexural_rigidity_nmm2) is not None:
         yield from doubt_rigidity(rigidity, f"{key}.flexural_rigidity_nmm2")
+
+
+def doubt_sizes(sizes: Mapping[str, float | None]) -> Iterator[Doubt]:
+    """Yield the doubts about length, outer and inner diameter of a needle, mm, by their keys."""
+    (length_key, length), (outer_key, outer), (inner_key, inner) = sizes.items()
+    if outer is None or length is None:
+        return
+    yield from doubt_range(outer, DIAMETER_MM, LENGTH_UNITS, outer_key, "mm")
+    if _is_within(outer, DIAMETER_MM):
+        lengths = (LENGTH_TO_DIAMETER[0] * outer, LENGTH_TO_DIAMETER[1] * outer)
+        yield from doubt_range(length, lengths, LENGTH_UNITS, length_key, "mm")
+    if inner:
+        bores = (min(MIN_INNER_DIAMETER_MM, outer), MAX_INNER_TO_OUTER * outer)
+        yield from doubt_range(inner, bores, LENGTH_UNITS, inner_key, "mm")
 
 
 def doubt_modulus(modulus: float, key: str) -> Iterator[Doubt]:
@@ -161,16 +171,16 @@ def _is_within(value: float, plausible: tuple[float, float]) -> bool:
 
 def _doubt_scene(scene: SceneRecord) -> Iterator[Doubt]:
     for n, layer in enumerate(scene.layers, start=1):
-        yield from doubt_range(layer.mu_pa, MU_PA, MU_UNITS, f"layers.{n}.mu_pa", "Pa")
+        yield from doubt_mu(layer.mu_pa, f"layers.{n}.mu_pa")
         if layer.alpha is not None:
-            yield from _doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
+            yield from doubt_alpha(layer.alpha, scene.law, f"layers.{n}.alpha")
     deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
     yield from doubt_tops([layer.top_mm for layer in scene.layers[1:]], deepest, "layers.2.top_mm")
     yield from doubt_depth(deepest, scene.needle.length_mm, "steps" if scene.steps else "depth_mm")
     bevels = [("bevel", scene.bevel.offset_mm, scene.bevel.cut_angle_deg)]
     bevels += [(f"steps.{n}", one.offset_mm, one.cut_angle_deg) for n, one in enumerate(scene.steps, start=1)]
     for key, offset, angle in bevels:
-        yield from _doubt_offset(offset, scene.rules.constraint_spacing_mm, f"{key}.offset_mm")
+        yield from doubt_offset(offset, scene.rules.constraint_spacing_mm, f"{key}.offset_mm")
         if angle:
             yield from doubt_range(angle, *CUT_ANGLES, f"{key}.cut_angle_deg", "degrees")
 
@@ -185,9 +195,9 @@ def _doubt_medium(medium: MediumRecord) -> Iterator[Doubt]:
             elif high is not None:  # wide ones are no sign of another unit
                 yield from doubt_range(high, (MU_PA[0], math.inf), MU_UNITS, key, "Pa")
         elif name.startswith("alpha") and fixed is not None:
-            yield from _doubt_alpha(fixed, medium.law, key)
+            yield from doubt_alpha(fixed, medium.law, key)
         elif name == "bevel_mm":
-            yield from _doubt_offset(fixed or high, medium.constraint_spacing_mm, key)
+            yield from doubt_offset(fixed or high, medium.constraint_spacing_mm, key)
         elif name == "cut_angle_deg" and (angle := fixed or high):
             yield from doubt_range(angle, *CUT_ANGLES, key, "degrees")
 
@@ -206,13 +216,19 @@ def doubt_range(
     yield key, f"`{key}` is {value:g} {unit}, {beyond}{looks}", fix
 
 
-def _doubt_alpha(alpha: float, law: str, key: str) -> Iterator[Doubt]:
+def doubt_mu(mu: float, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about the foundation modulus of a layer, Pa."""
+    yield from doubt_range(mu, MU_PA, MU_UNITS, key, "Pa")
+
+
+def doubt_alpha(alpha: float, law: str, key: str) -> Iterator[Doubt]:
+    """Yield a doubt about an exponent of the Ogden law."""
     if law == "ogden" and not _is_within(abs(alpha), ALPHA):
         what = f"`{key}` is {alpha:g}; exponents are {ALPHA[0]:g} to {ALPHA[1]:g} in size, of either sign"
         yield key, what, "write a fitted exponent, or 1 if it is not known"
 
 
-def _doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Doubt]:
+def doubt_offset(offset: float | None, spacing: float, key: str) -> Iterator[Doubt]:
     """Yield a doubt about a bevel's offset, mm per constraint spacing; 0 is a needle without a bevel."""
     if offset:
         low, high = (spacing * each for each in OFFSET_TO_SPACING)
@@ -229,7 +245,10 @@ def doubt_layers(boundaries: Sequence[float], deepest: float, key: str) -> Itera
     least, units = BOUNDARY_TO_DEPTH * deepest, LENGTH_UNITS
     if len(boundaries) > 1:  # of which centimetres are the likely unit
         least, units = BOUNDARIES_TO_DEPTH * deepest, {"centimetres": 10.0} | LENGTH_UNITS
-    doubts = list(doubt_range(boundaries[-1], (least, deepest), units, key, "mm"))
+    last = boundaries[-1]
+    if deepest < last < MICROMETRES * BOUNDARIES_TO_DEPTH * deepest:
+        units = {}  # a layer that ends so near the entry is no better guess than a slip of a digit
+    doubts = list(doubt_range(last, (least, deepest), units, key, "mm"))
     yield from doubts
     for top, end in () if doubts else pairwise((0.0, *boundaries)):
         if end - top < BOUNDARY_TO_DEPTH * deepest:

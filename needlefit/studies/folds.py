@@ -71,7 +71,7 @@ def print_notes(job: Job, settings: Settings) -> None:
         )
     for one in dict.fromkeys(job.warnings):
         if one.kind in DATA_WARNINGS:
-            settings.note(f"warning: {one}")
+            settings.note(f"warning: {one} ({one.help_command})")
 
 
 # ---- the folds

@@ -327,4 +327,4 @@ def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
             raise ModelError(
                 f"the tissue law `{tissue.law}` has no {change.name}", expected=", ".join(["mu_pa", *names])
             )
-    return replace(tissue, mu=mu, shape=shape, is_checked=True)  # type: ignore[call-arg]
+    return replace(tissue, mu=mu, shape=shape, is_checked=True)

@@ -41,7 +41,10 @@ class Stated:
         known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
         factor = known.get(own, 0.0)
         if not 0 <= value * factor <= MAX_NUMBER or not factor or (is_above and not value):
-            raise self.error(what, f"a number {'above 0' if is_above else 'of 0 or more'}, {unit}")
+            expected = f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_NUMBER:g}, {unit}"
+            if others := [one for one in known if one != unit]:
+                expected += f", or with its unit: {', '.join(others)}"
+            raise self.error(what, expected)
         return value * factor
 
     def to_place(self, what: str, usual: str = "mm") -> Floats:

@@ -46,6 +46,7 @@ MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from wh
 MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
 MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
 DIAMETERS = {"diameter", "inner diameter"}  # in mm, whatever the unit of the coordinates
+OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 LENGTHS = {"depth", "boundaries", "needle length", "entry point"}  # stated in the unit of the coordinates
 
 
@@ -272,14 +273,22 @@ class Planner:
             run = chord if len({one.text for one in poses}) == 1 else own  # one direction is that of the mean
             cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
             if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
-                which = {"first": "last", "last": "first"}[self.entry]
-                fix = (
-                    f"if the sign is wrong, state --pose {along}; if the files begin at the tips, "
-                    f"--entry {which}"
-                )
+                fix = f"state --pose {along}"
+                if not self._begin_at_entries():
+                    fix = f"if the sign is wrong, {fix}; if the files begin at the tips, "
+                    fix += f"--entry {OTHER_END[self.entry]}"
                 fix = fix if cosine <= -least else ""
                 raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
         return poses
+
+    def _begin_at_entries(self) -> bool:
+        """Whether entry points are stated as places, to which the curves' beginnings are nearer than ends."""
+        stated = self.answers.stated.get("entry point")
+        if stated is None or "," not in stated.text:
+            return False
+        place = stated.to_place("entry point")
+        gaps = np.array([np.linalg.norm(one.line[[0, -1]] - place, axis=1) for one in self.curves])
+        return bool(np.all(gaps[:, 0] < gaps[:, 1]))
 
     def settle_entry_points(self, poses: Sequence[Stated]) -> list[Floats | None]:
         """Return where each tip first touched the tissue, None: at the first point; cut the curves there."""
@@ -318,7 +327,7 @@ class Planner:
                 gaps = np.linalg.norm(one.points.curve.interpolate(along) - entry, axis=1)
                 arc = float(along[np.argmin(gaps)])
             if arc > MIN_CUT_MM:
-                cut_shaft(one, arc)
+                cut_shaft(one, arc, OTHER_END[self.entry])
                 cut.append(arc)
         used = {one.text: one for one in answers if one.text in surfaces}
         if used and (missed or not cut):
@@ -603,13 +612,17 @@ def find_depth_sd(curve: ImportedCurve, point_sd: float) -> float:
     return 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
 
 
-def cut_shaft(curve: ImportedCurve, arc: float) -> None:
-    """Cut a curve at this length from its first point, mm, and keep the points before as its shaft."""
+def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
+    """Cut a curve at this length from its first point, mm, and keep the points before as its shaft.
+
+    `other_end`: the answer by which curves would begin there.
+    """
     points, along = curve.points, curve.points.curve.s
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
         what = f"curve {curve.name!r} has only {len(after)} points behind its entry"
-        expected, fix = "points from the entry to the tip", "state another --entry-point, or --entry last"
+        expected = "points from the entry to the tip"
+        fix = f"state another --entry-point, or --entry {other_end} and the --pose that follows"
         raise DataError(what, where=points.where(), expected=expected, fix=fix)
     entry = [np.interp(arc, along, axis) for axis in points.values.T]
     values = np.vstack([entry, points.values[after]])

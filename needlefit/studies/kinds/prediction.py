@@ -341,7 +341,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     judged = settings.inputs.judged or sampled
     changed = _find_changes(job, judged)
     for one in changed:
-        settings.note(f"warning: {one}")  # before the work, which takes long
+        settings.note(f"warning: {one} ({one.help_command})")  # before the work, which takes long
     fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
     if fitted is None:
         return replace(about, interrupted=True)
