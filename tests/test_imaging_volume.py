@@ -145,6 +145,15 @@ def test_nrrd_spaces_become_lps(tmp_path, space, signs):
     check_plain(read_volume(nrrd(tmp_path / "a.nrrd", space=space)), signs, np.array(CORNER) * signs)
 
 
+@pytest.mark.parametrize(("code", "scale", "count"), [(0, 1.0, 1), (1, 1e3, 0), (2, 1.0, 0), (3, 1e-3, 0)])
+def test_a_nifti_file_without_a_unit_of_length_is_read_in_mm_with_a_warning(tmp_path, code, scale, count):
+    rows = np.array([0.4, 0, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0]) / scale
+    form = {"sform": ("<12f", 280, *rows), "spacing": ("<4f", 76, 1.0, *np.array(STEPS) / scale)}
+    volume = read_volume(nifti(tmp_path / "a.nii", units=("<b", 123, code), **form))
+    np.testing.assert_allclose(volume.spacing, [0.4, 0.5, 0.9], rtol=1e-6)
+    assert len(volume.warnings) == count and all("xyzt_units" in one for one in volume.warnings)
+
+
 def test_nifti_is_ras_and_metaimage_lps(tmp_path):
     for name in ("a.nii", "a.nii.gz"):
         check_plain(read_volume(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
@@ -318,6 +327,7 @@ def test_a_qform_beside_a_sheared_sform_has_lost_its_shear(tmp_path, flip, codes
     affine = np.diag([flip * 0.4, 0.5, 0.9, 1.0])
     affine[1, 2] = 0.9 * np.tan(TILT)
     image = nibabel.Nifti1Image(np.zeros((40, 30, 20), np.int16), affine)
+    image.header.set_xyzt_units("mm")
     image.set_qform(affine, codes[0])
     image.set_sform(affine, codes[1])
     nibabel.save(image, tmp_path / "a.nii")

@@ -6,14 +6,14 @@ from import_cases import needle, plan_import
 from refusals import refusal
 from test_import import write_long, write_sheets
 
-from needlefit.datasets.importing.answers import Answers
+from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.files import read_asking, read_content
 from needlefit.datasets.importing.planning import Planner
 from needlefit.datasets.importing.tables import UnclearLayoutError
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
 from needlefit.geometry.stray_points import find_stray_points
-from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.project.unit_warnings import GAUGES_MM, doubt_layers
 from needlefit.reporting.dataset_import import write_import
 
 NEEDLES = [needle(n, 16) for n in range(3)]
@@ -557,3 +557,31 @@ def test_a_stated_depth_is_kept_where_that_of_another_run_is_measured(tmp_path):
     write_rows(tmp_path / "b.csv", [["time", "x", "y", "z"], *lines])
     content, _, _ = planned([tmp_path], observable="tracks", bevel="0,1,0")
     assert [one.readings.depth[0] for one in content.curves] == [1.0, 0.0]
+
+
+def test_no_other_end_is_advised_where_points_begin_at_the_stated_entry(tmp_path):
+    """A mistyped pose is one: the other end would be at the tip."""
+    curves = {f"n{n}": needle(n) - [0.0, 3.0 * n, 0.0] for n in range(3)}
+    rows = [[name, *point] for name, points in curves.items() for point in points]
+    write_rows(tmp_path / "a.csv", [["needle", "x", "y", "z"], *rows])
+    stated = {"pose": "-1,0,0", "bevel": "0,1,0", "entry_point": "0,0,0"}
+    found = refusal(DataError, "pose", planned, [tmp_path / "a.csv"], **stated)
+    assert "--pose 1,0,0" in found.fix and "--entry" not in found.fix
+    found = refusal(DataError, "", planned, [tmp_path / "a.csv"], **stated, entry="last")
+    assert "--entry first" in found.fix and "--entry last" not in found.fix
+
+
+@pytest.mark.parametrize("text", ["75e9", "-75"])
+def test_a_modulus_that_is_refused_names_the_units_that_may_stand_behind_it(text):
+    found = refusal(DataError, "modulus", Stated(text).to_number, "modulus", "GPa", is_above=True)
+    assert all(unit in found.expected for unit in ("GPa", "MPa", "Pa"))
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"),
+    [(999.0, ""), (200.0, ""), (20000.0, "micrometres"), (0.02, "metres")],
+)
+def test_a_unit_of_a_boundary_is_guessed_only_where_it_makes_a_likely_one(value, unit):
+    ((_, what, fix),) = doubt_layers((value,), 70.0, "boundaries_mm")
+    assert ("looks like" in what) == bool(unit) and unit in what
+    assert fix.startswith("write" if unit else "check it, in mm")

@@ -2,7 +2,8 @@
 
 The problems, with all features and given tables of laws, are written to a file. The kernel as an executable
 (`native/driver.cpp`) computes them on an x86-64 processor without AVX and an aarch64 one, which QEMU emulates
-(`qemu-user`), and on this one at each level that it has; Node.js computes them in WebAssembly.
+(`qemu-user`), on Windows, of which Wine has what it calls, and on this one at each level that it has; Node.js
+computes them in WebAssembly. What is not installed is skipped.
 `pytest -m on_demand tests/test_native_same_bytes.py` runs it.
 """
 
@@ -46,6 +47,7 @@ HERE = Path(__file__).parent / "native"
 EMULATED = {
     "x86-64-v2": ("x86_64-linux-musl", "x86_64_v2", ["qemu-x86_64", "-cpu", "Nehalem"]),
     "aarch64": ("aarch64-linux-musl", "generic", ["qemu-aarch64"]),
+    "windows": ("x86_64-windows-gnu", "x86_64_v2", ["wine"]),
     "x86-64-v3": ("x86_64-linux-musl", "x86_64_v3", []),
     "x86-64-v4": ("x86_64-linux-musl", "x86_64_v4", []),
 }
@@ -186,7 +188,7 @@ def test_each_processor_gives_the_same_bytes(processor, cases, tmp_path):
     own = native.load_library().nf_processor_level()
     if processor.startswith("x86") and not emulator and own < int(processor[-1]):
         pytest.skip(f"this processor has level {own}")
-    driver, results = tmp_path / "driver", tmp_path / "results"
+    driver, results = tmp_path / "driver.exe", tmp_path / "results"  # Wine runs no other name
     compiler = [
         sys.executable,
         "-m",

@@ -35,6 +35,10 @@ from needlefit.imaging.volume import (
 from needlefit.project.reader_process import Arrays, allow_memory
 
 _MILLIMETRES = {"meter": 1e3, "mm": 1.0, "micron": 1e-3}  # one unit of a header in mm
+NO_UNIT = (
+    "the header states no unit of length (`xyzt_units`), and mm are taken: compare a known length, and state "
+    "the unit where the file is made"
+)
 
 
 def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> dict[str, Any]:
@@ -53,7 +57,10 @@ def read_nifti(arrays: Arrays, path: str, stored: int, labels: bool = False) -> 
             assert isinstance(image, nibabel.Nifti1Image)  # NIfTI-2 is one, too
             assert isinstance(image.dataobj, ArrayProxy)
             header, proxy = image.header, image.dataobj
-            unit = _MILLIMETRES.get(header.get_xyzt_units()[0], 1.0)
+            stated = header.get_xyzt_units()[0]
+            unit = _MILLIMETRES.get(stated, 1.0)
+            if stated not in _MILLIMETRES:
+                notes.append(NO_UNIT)
             scale = np.array([[unit], [unit], [unit], [1.0]])
             qform, sform = scale * header.get_qform(), scale * header.get_sform()
             steps = unit * np.abs(np.array(header["pixdim"][1:4], dtype=np.float64))

@@ -3,11 +3,12 @@
 #include "../../needlefit/mechanics/native/abi.cpp"
 
 extern "C" {
+using Size = decltype(sizeof 0);  // on Windows no `unsigned long`
 void* fopen(const char*, const char*);
-unsigned long fread(void*, unsigned long, unsigned long, void*);
-unsigned long fwrite(const void*, unsigned long, unsigned long, void*);
+Size fread(void*, Size, Size, void*);
+Size fwrite(const void*, Size, Size, void*);
 int fclose(void*);
-void* calloc(unsigned long, unsigned long);
+void* calloc(Size, Size);
 void free(void*);
 }
 

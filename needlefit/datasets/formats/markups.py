@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem, to_lps
@@ -36,9 +36,6 @@ FCSV_SYSTEMS = {"0": "RAS", "1": "LPS"}  # until 2019 by numbers
 FCSV_DEFINED = "2"  # status of a point that was placed
 MAX_FCSV_CHARS = 10_000  # of a line; longer cells are no numbers
 _FCSV_HEADER = re.compile(r"#\s*([^=]*?)\s*=\s*(.*?)\s*$")
-
-# A label of a point that also names its needle: `N1-3`. No point before the number: `10.5` is a number.
-_LABEL = re.compile(r"(.*\S)\s*[-_ :/#]\s*(\d{1,6})")
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
@@ -196,7 +193,7 @@ def _read_curves(path: Path) -> ReadCurves:
     notes = [f"{unset} points without a position ignored"] if unset else []
     named = list[tuple[str, Points]]()
     for one in curves:
-        whole, groups = one.as_curve(), _group_by_label(one)
+        whole, groups = one.as_curve(), _divide(one)
         stem = "" if len(curves) == 1 else f"{one.name}-"
         named += [(f"{stem}{name}", whole.part(np.array(rows))) for name, rows in groups.items()]
         named += [] if groups else [(one.name, whole)]
@@ -212,24 +209,8 @@ def _read_curves(path: Path) -> ReadCurves:
     return dict(named), notes
 
 
-def _group_by_label(markups: Markups) -> dict[str, list[int]]:
-    """Return the points of each needle in a list whose labels name needles; nothing of another list.
-
-    They do where all are a name and a number, as `N1-1`, `N1-2`, `N2-1`, the points of a name follow each
-    other, and its numbers begin again: Slicer itself numbers all points of a list after one name.
-    """
-    matches = [match for label in markups.labels if (match := _LABEL.fullmatch(label.strip()))]
-    if markups.kind != "Fiducial" or len(matches) < len(markups.labels):
-        return {}
-    rows = range(len(matches))
-    runs = [(name, [*run]) for name, run in groupby(rows, lambda row: matches[row][1])]
-    groups = dict(runs)
-    numbers = {name: [int(matches[row][2]) for row in run] for name, run in runs}
-    shared = Counter(number for own in numbers.values() for number in {*own})
-    is_named = 1 < len(groups) == len(runs) < len(matches)
-    is_unique = all(len({*own}) == len(own) for own in numbers.values())
-    is_again = all(max(shared[number] for number in own) > 1 for own in numbers.values())
-    return groups if is_named and is_unique and is_again else {}
+def _divide(markups: Markups) -> dict[str, list[int]]:
+    return divide_labels(markups.labels) if markups.kind == "Fiducial" else {}
 
 
 def _read_centerline(path: Path, _columns: Mapping[str, str], _found: list[Fault]) -> Points:

@@ -14,6 +14,7 @@ from needlefit.datasets.importing.synonyms import INDEX
 from needlefit.datasets.importing.table_heads import ColumnGroup, find_pairs
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
 from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayoutError, is_number_like
+from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
 from needlefit.geometry.frames import PatientSystem
@@ -21,7 +22,6 @@ from needlefit.geometry.frames import PatientSystem
 # What holds from its row above the points on, of all needles, until another row restates it.
 SHARED_ANSWERS = tuple(one for one in ATTRIBUTES if one not in ("depth", "bevel side", "medium", "specimen"))
 _KEYS = ("specimen", "needle")  # columns that tell curves apart
-_LABEL = re.compile(r"(.*?)[\s_.:-]*(\d+)")  # of a point: the stem, and its number
 
 
 @dataclass
@@ -145,10 +145,8 @@ class CurveReader:
             is_tips = any(groups[0].headers[k].meaning == "deflection" for k in groups[0].columns)
             if len(texts) <= MIN_POINTS or len({*texts.values()}) < len(texts) or is_tips:
                 continue
-            parts = {n: _LABEL.fullmatch(text) for n, text in texts.items()}
-            stems = {n: part[1] if part else texts[n] for n, part in parts.items()}
-            counts = [*stems.values()]
-            if len({*counts}) < 2 or min(map(counts.count, counts)) < MIN_POINTS:
+            rows, needles = [*texts], divide_labels([*texts.values()])
+            if not needles:
                 shown = ", ".join(list(texts.values())[:3])
                 column = groups[0].headers[m].text or m + 1
                 raise DataError(
@@ -158,7 +156,7 @@ class CurveReader:
                     fix=f'if they are points of one needle: --columns "point number={column}"; '
                     "tips alone, one of each needle, cannot be fitted yet",
                 )
-            found[m] = stems
+            found[m] = {rows[k]: name for name, own in needles.items() for k in own}
         return found
 
     def is_point(self, groups: Sequence[ColumnGroup], n: int, is_open: bool) -> bool:
