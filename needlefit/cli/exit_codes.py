@@ -96,16 +96,23 @@ def report_error(error: BaseException, invocation: Invocation) -> int:
 _EXTRAS = {"aiohttp": "view", "distributed": "cluster"}  # of packages that needlefit works without
 
 
+# What to do where a write fails: such errors name no file, and are about the results.
+_SPACE_ADVICE = {
+    errno.ENOSPC: "free some space",
+    errno.EDQUOT: "free some space",
+    errno.EFBIG: "raise the limit of the size of files (ulimit -f)",
+}
+
+
 def _to_user_error(error: BaseException, invocation: Invocation) -> BaseException:
     """Return an error of Python's of which it is known what a user can do, as one that states it."""
     if isinstance(error, OSError):
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        advice = "free some space" if full else "check the path and its permissions"
+        advice = _SPACE_ADVICE.get(error.errno or 0, "")
         return ConfigError(
             f"cannot be read or written: {error.strerror or error}",
-            where=str(error.filename or (invocation.out if full else "")),
+            where=str(error.filename or (invocation.out if advice else "")),
             expected="a place that exists, with space left, that you may read and write",
-            fix=f"{advice}, or choose another folder",
+            fix=f"{advice or 'check the path and its permissions'}, or choose another folder",
         )
     if isinstance(error, MemoryError):
         return ConfigError(
