@@ -19,7 +19,7 @@ from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare
+from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Settings
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
@@ -91,8 +91,9 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
     turned = replace(
         dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
     )
-    prepare("phantom1", load(file, FitRecord), Settings(file=file, note=notes.append), turned)
-    assert notes == ["warning: all turned"]
+    settings = Settings(file=file, note=notes.append)
+    print_notes(prepare("phantom1", load(file, FitRecord), settings, turned), settings)
+    assert notes == ["warning: all turned (needlefit explain bevel-side)"]
 
 
 def test_insertions_deflected_away_from_their_bevel_and_copies_are_named(tmp_path):
