@@ -45,7 +45,7 @@ def measure_needles(truth: dict[str, float], gauge: int, rng: np.random.Generato
         side = 1 - 2 * (number % 2)
         shape = simulate(needle, tissue, Bevel(offset=truth["bevel_mm"], side=side), depth)
         s = np.linspace(0.0, depth, 1 + round(depth / SPACING_MM))
-        points = np.column_stack([compute_positions(shape, s), np.zeros(len(s))])
+        points = compute_positions(shape, s)
         points[:, 1:] += np.radians(ANGLE_SD_DEG) * rng.standard_normal(2) * points[:, :1]
         x, y, z = (points + POINT_SD_MM * rng.standard_normal(points.shape)).T
         tables.append(pd.DataFrame({"needle": f"n{number}", "x": x, "y": y, "z": z, "bevel side": side}))

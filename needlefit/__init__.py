@@ -109,10 +109,8 @@ _HOMES = {
 """Names by the module in which they are."""
 
 
-def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]", *, in_space: bool = False) -> "Scene":
+def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]") -> "Scene":
     """Return the scene that a bare name such as `phantom1`, a path, or a table of its keys means.
-
-    A needle that leaves the plane z = 0 is refused unless `in_space`.
 
     Raises
     ------
@@ -126,7 +124,7 @@ def open_scene(scene: "str | Path | SceneRecord | Mapping[str, Any]", *, in_spac
     from needlefit.schemas.scene import SceneRecord
 
     record, name = read_given("scene", scene, SceneRecord)
-    opened = Scene.from_record(record, f"scene {name}", in_space=in_space)
+    opened = Scene.from_record(record, f"scene {name}")
     issue_warnings(scene_warnings(record, f"scene {name}"))
     return opened
 

@@ -61,7 +61,7 @@ def measure(
     error: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Insertion:
     """The insertion with the model's own shape as its measured centreline."""
-    planar = sample_inserted_points(predict(values, record, planned), points)
+    planar = sample_inserted_points(predict(values, record, planned), points)[:, :2]
     planar = planar if error is None else error(planar)
     centerline = np.column_stack([planar, np.zeros(len(planar))])
     return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))

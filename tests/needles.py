@@ -48,9 +48,7 @@ def build(folder: Path, depths: tuple[float, ...] = DEPTHS, pose_source: PoseSou
         id_, side = f"needle-{n + 1}", (1, -1)[n % 2]
         origin, x, y = np.array([0.0, 3.0 * n, 0.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
         points = sample_inserted_points(simulate(NEEDLE, tissue, Bevel(BEVEL, side), depth), 401)
-        curves[id_] = make_entry_frame(origin, x, y).to_world(
-            np.column_stack((points, np.zeros(len(points))))
-        )
+        curves[id_] = make_entry_frame(origin, x, y).to_world(points)
         rows.append(
             InsertionRow(
                 id=id_, medium="gel", layers=2, depth=depth, specimen=f"piece{n // 2 + 1}", side=side,

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
-from needlefit.inference.compared_points import align, align_points, pad_planes
-from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
+from needlefit.inference.compared_points import align, align_points
+from needlefit.mechanics.shape import NeedleShape, compute_positions, list_planes, map_beam_points
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.mechanics.torsion import find_roll
 from needlefit.metrics import compute_metrics
@@ -38,7 +38,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
         z = np.interp(s, measured.s, measured.out_of_plane)
         seen = np.column_stack([seen, z])
-        simulated = pad_planes(compute_positions(shape, s), 2)
+        simulated = compute_positions(shape, s)
         errors = compare_curves(align(measured.target.pose, simulated, seen), seen)
     else:
         return None
@@ -52,14 +52,15 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
     now, scene, measured = steering.now, steering.scene, viewed_scene.measured
     shape, step, controls = now.shape, now.step, now.step.controls
     before = np.linspace(float(shape.x[0]), min(0.0, shape.depth), POINTS_BEFORE_TISSUE)
-    needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 2)
+    needle = compute_positions(shape, np.unique(np.concatenate([before, shape.x])))  # (K, 3)
     load = compute_loads(shape, now.tissue, scene.needle, controls, scene.rules)
-    measure = (lambda y, _: y) if shape.w is None else math.hypot  # in space a magnitude
+    planes = len(list_planes(shape)[0])  # the page has no z of a needle that it solves for in one
+    measure = (lambda y, _: y) if planes == 1 else math.hypot  # in space a magnitude
     loaded = compute_positions(shape, load.s) if len(load.s) else np.empty((0, 2))
     items = [guide_number(guide, steering.names) for guide in controls.guides]
     errors = None if measured is None else compute_live_errors(measured, shape)
     base, tip = (
-        {"x": place[0], "y": place[1], "z": place[2] if len(place) > 2 else None, "rotation": float(slope)}
+        {"x": place[0], "y": place[1], "z": place[2] if planes == 2 else None, "rotation": float(slope)}
         for place, slope in zip(
             needle[[0, -1]].round(LENGTH_DIGITS).tolist(), shape.slope[[0, -1]], strict=True
         )
@@ -70,14 +71,16 @@ def encode_state(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "depth_mm": step.depth,
         "x": round_lengths(needle[:, 0]),
         "y": round_lengths(needle[:, 1]),
-        "z": round_lengths(needle[:, 2]) if shape.w is not None else None,
+        "z": round_lengths(needle[:, 2]) if planes == 2 else None,
         "depths": shape.constraints[:, 0].tolist(),
-        "constraints": [round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
-        "tip_path": [round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
+        **{
+            name: [round_lengths(column) for column in map_beam_points(shape, points).T[: 1 + planes]]
+            for name, points in (("constraints", shape.constraints), ("tip_path", shape.tip_path))
+        },
         "load": {
             "x": round_lengths(loaded[:, 0]),
             "y": round_lengths(loaded[:, 1]),
-            "n_per_mm": [one.tolist() for one in (load.load, load.load_z) if one is not None],
+            "n_per_mm": [one.tolist() for one in (load.load, load.load_z)[:planes]],
         },
         "forces": {
             "base_n": measure(load.base.force, load.base.force_z),

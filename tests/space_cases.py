@@ -70,16 +70,11 @@ def turn_step(step: Step, degrees: float) -> Step:
 
 def list_planes(shape: NeedleShape) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return what a shape has along y and along z, by name."""
-    zero = np.zeros_like
-    planar = shape.w is None
     return {
-        "u": (shape.u, zero(shape.u) if planar else shape.w),
-        "slope": (shape.slope, zero(shape.u) if planar else shape.slope_z),
-        "constraints": (
-            shape.constraints[:, 1],
-            zero(shape.constraints[:, 1]) if planar else shape.constraints[:, 2],
-        ),
-        "track": (shape.tip_track[:, :2], zero(shape.tip_track) if planar else shape.tip_track[:, 2:]),
+        "u": (shape.u, shape.w),
+        "slope": (shape.slope, shape.slope_z),
+        "constraints": (shape.constraints[:, 1], shape.constraints[:, 2]),
+        "track": (shape.tip_track[:, :2], shape.tip_track[:, 2:]),
     }
 
 

@@ -39,7 +39,7 @@ def bend(dataset, one, s, boundaries, depth, bevel):
     guides = () if one.guide_distance is None else (Guide(-one.guide_distance),)
     options = ModelOptions(tolerance=MAX_TOLERANCE_MM, first_cell=MEDIUM.first_cell_mm)
     step = Step(depth, Bevel(bevel, one.side), Controls(guides=guides))
-    return compute_positions(simulate_steps(one.needle, tissue, (step,), options), s)
+    return compute_positions(simulate_steps(one.needle, tissue, (step,), options), s)[:, :2]
 
 
 def put_in_order(boundaries):

@@ -34,7 +34,7 @@ def with_sections(dataset, insertion):
     shape = predict(TRUE, MEDIUM, insertion)
     s = np.append(np.arange(-30.0, insertion.depth - 4, 0.5), insertion.depth)
     q = s + 30.0
-    places = np.column_stack([read_points(insertion, shape, s), np.zeros(len(s))])
+    places = read_points(insertion, shape, s)
     weights = np.where(np.arange(len(s)) % 7 == 3, 0.2, 1.0)
     sections = SplineSections(
         q, s, insertion.frame.to_world(places), weights, make_knots(0.0, q[-1], KNOT), SIGMA, 0.002

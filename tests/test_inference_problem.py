@@ -134,10 +134,10 @@ def test_the_simulated_points_are_those_at_the_same_distance_from_the_tip():
 
     def bent(s):
         turned = np.asarray(s, dtype=float) / 100.0
-        return 100.0 * np.column_stack([np.sin(turned), 1 - np.cos(turned)])
+        return 100.0 * np.column_stack([np.sin(turned), 1 - np.cos(turned), np.zeros(len(turned))])
 
     c, d = math.cos(2.0), math.sin(2.0)
-    seen = bent(np.arange(40.0, 100.5)) @ np.array([[c, d], [-d, c]]) + [300.0, 1.0]
+    seen = bent(np.arange(40.0, 100.5))[:, :2] @ np.array([[c, d], [-d, c]]) + [300.0, 1.0]
     simulated, shown = align_points(select_points("free", 5.0, measured(100.0, seen), 56), bent)
     np.testing.assert_allclose(simulated, shown, atol=1e-9)
     goal = select_points("free", 5.0, measured(101.0, seen), 56)

@@ -50,8 +50,7 @@ def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
     """An insertion through two layers whose bevel turns on the way, measured without errors."""
     planned = replace(insertion(depth, (12.0,), (1, 2)), turns=turns, **changes)
     points = sample_inserted_points(predict(TRUTH, medium(), planned), 101)
-    z = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
-    return planned.with_planar(points[:, :2], z)
+    return planned.with_planar(points[:, :2], points[:, 2])
 
 
 def in_space(made, how=FREE, planes=2):
@@ -233,7 +232,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     theta = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1})
     assert_one_density(make_problem(data, made, known, WeightsRecord(), FREE), theta)
     scene = make_scene_record(TRUTH, known, data, made[0])
-    again = Scene.from_record(scene, in_space=True)
+    again = Scene.from_record(scene)
     assert again.tissue.torsional_friction == 0.5
     np.testing.assert_allclose(
         simulate_steps(again.needle, again.tissue, again.steps, again.rules).w, shape.w

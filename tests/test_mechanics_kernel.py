@@ -32,7 +32,7 @@ def test_large_compression_few_iterations_and_short_needles():
     assert np.max(np.abs(fast.u[1:])) / 3.0 > 0.1
     np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
     # Only the base moves: the first iteration, from the straight guess, still compresses nothing fully.
-    points = np.column_stack((np.arange(11.0), np.zeros(11)))
+    points = np.outer(np.arange(11.0), [1.0, 0.0, 0.0])
     tissue = Tissue(mu=[1e-3], alpha=[1.0], thickness=[0.5])
     shape = equilibrium(NEEDLE, tissue, points, Controls(base_y=40.0))
     assert shape.iterations > 0
@@ -62,10 +62,10 @@ def test_positions_keep_the_length():
     shape = simulate(NEEDLE, nothing, Bevel(0.0), 30.0, Controls(base_slope=0.1))
     points = compute_positions(shape, np.array([0.0, 30.0]))
     advance = points[1] - points[0]
-    np.testing.assert_allclose(advance, [30.0 * np.cos(0.1), 30.0 * np.sin(0.1)], rtol=1e-7)
+    np.testing.assert_allclose(advance, [30.0 * np.cos(0.1), 30.0 * np.sin(0.1), 0.0], rtol=1e-7)
     shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 30.25)
     points = sample_inserted_points(shape, 7)
-    assert points.shape == (7, 2)
+    assert points.shape == (7, 3)
     assert points[-1, 1] == pytest.approx(shape.tip_lateral)
     assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
 
@@ -73,8 +73,9 @@ def test_positions_keep_the_length():
 def test_a_deflection_of_constant_curvature_is_drawn_as_a_circle() -> None:
     """It is exact in cubic elements."""
     x, radius = np.concatenate(([-95.0, -20.0], np.arange(56.0))), 300.0
-    along, still = x + 95.0, np.zeros((1, 2))
-    shape = NeedleShape(x, along**2 / 2 / radius, along / radius, still, still, "converged", 0)
+    along, flat = x + 95.0, np.zeros_like(x)
+    bent = x, along**2 / 2 / radius, along / radius, flat, flat
+    shape = NeedleShape(*bent, np.zeros((1, 3)), np.zeros((1, 4)), "converged", 0)
     place = compute_positions(shape, np.linspace(x[0], x[-1], 301))
     np.testing.assert_allclose(np.hypot(place[:, 0] + 95.0, place[:, 1] - radius), radius, atol=1e-9)
 
@@ -141,7 +142,7 @@ def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve)
     expected = y + slope * (150 + x_1) + x_1 * side * 0.1 / spacing
     assert shape.constraints[1, 1] == pytest.approx(expected, abs=1e-9)
     np.testing.assert_array_equal(shape.constraints[0], 0.0)  # first contact has been
-    np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope], atol=1e-12)
+    np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope, 0.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("solve", [simulate, reference.simulate])

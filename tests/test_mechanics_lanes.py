@@ -103,7 +103,7 @@ def test_neighbours_and_spare_lanes_change_no_bit(sets: int, controls: Controls,
 
 def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
     parts = (getattr(shapes, field.name) for field in fields(shapes))
-    return NeedleShapes(*(None if part is None else part[sets] for part in parts))
+    return NeedleShapes(*(part[sets] for part in parts))
 
 
 @pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])

@@ -37,7 +37,7 @@ def test_tissue_base_guides_and_tracked_tip_balance(seed: int, kind: str) -> Non
     shape = simulate_steps(needle, tissue, steps, rules, lattice)
     loads = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
     along = compute_lateral_load(shape, tissue, loads.s, rules)
-    np.testing.assert_allclose(along, loads.load, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(along, [loads.load, loads.load_z], rtol=1e-9, atol=1e-12)
     every = (loads.tissue, loads.base, *loads.guides, loads.tip)
     for parts in ([one.force for one in every], [one.moment + one.x * one.force for one in every]):
         assert abs(sum(parts)) < 1e-5 * np.sum(np.abs(parts))
@@ -104,7 +104,7 @@ def test_a_tilted_cantilever_carries_the_load_less_friction(gamma: float, factor
     """At slope 1/2 sin^2 is 1/5; soft, very distant tissue pulls with a uniform load on the outer part."""
     length, a, load, away = NEEDLE.length, 60.0, 1e-6, 1e8
     tissue = Tissue(mu=[load / away / 3], alpha=[1.0], thickness=[1e9], friction=[gamma], law="linear")
-    points = np.column_stack((np.arange(91.0), np.full(91, away)))
+    points = np.column_stack((np.arange(91.0), np.full(91, away), np.zeros(91)))
     whole = load * (3 * length**4 - 4 * length * a**3 + a**4) / (24 * NEEDLE.flexural_rigidity)
     for slope in (0.5, -0.5):
         shape = equilibrium(NEEDLE, tissue, points, Controls(base_slope=slope))

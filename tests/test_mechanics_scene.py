@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import refusal
 
-from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, TrackedTip
 from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
 from needlefit.mechanics.simulate import simulate_steps
@@ -23,26 +21,26 @@ TABLES: dict[str, Any] = {
 }
 
 
-def built(*, in_space: bool = False, **tables: Any) -> Scene:
-    return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml", in_space=in_space)
+def built(**tables: Any) -> Scene:
+    return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml")
 
 
 def test_a_roll_by_half_turns_is_a_side():
     rolls = {0: (1, 0), 180: (-1, 0), -180: (-1, -360), 360: (1, 360), 540: (-1, 360), 90: (1, 90)}
     for degrees, (side, rest) in rolls.items():
         tables = {"depth_mm": 20, "bevel": {"offset_mm": 0.1, "roll_deg": degrees}}
-        scene = built(in_space=True, **tables)
+        scene = built(**tables)
         assert scene.steps[0].bevel == Bevel(0.1, side, 0.0, rest)
-        assert scene.spatial == (degrees == 90)
+        assert simulate_scene(scene)[-1].leaves_plane == (degrees == 90)
 
 
-def test_inputs_along_z_are_read_and_refused_where_only_the_plane_is_known():
+def test_inputs_along_z_are_read():
     guide = {"name": "g", "x_mm": -8, "y_mm": 0.1, "z_mm": 0.4, "angle_deg": 30, "elevation_deg": 10}
     controls = {
         "base_z_mm": 0.3, "base_slope_z_deg": 2, "stage_angle_deg": 20, "stage_elevation_deg": -5,
         "tip_y_mm": 0.1, "tip_z_mm": -0.2, "tip_slope_deg": 1, "tip_slope_z_deg": 3,
     }  # fmt: skip
-    scene = built(in_space=True, depth_mm=20, guides=[guide], controls=controls, torsional_friction_n=0.2)
+    scene = built(depth_mm=20, guides=[guide], controls=controls, torsional_friction_n=0.2)
     (step,), tan = scene.steps, lambda degrees: math.tan(math.radians(degrees))
     held = step.controls
     assert (held.base_z, held.base_slope_z) == pytest.approx((0.3, tan(2)))
@@ -51,12 +49,9 @@ def test_inputs_along_z_are_read_and_refused_where_only_the_plane_is_known():
     assert held.guides[0].z == 0.4
     assert held.guides[0].slope_z == pytest.approx(tan(10) / math.cos(math.radians(30)))
     assert held.tip == TrackedTip(0.1, tan(1), -0.2, tan(3))
-    assert scene.tissue.torsional_friction == 0.2 and scene.spatial
+    assert scene.tissue.torsional_friction == 0.2
     shapes = simulate_scene(scene)
-    assert shapes[-1].converged and shapes[-1].w is not None and shapes[-1].w[-1] == pytest.approx(-0.2)
-    for tables in ({"controls": {"base_z_mm": 0.3}}, {"bevel": {"offset_mm": 0.1, "roll_deg": 3.0}},
-                   {"torsional_friction_n": 0.2}):  # fmt: skip
-        refusal(ConfigError, "plane z = 0", built, depth_mm=20, **tables)
+    assert shapes[-1].converged and shapes[-1].w[-1] == pytest.approx(-0.2)
 
 
 def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
@@ -66,9 +61,9 @@ def test_the_steps_of_a_spatial_scene_are_those_of_one_session():
         {"depth_mm": 4},
         {"depth_mm": 15.5, "side": -1},
     ]
-    scene = built(in_space=True, steps=steps, torsional_friction_n=0.4)
+    scene = built(steps=steps, torsional_friction_n=0.4)
     shapes = simulate_scene(scene)
-    assert [shape.depth for shape in shapes] == [9, 20, 4, 15.5] and shapes[0].w is not None
+    assert [shape.depth for shape in shapes] == [9, 20, 4, 15.5]
     whole = simulate_steps(scene.needle, scene.tissue, scene.steps, lattice=scene.lattice)
     np.testing.assert_array_equal(shapes[-1].w, whole.w)
     rolls = [find_roll(step.bevel) for step in scene.tip_steps]

@@ -59,11 +59,12 @@ def test_the_tips_derivatives_on_the_way_are_those_of_an_insertion_that_stops_th
     steps = [Step(depth, Bevel(0.05), Controls(guides=(Guide(-20.0, y),))) for depth, y in moves]
     lattice, kinds = Lattice(1.0, 1.0), ("mu", "shape", "offset", "guides")
     shape, whole = linearize_steps(NEEDLE, PHANTOM, steps, lattice=lattice, wrt=kinds)
-    assert whole.tip_track.shape == (len(shape.tip_track), len(whole.names))
+    assert whole.tip_track.shape == (2, len(shape.tip_track), len(whole.names))
     for n, depth in ((0, 7.0), (1, 11.0), (1, 19.0), (2, 25.0), (2, 30.0)):
         some = [*steps[:n], replace(steps[n], depth=depth)]
         _, stopped = linearize_steps(NEEDLE, PHANTOM, some, lattice=lattice, wrt=kinds)
-        np.testing.assert_allclose(whole.tip_track[int(depth)], stopped.u[-1], rtol=1e-10, atol=1e-13)
+        tip = whole.tip_track[:, int(depth)]
+        np.testing.assert_allclose(tip, stopped.u[:, -1], rtol=1e-10, atol=1e-13)
 
 
 @pytest.mark.parametrize("boundary", [6.5, 7.0])
@@ -79,14 +80,14 @@ def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_dee
     ahead = (4 * deflection(boundary + step) - 3 * deflection(boundary) - deflection(boundary + 2 * step)) / (
         2 * step
     )
-    np.testing.assert_allclose(found.u[:, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
+    np.testing.assert_allclose(found.u[0, :, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
 
 
 def test_failed_needles_and_unknown_kinds_have_no_derivatives():
     shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
     assert shape.status == "over-compressed"
-    assert found.u.shape == (len(shape.x), 3) and found.constraints.shape == (11, 3)
-    assert all(np.isnan(part).all() for part in (found.x, found.u, found.slope, found.constraints))
+    assert found.u.shape == (2, len(shape.x), 3) and found.constraints.shape == (2, 11, 3)
+    assert all(np.isnan(part).all() for part in (found.x, found.u[0], found.slope[0], found.constraints[0]))
     refusal(ModelError, "`depth`", lambda: linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth")))
 
 

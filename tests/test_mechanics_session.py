@@ -55,7 +55,7 @@ def test_equal_inputs_change_nothing_and_out_of_the_tissue_base_and_guide_alone_
     out = under_way.step(-12.5)
     assert out.depth == 0.0 and under_way.depth == 0.0
     np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
-    np.testing.assert_array_equal(out.constraints, [[0.0, 0.0]])
+    np.testing.assert_array_equal(out.constraints, [[0.0, 0.0, 0.0]])
     assert_close(under_way.step(8.5), session().step(8.5))
     under_way = session()
     under_way.step(5.0)

@@ -13,7 +13,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
-    SPATIAL_DERIVATIVE_KINDS,
+    DERIVATIVE_KINDS_ALONG_Z,
     Batch,
     compute_batch_positions,
     differentiate_batch_positions,
@@ -44,7 +44,7 @@ def test_all_inputs_turned_about_x_give_the_needle_turned(seed: int, kind: str, 
     rules = replace(rules, tolerance=FINE)
     turned = tuple(turn_step(step, 40.0) for step in steps)
     one, other = (solve(needle, tissue, s, rules, lattice) for s in (steps, turned))
-    assert one.w is not None
+    assert one.leaves_plane
     assert_turned(other, one, 40.0, 2e-8)  # of short, stiff elements, rounding
 
 
@@ -56,7 +56,7 @@ def test_a_planar_insertion_that_is_rolled_is_the_planar_needle_rolled(roll: flo
     rules = replace(rules, tolerance=FINE)
     turned = tuple(turn_step(step, roll) for step in steps)
     one, other = (solve(needle, tissue, s, rules, lattice) for s in (steps, turned))
-    assert one.w is None
+    assert not one.leaves_plane
     assert_turned(other, one, roll, 2e-8)
 
 
@@ -75,7 +75,7 @@ def test_kernel_equals_reference(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
     case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
     found, expected = simulate_steps(*case), reference.simulate_steps(*case)
-    assert found.w is not None
+    assert found.leaves_plane
     assert_close(found, expected)
     s = np.union1d(found.x, rng.uniform(found.x[0], found.depth, 20))
     points = compute_positions(found, s)
@@ -104,7 +104,7 @@ def test_derivatives_are_those_of_complex_steps(seed: int, kind: str) -> None:
     needle, tissue, steps, rules, lattice = draw(np.random.default_rng(seed), kind, 3, 9.0)
     rules = replace(rules, tolerance=FINE)
     unused = "offset" if kind == "path_angle" else "cut_angle"
-    wrt = [one for one in (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS) if one != unused]
+    wrt = [one for one in (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if one != unused]
     shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=wrt)
     assert shape.converged and {"roll", "base_z"} <= set(found.names)
     assert_derivatives(found, needle, tissue, steps, rules, lattice)
@@ -189,7 +189,7 @@ def test_a_session_finds_the_bits_of_simulate_steps(seed: int, kind: str) -> Non
 def test_a_session_that_leaves_its_plane_is_that_in_space() -> None:
     steps = Step(6.2, Bevel(0.1)), Step(3.1, Bevel(0.1)), Step(12.4, Bevel(0.1, roll_deg=90.0))
     session = Session(NEEDLE, TISSUE, steps[0].bevel, 1.0)
-    assert session.go(steps[0]).w is None
+    assert not session.go(steps[0]).leaves_plane
     for step in steps[1:]:
         shape = session.go(step)
     expected = simulate_steps(NEEDLE, TISSUE, steps, lattice=Lattice(1.0, 1.0))
@@ -307,7 +307,7 @@ def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z() -> None:
     steps = Step(10.0, Bevel(0.1)), Step(20.0, Bevel(0.1, roll_deg=90.0))
     shape = reference.simulate_steps(NEEDLE, TISSUE, steps)
     before = reference.simulate_steps(NEEDLE, TISSUE, steps[:1])
-    assert shape.w is not None and before.w is None
+    assert shape.leaves_plane and not before.leaves_plane
     y, z = list_planes(shape)["constraints"]
     np.testing.assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)
     np.testing.assert_array_equal(z[:11], 0.0)  # the cut before the turn stays in the plane

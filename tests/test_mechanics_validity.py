@@ -14,6 +14,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch, linearize, simulate_batches
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.native import make_flat
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, count_element_solves, plan_stops
 from needlefit.mechanics.session import Session
@@ -40,9 +41,10 @@ TISSUE = Tissue(np.array([0.2, 33.0]), np.array([1.0, -1.0]), np.array([12.0]))
 def beam(x, u, slope) -> NeedleShape:
     """A beam without tissue, of which the tip has always stood where it stands."""
     x, u, slope = (np.array(values, dtype=float) for values in (x, u, slope))
-    here = np.array([[x[-1], u[-1]]])
-    track = np.array([[u[-1], slope[-1]]])
-    return NeedleShape(x, u, slope, here, track, "converged", 0, np.array([10.0, 40.0]))
+    flat = make_flat(x.shape)
+    here = np.array([[x[-1], u[-1], 0.0]])
+    track = np.array([[u[-1], slope[-1], 0.0, 0.0]])
+    return NeedleShape(x, u, slope, flat, flat, here, track, "converged", 0, np.array([10.0, 40.0]))
 
 
 def test_a_cantilever_and_a_clamped_needle_have_the_slope_of_the_textbook():

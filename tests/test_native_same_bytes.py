@@ -32,7 +32,7 @@ from space_cases import leave_plane
 
 from hatch_build import FLAGS, ZIG_FLAGS
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, SPATIAL_DERIVATIVE_KINDS, find_columns
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, DERIVATIVE_KINDS_ALONG_Z, find_columns
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.packing import pack_problem, plan_insertion
@@ -100,7 +100,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bo
     )
     if all(len(step.controls.before) == 1 for step in steps):
         values["guide_x"] = rng.uniform(-30, -2, sets)
-    kinds = (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS) if spatial else DERIVATIVE_KINDS
+    kinds = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if spatial else DERIVATIVE_KINDS
     columns = find_columns(kinds, tissue, steps, rules)
     columns = columns if rng.random() < 0.3 else None
     lattice, packed = plan_insertion(steps, needle.length, rules)
@@ -149,8 +149,7 @@ def compute_results(problem: native.KernelProblem, points: int, s: np.ndarray) -
     found = b"".join(shapes.arrays[name].tobytes() for name in names if name in shapes.arrays)
     nodes = int(shapes.arrays["nodes"][0])
     x, u, slope = (np.ascontiguousarray(shapes.arrays[name][..., :nodes]) for name in ("x", "u", "slope"))
-    u, slope = (part[0] if len(part) == 1 else part for part in (u, slope))
-    return found + native.compute_positions(x, u, slope, s).tobytes()
+    return found + native.compute_positions(x, u, slope, s)[..., : 1 + len(u)].tobytes()
 
 
 def digest(content: bytes) -> str:

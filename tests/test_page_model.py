@@ -181,7 +181,8 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
             assert found["fault"] is None, order
         shape = steering.now.shape
         assert found["tip"] == shape.tip_lateral
-        parts = (shape.x, *list_planes(shape), shape.constraints)
+        u, slope = list_planes(shape)
+        parts = (shape.x, u, slope, shape.constraints[:, : 1 + len(u)])
         parts = [np.ascontiguousarray(one, dtype=np.float64) for one in parts]
         assert found["shape"] == [one.tobytes().hex() for one in parts]
         assert found["reach"] == steering.reach()
@@ -221,7 +222,7 @@ def find_tip_force(steering: SteeredNeedle, depth: float) -> float:
         if step.depth >= depth - 1e-9:
             break
     loads = compute_loads(shape, tissue, scene.needle, step.controls, scene.rules)
-    if steering.now.shape.w is None:
+    if len(list_planes(steering.now.shape)[0]) == 1:
         return loads.tip_force
     return math.hypot(loads.tip_force, loads.tip_region_force_z + loads.tip.force_z)
 

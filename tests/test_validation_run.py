@@ -190,7 +190,7 @@ def own_crossing(planned: Insertion) -> float:
 
     def beyond(boundary: float) -> float:
         points = sample_inserted_points(shape_with(planned, boundary), 4001)
-        return float(np.interp(boundary, *points.T)) * 2.0 + boundary - 18.0
+        return float(np.interp(boundary, *points[:, :2].T)) * 2.0 + boundary - 18.0
 
     return float(brentq(beyond, 10.0, 18.0, xtol=1e-9))
 
@@ -226,7 +226,7 @@ def straight(bend: float, side: int = 1) -> Insertion:
 
 
 def along_x(scored: Insertion):
-    return lambda s: np.column_stack([s, 0 * s])
+    return lambda s: np.outer(s, [1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(("bend", "flagged"), [(0.1, True), (0.24, True), (0.26, False), (3.0, False)])
@@ -248,7 +248,7 @@ def test_each_needle_has_baseline_curves_of_its_own() -> None:
     methods = make_predictors(problem(medium(1), bent[:2]), {}, None)
     for one in bent:
         curve = methods["constant_curvature"](one)["measured"]
-        np.testing.assert_allclose(curve(s)[-1], one.planar[-1], atol=1e-3)
+        np.testing.assert_allclose(curve(s)[-1], [*one.planar[-1], 0.0], atol=1e-3)
     assert select_same_needle(bent, thin) == (bent[1],)
     assert select_same_needle(bent, thin, least=2) == select_same_needle(bent, Needle(1.0, 1.0)) == (*bent,)
 

@@ -8,7 +8,6 @@ from inference_cases import medium
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.tip_tracks import TipReadings, make_track
-from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle
@@ -98,7 +97,7 @@ def simulate_deflections(tracks: list[Insertion], at: list[np.ndarray]) -> tuple
 def simulate_in_space(one: Insertion) -> np.ndarray:
     """The tips (n, 2) along y and z of a run at the truth."""
     ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.planar[:, 0]])
-    return np.asarray(pad_planes(points, 2)[:, 1:])
+    return np.asarray(points[:, 1:])
 
 
 def measured_in_space(one: Insertion, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> Insertion:

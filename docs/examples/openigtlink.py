@@ -105,8 +105,7 @@ class StreamedNeedle:
     def list_messages(self) -> list[pyigtl.messages.MessageBase]:
         """Return what is sent of the needle as it stands."""
         shape = self.session.now.shape
-        points = np.zeros((POINTS, 3))
-        points[:, :2] = needlefit.compute_positions(shape, np.linspace(shape.x[0], shape.x[-1], POINTS))
+        points = needlefit.compute_positions(shape, np.linspace(shape.x[0], shape.x[-1], POINTS))
         cos, sin = np.cos(shape.slope[-1]), np.sin(shape.slope[-1])
         tip = np.eye(4)
         tip[:3] = np.column_stack([[-sin, cos, 0.0], [0.0, 0.0, 1.0], [cos, sin, 0.0], points[-1]])

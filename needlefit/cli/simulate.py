@@ -18,6 +18,7 @@ from needlefit.project.locate import find_file, find_view_target
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 if TYPE_CHECKING:
+    from needlefit.arrays import Floats
     from needlefit.geometry.frames import Placement
     from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
@@ -132,7 +133,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     from needlefit.mechanics.session import NeedleState
     from needlefit.project.unit_warnings import scene_warnings
 
-    title, scene = record.title or name, Scene.from_record(record, where, in_space=True)
+    title, scene = record.title or name, Scene.from_record(record, where)
     shapes = simulate_scene(scene)
 
     def draw(path: Path) -> None:
@@ -224,7 +225,7 @@ def summarize_simulation(
 def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
     from needlefit.mechanics.shape import compute_positions
 
-    slope, slope_z = float(shape.slope[-1]), 0.0 if shape.slope_z is None else float(shape.slope_z[-1])
+    slope, slope_z = float(shape.slope[-1]), float(shape.slope_z[-1])
     size = math.hypot(slope, slope_z)  # of the rotation
     y, z = (one * math.sin(size) / (size or 1.0) for one in (slope, slope_z))
     return {
@@ -250,7 +251,7 @@ def _show_summary(title: str, summary: dict[str, Any]) -> None:
     for number, step in enumerate(summary["steps"], start=1):
         found, row = step["converged"], {"step": number, "inserted_mm": step["depth_mm"]}
         state = ("ok" if step["valid"] else "outside the model's limits") if found else step["status"]
-        place = ", ".join(map(_format_length, step["tip_mm"])) if found else None
+        place = _format_place(step["tip_mm"]) if found else None
         named = ("tip_lateral_mm", "roll_at_tip_deg", "tip_angle_deg")
         tip = {key: step[key] if found else None for key in named}
         tip |= {"tip_z": step["tip_z_mm"] if found else None, "tip_position": place}
@@ -273,12 +274,17 @@ def _describe_outcome(summary: dict[str, Any]) -> str:
     depth = f"depth {summary['depth_mm']:g} mm"
     if not summary["converged"]:
         return f"NOT CONVERGED at {depth}: {summary['status']}."
-    place = ", ".join(map(_format_length, summary["tip_mm"]))
+    place = _format_place(summary["tip_mm"])
     valid = "" if summary["valid"] else "; outside what the model assumes"
     lateral, z = summary["tip_lateral_mm"], summary["tip_z_mm"]
     side = f"{_format_length(abs(lateral))} mm to the {'right' if lateral < 0 else 'left'}"
     beside = f", {_format_length(z)} mm along z," if z else ""
     return f"Tip {side}{beside} of the entry axis at {depth}; tip at ({place}) mm in the world{valid}."
+
+
+def _format_place(place: "Floats") -> str:
+    """Return coordinates in print; without z of a tip in the plane z = 0."""
+    return ", ".join(map(_format_length, place if place[2] else place[:2]))
 
 
 def _format_length(value: float) -> str:

@@ -96,6 +96,11 @@ def _flatten_guide(insertion: Insertion) -> Insertion:
     return replace(insertion, guide=insertion.guide.flatten(), directions=1)
 
 
+def select_compared(points: Floats, planes: int, axis: int = -1) -> Floats:
+    """Return the coordinates that are compared of points in space: x and y in one plane, else z too."""
+    return points if planes == 2 else np.take(points, (0, 1), axis)
+
+
 def _project_turns(insertion: Insertion) -> Insertion:
     turns = [(depth, math.cos(math.radians(roll))) for depth, roll in insertion.turns]
     halves = ((depth, 0.0 if cosine > -PLANAR_TURN_SINE else 180.0) for depth, cosine in turns)

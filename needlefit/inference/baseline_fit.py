@@ -14,7 +14,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
-from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, pad_planes, turn_about_x
+from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, turn_about_x
 from needlefit.inference.likelihood.observations import select_points
 
 
@@ -27,14 +27,16 @@ class FittedBaseline:
     planes: int = 1
 
     def curve(self, insertion: Insertion) -> Curve:
-        """Return the curve of an insertion: arc lengths (K,) from the entry -> points in C, mm.
-
-        They are (K, 2), and (K, 3) of an insertion in space whose bevel was turned on the way.
-        """
+        """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 3) in C, mm."""
         with BASELINES.plugin_error_context(self.baseline.name):
-            curve = self.baseline.curve(self.coefficients, insertion)
+            curve = _in_space(self.baseline.curve(self.coefficients, insertion))
         roll = find_plane(insertion) if self.planes == 2 else 0.0
-        return (lambda s: turn_about_x(pad_planes(curve(s), 2), roll)) if roll else curve
+        return (lambda s: turn_about_x(curve(s), roll)) if roll else curve
+
+
+def _in_space(curve: Curve) -> Curve:
+    """Return the curve in space, with points (K, 3), of one in the plane z = 0, with points (K, 2)."""
+    return lambda s: np.pad(curve(s), ((0, 0), (0, 1)))
 
 
 def find_plane(insertion: Insertion) -> float:
@@ -94,6 +96,7 @@ def _residuals(
     """Return all coordinates' differences, mm."""
     differences = []
     for insertion, goal in pairs:
-        simulated, measured = align_points(goal, baseline.curve(coefficients.tolist(), insertion))
+        curve = _in_space(baseline.curve(coefficients.tolist(), insertion))
+        simulated, measured = align_points(goal, curve)
         differences.append((simulated - measured)[:, :2].ravel())
     return np.concatenate(differences)

@@ -16,19 +16,6 @@ from needlefit.geometry.frames import (
 )
 
 
-def pad_planes(points: Floats, planes: int, axis: int = -1) -> Floats:
-    """Return points in as many planes, of which those that bend in one alone lie at z = 0.
-
-    `axis` has the coordinates, two or three.
-    """
-    missing = 1 + planes - points.shape[axis]
-    if missing <= 0:
-        return points
-    shape = [*points.shape]
-    shape[axis] = missing
-    return np.concatenate([points, np.zeros(shape)], axis=axis)
-
-
 def turn_about_x(points: Floats, angle: Floats | float) -> Floats:
     """Return points (..., K, 3) turned about C's x axis by angles (...,), rad."""
     cos, sin = (np.asarray(part)[..., None] for part in (np.cos(angle), np.sin(angle)))
@@ -63,7 +50,7 @@ class ComparedPoints:
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
-    simulated = pad_planes(curve(target.s), 2)
+    simulated = curve(target.s)
     if target.pose != "free":
         return align(target.pose, simulated, target.in_space), target.in_space
     planar = align(target.pose, simulated[:, :2], target.measured)

@@ -15,8 +15,9 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import draw_errors_across, draw_measurement_errors
+from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
-from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, pad_planes
+from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
@@ -120,8 +121,8 @@ def _linearize(
         problem.insertions, some, pairs, stated_pairs, strict=True
     ):
         planes, measured = problem.dataset.planes, goal.measured_in(problem.dataset.planes)
-        by_stated, by = (pad_planes(one[0], planes, axis=-2) for one in (by_stated, by))
-        place = goal.pose, pad_planes(simulated[0], planes), measured
+        by_stated, by = (select_compared(one[0], planes, axis=-2) for one in (by_stated, by))
+        place = goal.pose, select_compared(simulated[0], planes), measured
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
@@ -161,7 +162,7 @@ def _draw_errors(
     nodes = make_nodes(insertion, goal.s, "linear")
     model = PreparedModel(problem.medium, nodes.insertions)
     points = model.read_points([values], list(nodes.s))
-    curves = np.stack([pad_planes(one[0], planes) for one in points])  # (m, K, 2 or 3)
+    curves = np.stack([select_compared(one[0], planes) for one in points])  # (m, K, 2 or 3)
     for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):
         deviation = axis.own * rng.standard_normal(REPLICATES)
         if axis.surface:

@@ -53,7 +53,7 @@ def planned_layers(
     pose and the bending plane, which comes from the bevel where the dataset states it, else from the shape.
     """
     # the straight planned path; it uses nothing of the measured shape
-    path = np.column_stack((np.linspace(0.0, insertion.depth, 101), np.zeros(101)))
+    path = np.outer(np.linspace(0.0, insertion.depth, 101), (1.0, 0.0, 0.0))
     layers = _find_layers(path, insertion)
     for round_ in range(MAX_ROUNDS):
         shape = predict(*layers)
@@ -68,7 +68,6 @@ def planned_layers(
     return None
 
 
-def _find_layers(planar: Floats, insertion: Insertion) -> Layers:
-    """Return the layers that a curve (K, 2) in C meets."""
-    world = insertion.frame.to_world(np.column_stack((planar, np.zeros(len(planar)))))
-    return find_layers(world, insertion.frame, insertion.surfaces)
+def _find_layers(curve: Floats, insertion: Insertion) -> Layers:
+    """Return the layers that a curve (K, 3) in C meets."""
+    return find_layers(insertion.frame.to_world(curve), insertion.frame, insertion.surfaces)

@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.marginal import (
     count_residuals,
@@ -106,8 +105,7 @@ class PosteriorDensity:
         nodes = self._first_nodes if as_measured else self._nodes
         points = nodes.model.read_points(sets, nodes.places, jobs)
         for one, some in zip(self.observations, nodes.nodes, strict=True):
-            planar = (pad_planes(next(points), one.planes) for _ in some.s)
-            stacked = np.stack([*planar], axis=1)  # (B, m, K, 2), in space (B, m, K, 3)
+            stacked = np.stack([next(points) for _ in some.s], axis=1)  # (B, m, K, 3)
             white = whiten_residuals(one, stacked)
             yield white if as_measured else append_pose_curves(one, white)
 
@@ -280,8 +278,7 @@ class PosteriorDensity:
         exact = iter(self.whitened_residuals(sets, jobs)) if self.node_slopes else None
         for k, (one, some) in enumerate(zip(self.observations, nodes.nodes, strict=True)):
             places, slopes = zip(*(next(pairs) for _ in some.s), strict=True)
-            stacked = np.stack([pad_planes(part, one.planes) for part in places], axis=1)
-            by = np.stack([pad_planes(part, one.planes, axis=-2) for part in slopes], axis=1)
+            stacked, by = np.stack(places, axis=1), np.stack(slopes, axis=1)
             white = next(exact) if exact else append_pose_curves(one, whiten_residuals(one, stacked))
             by_white, moved = np.zeros((*white.shape, by.shape[-1])), len(one.nodes.s)
             by_white[:, :moved] = whiten_derivatives(one, stacked, by)  # of one node, or of all

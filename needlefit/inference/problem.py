@@ -10,15 +10,10 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
-from needlefit.inference.compared_points import (
-    ComparedPoints,
-    align,
-    align_points,
-    differentiate_align,
-    pad_planes,
-)
+from needlefit.inference.compared_points import ComparedPoints, align, align_points, differentiate_align
 from needlefit.inference.fit import ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrepancy
@@ -108,10 +103,8 @@ class Problem:
         goals, total, planes = self.compared_points, np.zeros(len(thetas)), self.dataset.planes
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
         for goal, simulated, weights in zip(goals, points, self._station_weights, strict=True):
-            measured = goal.measured_in(planes)
-            total += metric_misfits(
-                align(goal.pose, pad_planes(simulated, planes), measured) - measured, weights
-            )
+            measured, simulated = goal.measured_in(planes), select_compared(simulated, planes)
+            total += metric_misfits(align(goal.pose, simulated, measured) - measured, weights)
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
@@ -127,8 +120,9 @@ class Problem:
             self._list_values(thetas), self.parameters, [goal.s for goal in goals], jobs
         )
         for goal, (simulated, by) in zip(goals, found, strict=True):
-            measured, simulated = goal.measured_in(planes), pad_planes(simulated, planes)
-            slopes = differentiate_align(goal.pose, simulated, measured, pad_planes(by, planes, axis=-2))
+            measured, simulated = goal.measured_in(planes), select_compared(simulated, planes)
+            by = select_compared(by, planes, axis=-2)
+            slopes = differentiate_align(goal.pose, simulated, measured, by)
             every.append((align(goal.pose, simulated, measured) - measured, slopes))
         off, slopes = (np.concatenate(part, axis=1) for part in zip(*every, strict=True))
         weights = np.concatenate(self._station_weights) / len(goals)

@@ -66,7 +66,7 @@ class Batch:
     #: base_y, base_slope: (B,) of the base in every step, mm and 1
     base_y: Floats | None = None
     base_slope: Floats | None = None
-    #: base_z, base_slope_z: (B,) as these, out of the plane; with one of them or `roll` sets are in space
+    #: base_z, base_slope_z: (B,) the same along z
     base_z: Floats | None = None
     base_slope_z: Floats | None = None
     roll: Floats | None = None  #: (B,) rad, added to the roll of every bevel
@@ -185,33 +185,30 @@ VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: wh
 class NeedleShapes:
     """The shapes of a batch: the fields of `NeedleShape` with a leading axis of B sets."""
 
-    #: x, u, slope: (B, N)
+    #: x, u, slope, w, slope_z: (B, N)
     x: Floats
     u: Floats
     slope: Floats
-    constraints: Floats  #: (B, M + 1, 2)
-    tip_track: Floats  #: (B, M + 1, 2)
+    w: Floats
+    slope_z: Floats
+    constraints: Floats  #: (B, M + 1, 3)
+    tip_track: Floats  #: (B, M + 1, 4)
     status: Ints  #: (B,) into `simulate.STATUS_NAMES`; 0: converged
     iterations: Ints  #: (B,)
     scales: Floats  #: (B, 2)
-    #: w, slope_z: (B, N), or None, as in `NeedleShape`
-    w: Floats | None = None
-    slope_z: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.u)
 
     def __getitem__(self, i: int) -> NeedleShape:
         return NeedleShape(
-            self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
-            STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
-            *(None if part is None else part[i] for part in (self.w, self.slope_z)),
+            self.x[i], self.u[i], self.slope[i], self.w[i], self.slope_z[i], self.constraints[i],
+            self.tip_track[i], STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
         )  # fmt: skip
 
     def take(self, sets: slice) -> "NeedleShapes":
         """Return some of the sets; their arrays are views."""
-        given = {one.name: getattr(self, one.name) for one in fields(self)}
-        return replace(self, **{name: part[sets] for name, part in given.items() if part is not None})
+        return NeedleShapes(*(getattr(self, one.name)[sets] for one in fields(self)))
 
     @property
     def converged(self) -> Bools:
@@ -235,11 +232,8 @@ class NeedleShapes:
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the points (B, K, 2), in space (B, K, 3), in C of every needle at `s` (K,), mm; see
-    `compute_positions`.
-    """
-    parts = (np.ascontiguousarray(part, dtype=np.float64) for part in (shapes.x, *list_planes(shapes), s))
-    return native.compute_positions(*parts)
+    """Return the points (B, K, 3) in C of every needle at `s` (K,), mm; see `compute_positions`."""
+    return native.compute_positions(shapes.x, *list_planes(shapes), s)
 
 
 #: kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns
@@ -247,8 +241,8 @@ DERIVATIVE_KINDS = (
     "mu", "shape", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
     "stage_slope", "guides",
 )  # fmt: skip
-#: further ones, which move the needle out of its plane; with one of them shape and derivatives are in space
-SPATIAL_DERIVATIVE_KINDS = ("roll", "base_z", "base_slope_z", "stage_slope_z")
+#: further ones, which move the needle along z
+DERIVATIVE_KINDS_ALONG_Z = ("roll", "base_z", "base_slope_z", "stage_slope_z")
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
@@ -261,34 +255,31 @@ class Jacobian:
 
     Bevel and base are shifted alike in all steps; guides of several steps at the same x are one guide,
     numbered by x. Where a node itself moves along the needle, its deflection is followed along with it.
-    In space all but `x` have a leading axis of two, y and z.
+    All but `x` have a leading axis of two, y and z.
     """
 
     #: mu1, ..., the law's shape parameters (alpha1, ...), friction1, ..., boundary1, ..., rigidity, offset,
-    #: cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ...; in space guide1_z
-    #: and guide1_slope_z too, and roll (rad), base_z, base_slope_z, stage_slope_z at the end
+    #: cut_angle, base_y, base_slope, stage_slope, guide1_x, guide1_y, guide1_slope, ..., roll (rad), base_z,
+    #: base_slope_z, stage_slope_z; guide1_z and guide1_slope_z where the needle leaves the plane z = 0
     names: tuple[str, ...]
     x: Floats  #: (N, P) of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0
-    #: u, slope: (N, P) of the nodes' deflection and slope
+    #: u, slope: (2, N, P) of the nodes' deflections and slopes
     u: Floats
     slope: Floats
-    constraints: Floats  #: (M + 1, P) of the y of the constraint points
-    tip_track: Floats  #: (M + 1, P) of the tip's deflection as it stood at each constraint point
+    constraints: Floats  #: (2, M + 1, P) of y and z of the constraint points
+    tip_track: Floats  #: (2, M + 1, P) of the tip's deflections as it stood at each constraint point
 
 
 @dataclass(frozen=True)
 class Jacobians:
-    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with an axis of B sets, but for `x`.
-
-    In space that of y and z comes before it.
-    """
+    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with an axis of B sets, but for `x`."""
 
     names: tuple[str, ...]
     x: Floats  #: (N, P) the same for all sets
-    #: u, slope: (B, N, P)
+    #: u, slope: (2, B, N, P)
     u: Floats
     slope: Floats
-    #: constraints, tip_track: (B, M + 1, P), tip_track empty where it was not asked for
+    #: constraints, tip_track: (2, B, M + 1, P), tip_track empty where it was not asked for
     constraints: Floats
     tip_track: Floats
     converged: Bools  #: (B,) all derivatives of other sets are NaN
@@ -296,7 +287,7 @@ class Jacobians:
     def __getitem__(self, i: int) -> Jacobian:
         parts = (self.u, self.slope, self.constraints, self.tip_track)
         x = self.x if self.converged[i] else np.full_like(self.x, np.nan)
-        return Jacobian(self.names, x, *(part[..., i, :, :] for part in parts))
+        return Jacobian(self.names, x, *(part[:, i] for part in parts))
 
 
 def linearize(
@@ -381,22 +372,22 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
         if column >= 0:
             by_x[:-1][x[:-1] == place, column] = 1.0  # none holds the tip
     if not insertion.columns.total:
-        across = () if insertion.columns.planes == 1 else (2,)
-        nodes, points = (np.empty((*across, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
+        nodes, points = (np.empty((2, evaluation.sets, n, 0)) for n in (len(x), insertion.points))
         return Jacobians((), by_x, nodes, nodes, points, points, converged)
     arrays = [evaluation.shapes.arrays[f"{name}_by"] for name in ("u", "slope", "constraints")]
     arrays.append(evaluation.shapes.arrays.get("track_by", arrays[-1][:, :, :0]))
     if not evaluation.all_valid:
         for array in arrays:
             array[:, ~evaluation.valid] = np.nan
-    u, slope, points, track = (array[0] if len(array) == 1 else array for array in arrays)
+    u, slope, points, track = (native.pad_axis(array, 2, axis=0) for array in arrays)
     return Jacobians(insertion.columns.names, by_x, u, slope, points, track, converged)
 
 
 def differentiate_batch_positions(shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
-    """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `compute_batch_positions(shapes, s)`."""
-    by = jacobians.x, jacobians.u, jacobians.slope
-    return native.compute_position_derivatives(shapes.x, *list_planes(shapes), s, *by)
+    """Return the derivatives (B, K, 3, P) of `compute_batch_positions(shapes, s)`."""
+    u, slope = list_planes(shapes)
+    by = jacobians.x, jacobians.u[: len(u)], jacobians.slope[: len(u)]
+    return native.compute_position_derivatives(shapes.x, u, slope, s, *by)
 
 
 def find_columns(
@@ -408,14 +399,14 @@ def find_columns(
 ) -> Columns:
     """Return the columns of the derivatives of an insertion by kinds of parameters.
 
-    These are of `DERIVATIVE_KINDS` and `SPATIAL_DERIVATIVE_KINDS`; `steps` have the roll of the tip, and
+    These are of `DERIVATIVE_KINDS` and `DERIVATIVE_KINDS_ALONG_Z`; `steps` have the roll of the tip, and
     `values` are the names of what differs between sets.
 
     Raises ModelError if there is no such kind of parameter.
     """
     guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
-    spatial = any(kind in SPATIAL_DERIVATIVE_KINDS for kind in wrt)
-    planes = 2 if spatial else count_planes(steps, values)
+    planes = 1 if set(DERIVATIVE_KINDS_ALONG_Z).isdisjoint(wrt) else 2
+    planes = max(planes, count_planes(steps, values))
     return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle, planes)
 
 
@@ -428,7 +419,7 @@ def _make_columns(
     path_angle: bool,
     planes: int,
 ) -> Columns:
-    every = (*DERIVATIVE_KINDS, *SPATIAL_DERIVATIVE_KINDS)
+    every = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z)
     wrong = [kind for kind in wrt if kind not in every]
     if wrong:
         raise ModelError(
@@ -496,7 +487,7 @@ def linearize_batches(
     wrt : sequence of str
         Kinds of parameters, as `linearize` takes them.
     tracked : bool
-        Whether `tip_track` is asked for; without it, derivatives in space take less time.
+        Whether `tip_track` is asked for; without it, derivatives take less time.
 
     Returns
     -------
@@ -633,8 +624,5 @@ def _read_shapes(batch: Batch, evaluation: Evaluation) -> NeedleShapes:
         a["status"][wrong], a["passes"][wrong] = native.NON_FINITE, 0
         a["u"][:, wrong] = a["slope"][:, wrong] = a["track"][wrong] = a["constraints"][wrong, 1:, 1:] = np.nan
     scales = compute_scales(batch.tissue, evaluation.insertion.depth, batch.rules.spacing)
-    shapes = NeedleShapes(
-        a["x"], a["u"][0], a["slope"][0], a["constraints"], a["track"], a["status"], a["passes"],
-        np.tile(scales, (len(batch), 1)),
-    )  # fmt: skip
-    return shapes if len(a["u"]) == 1 else replace(shapes, w=a["u"][1], slope_z=a["slope"][1])
+    nodes = native.to_space(*(a[name] for name in ("x", "u", "slope", "constraints", "track")))
+    return NeedleShapes(*nodes, a["status"], a["passes"], np.tile(scales, (len(batch), 1)))

@@ -179,12 +179,12 @@ class Controls:
         )  # fmt: skip
 
     @property
-    def planar(self) -> bool:
-        """Whether all of them act in the plane z = 0."""
+    def act_along_z(self) -> bool:
+        """Whether one of them moves or turns the needle along z."""
         if self.base_z != 0 or self.base_slope_z != 0 or self.stage_slope_z != 0:
-            return False
+            return True
         held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
-        return not held or all(one.z == 0 and (one.slope is None or one.slope_z == 0) for one in held)
+        return any(one.z != 0 or (one.slope is not None and one.slope_z != 0) for one in held)
 
 
 @dataclass(frozen=True)
@@ -207,9 +207,9 @@ class Step:
             raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
 
     @property
-    def planar(self) -> bool:
-        """Whether bevel and boundary conditions leave the needle in the plane z = 0."""
-        return (self.bevel.roll_deg == 0 or self.bevel.toward[1] == 0) and self.controls.planar
+    def acts_along_z(self) -> bool:
+        """Whether bevel or boundary conditions lead a needle out of the plane z = 0."""
+        return (self.bevel.roll_deg != 0 and self.bevel.toward[1] != 0) or self.controls.act_along_z
 
 
 COARSEST_TOLERANCE_MM = 1e-3  #: of Newton's method: coarser ones end before the first correction

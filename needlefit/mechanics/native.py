@@ -13,7 +13,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from ctypes import byref, c_double, c_int64, c_void_p
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -383,6 +383,50 @@ class CutRay(NamedTuple):
     controls_id: int
 
 
+class SolvedNodes(NamedTuple):
+    """Nodes and constraint points of one needle or several: the fields of `shape.NeedleShape`."""
+
+    x: Floats
+    u: Floats
+    slope: Floats
+    w: Floats
+    slope_z: Floats
+    constraints: Floats
+    tip_track: Floats
+
+
+def to_space(x: Floats, u: Floats, slope: Floats, constraints: Floats, track: Floats) -> SolvedNodes:
+    """Return what the kernel found in P planes: u, slope (P, ..., N), points (..., 1 + P), track (..., 2 P).
+
+    Along z everything is 0 of needles that it solved for in one plane.
+    """
+    w, slope_z = (u[1], slope[1]) if len(u) == 2 else (make_flat(x.shape),) * 2
+    return SolvedNodes(x, u[0], slope[0], w, slope_z, pad_axis(constraints, 3), pad_axis(track, 4))
+
+
+@lru_cache(maxsize=64)
+def make_flat(shape: tuple[int, ...]) -> Floats:
+    """Return zeros of no size in memory: deflections along z of needles that stay in the plane z = 0."""
+    return np.broadcast_to(np.zeros(()), shape)
+
+
+def stack_planes(along_y: Floats, along_z: Floats) -> Floats:
+    """Return values on a leading axis of the planes for which the kernel solves: y alone where z is flat."""
+    is_flat = not any(along_z.strides) and not along_z.any()
+    return along_y[None] if is_flat else np.stack((along_y, along_z))
+
+
+def pad_axis(array: Floats, size: int, axis: int = -1) -> Floats:
+    """Return an array with zeros behind the values of an axis, up to `size`: what is not solved for is 0."""
+    if array.shape[axis] == size:
+        return array
+    shape, filled = list(array.shape), [slice(None)] * array.ndim
+    filled[axis], shape[axis] = slice(shape[axis]), size
+    found = np.zeros(shape)
+    found[tuple(filled)] = array
+    return found
+
+
 class SessionMemory:
     """The state of one needle from step to step; each step reads one copy and writes the other."""
 
@@ -435,13 +479,12 @@ class SessionMemory:
             check_fault(fault)
         return stops, points
 
-    def read(self, points: int) -> tuple[Floats, Floats, Floats, int, int]:
-        """Return what the last step left: the nodes' x, u and slope (1 + 2 P, N) in P planes, constraints,
-        track (points, ...), status and passes.
-        """
-        constraints, track = self._cut
-        nodes, cut = self._nodes[:, : self._count[0]].copy(), constraints[:points].copy()
-        return nodes, cut, track[:points].copy(), self._status[0], self._passes[0]
+    def read(self, points: int) -> tuple[SolvedNodes, int, int]:
+        """Return what the last step left: nodes, `points` constraint points; status and passes."""
+        nodes, planes = self._nodes[:, : self._count[0]].copy(), self._shapes.planes
+        cut, track = (part[:points].copy() for part in self._cut)
+        found = to_space(nodes[0], nodes[1 : 1 + planes], nodes[1 + planes :], cut, track)
+        return found, self._status[0], self._passes[0]
 
     def accept(self) -> None:
         """Let the needle stand where the last `advance` has brought it."""
@@ -547,31 +590,34 @@ class _BentNeedle(ctypes.Structure):
 
 
 BentShape = tuple[Floats, Floats, Floats, Floats]
-"""x (N,), u and slope (N,), in space (2, N), and constraint points (M + 1, 1 + P) of a needle."""
+"""x (N,), u and slope (P, N), and constraint points (M + 1, 3) of a needle in P planes."""
 
 
 def _bend(shape: BentShape, planes: int) -> tuple[_BentNeedle, list[Floats]]:
-    kept = [np.ascontiguousarray(part, dtype=np.float64) for part in shape]
-    across = () if planes == 1 else (planes,)
-    for name, array in zip(("x", "u", "slope"), kept, strict=False):
-        check_array(name, array, float, (*(() if name == "x" else across), max(len(kept[0]), 2)))
-    check_array("constraint points", kept[3], float, (max(len(kept[3]), 1), 1 + planes))
-    return _BentNeedle(len(kept[0]), len(kept[3]) - 1, *(part.ctypes.data for part in kept)), kept
+    x, u, slope, points = shape
+    given = (x, u, slope, points[:, : 1 + planes])
+    kept = [np.ascontiguousarray(part, dtype=np.float64) for part in given]
+    nodes = max(len(x), 2)
+    sizes = (nodes,), (planes, nodes), (planes, nodes), (max(len(points), 1), 1 + planes)
+    for name, array, size in zip(("x", "u", "slope", "constraint points"), kept, sizes, strict=True):
+        check_array(name, array, float, size)
+    return _BentNeedle(len(x), len(points) - 1, *(part.ctypes.data for part in kept)), kept
 
 
 def compute_load(problem: KernelProblem, shape: BentShape, s: Floats) -> Floats:
-    """Return the tissue's load (P, K), N/mm, on a needle at `s` (K,)."""
+    """Return the tissue's load (2, K), N/mm, along y and z on a needle at `s` (K,)."""
     needle, kept = _bend(shape, problem.planes)
     found, memory = np.empty((problem.planes, len(s))), make_memory(measure_memory(problem, 1))
     check_array("s", s, float, (-1,))
     load_library().nf_load(byref(problem), byref(needle), c_int64(len(s)), _at(s), _at(memory), _at(found))
     del kept
-    return found
+    return pad_axis(found, 2, axis=0)
 
 
 def balance_nodes(problem: KernelProblem, shape: BentShape, front: int, load: Floats) -> Floats:
-    """Return force and moment (P, N, 2) at each node that the load (P, Q) at the quadrature leaves over."""
+    """Return force and moment (2, N, 2), along y and z, that the load (2, Q) leaves over at each node."""
     needle, kept = _bend(shape, problem.planes)
+    load = np.ascontiguousarray(load[: problem.planes])
     memory = make_memory(measure_memory(problem, 1))
     found = np.empty((problem.planes, len(kept[0]), 2))
     check_array("load", load, float, (problem.planes, -1))
@@ -580,31 +626,25 @@ def balance_nodes(problem: KernelProblem, shape: BentShape, front: int, load: Fl
         *map(_at, (load, memory, found)),
     )  # fmt: skip
     check_fault(fault)
-    return found
+    return pad_axis(found, 2, axis=0)
 
 
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates (K,).
+    """Return the points (B, K, 3) of B needles at the same beam coordinates (K,).
 
-    In space `u` and `slope` are (2, B, N), and the points (B, K, 3).
+    Nodes are (B, N), and their `u` and `slope` (P, B, N) in P planes.
     """
-    library, planes, across = load_library(), *_find_planes(u)
-    count, nodes = len(x), max(x.shape[-1], 2)
-    check_array("x", x, float, (count, nodes))
-    for name, array in (("u", u), ("slope", slope)):
-        check_array(name, array, float, (*across, count, nodes))
-    check_array("s", s, float, (-1,))
+    planes, count, nodes = len(u), len(x), max(x.shape[-1], 2)
+    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
+    sizes: list[tuple[int, ...]] = [(count, nodes), *[(planes, count, nodes)] * 2, (-1,)]
+    for name, array, size in zip(("x", "u", "slope", "s"), parts, sizes, strict=True):
+        check_array(name, array, float, size)
     memory = make_memory(8 * (1 + 5 * planes) * (nodes + 2) * count_lanes())
     found = np.empty((count, len(s), 1 + planes))
-    library.nf_positions(
-        *map(c_int64, (planes, count, nodes, len(s))), *map(_at, (x, u, slope, s, memory, found))
+    load_library().nf_positions(
+        *map(c_int64, (planes, count, nodes, len(s))), *map(_at, (*parts, memory, found))
     )
-    return found
-
-
-def _find_planes(u: Floats) -> tuple[int, tuple[int, ...]]:
-    """Return the number of planes of deflections (B, N) or (2, B, N), and their axis of planes."""
-    return (2, (2,)) if u.ndim == 3 else (1, ())
+    return pad_axis(found, 3)
 
 
 def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
@@ -620,16 +660,16 @@ def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Float
 def compute_position_derivatives(
     x: Floats, u: Floats, slope: Floats, s: Floats, x_by: Floats, u_by: Floats, slope_by: Floats
 ) -> Floats:
-    """Return the derivatives (B, K, 2, P) of the points of B needles with nodes (B, N) at coordinates (K,).
+    """Return the derivatives (B, K, 3, Q) of the points of B needles with nodes (B, N) at coordinates (K,).
 
-    `u_by` and `slope_by` (B, N, P) are those of the nodes; `x_by` (N, P) is of all needles. In space u, slope
-    and their derivatives have an axis of two before all others, and points (B, K, 3).
+    In P planes `u` and `slope` are (P, B, N), and their derivatives `u_by` and `slope_by` (P, B, N, Q);
+    `x_by` (N, Q) is of all needles.
     """
-    planes, across = _find_planes(u)
+    planes = len(u)
     parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
     count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
-    sizes: list[tuple[int, ...]] = [(count, nodes), *[(*across, count, nodes)] * 2, (-1,), (nodes, columns)]
-    sizes += [(*across, count, nodes, columns)] * 2
+    sizes: list[tuple[int, ...]] = [(count, nodes), *[(planes, count, nodes)] * 2, (-1,), (nodes, columns)]
+    sizes += [(planes, count, nodes, columns)] * 2
     names = ("x", "u", "slope", "s", "x_by", "u_by", "slope_by")
     for name, array, size in zip(names, parts, sizes, strict=True):
         check_array(name, array, float, size)
@@ -639,7 +679,7 @@ def compute_position_derivatives(
     load_library().nf_position_derivatives(
         *map(c_int64, (planes, count, nodes, len(s), columns)), *map(_at, (*parts, memory, found))
     )
-    return found
+    return pad_axis(found, 3, axis=2)
 
 
 def compute_sine_cosine(angle: float) -> tuple[float, float]:

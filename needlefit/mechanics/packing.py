@@ -202,7 +202,7 @@ def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
 #: what a set of `batch.Batch` may give of the base: its plane, and its place in `Controls.base`
 _BASE_VALUES = ("base_y", 0, 0), ("base_slope", 0, 1), ("base_z", 1, 0), ("base_slope_z", 1, 1)
 #: those values of a set that take a needle out of its plane
-SPATIAL_VALUES = frozenset({"roll", "base_z", "base_slope_z"})
+_VALUES_ALONG_Z = frozenset({"roll", "base_z", "base_slope_z"})
 
 
 def count_planes(steps: Sequence[Step], values: Iterable[str] = ()) -> int:
@@ -210,7 +210,7 @@ def count_planes(steps: Sequence[Step], values: Iterable[str] = ()) -> int:
 
     `values` are the names of what differs between sets.
     """
-    return 1 if SPATIAL_VALUES.isdisjoint(values) and all(step.planar for step in steps) else 2
+    return 2 if not _VALUES_ALONG_Z.isdisjoint(values) or any(step.acts_along_z for step in steps) else 1
 
 
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> tuple[float, float]:

@@ -80,9 +80,7 @@ def simulate_steps(
     tips = np.array([np.column_stack(track[m]).ravel() for m in range(stop.cell + 1)])
     scales = compute_scales(tissue, stop.tip, C_int)
     (y, z), (slope_y, slope_z) = u[0::2].T, u[1::2].T
-    if all(step.planar for step in steps):
-        return NeedleShape(nodes, y, slope_y, points[:, :2], tips[:, :2], "converged", iterations, scales)
-    return NeedleShape(nodes, y, slope_y, points, tips, "converged", iterations, scales, z, slope_z)
+    return NeedleShape(nodes, y, slope_y, z, slope_z, points, tips, "converged", iterations, scales)
 
 
 def mesh(
@@ -182,13 +180,13 @@ def equilibrium(
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Return the points (K, 2), in space (K, 3), at beam coordinates: integrals from the base (section 5) of
-    cos u' and sin u', in space of (cos th, v' sin th / th, w' sin th / th) with th^2 = v'^2 + w'^2.
+    """Return the points (K, 3) at beam coordinates: integrals from the base (section 5) of
+    (cos th, u' sin th / th, w' sin th / th) with th^2 = u'^2 + w'^2.
 
     By Simpson's rule on a thousand pieces of every interval between nodes and wanted coordinates.
     """
-    w, slope_z = (np.zeros_like(shape.u) if part is None else part for part in (shape.w, shape.slope_z))
-    u = np.stack((shape.u, shape.slope, w, slope_z), axis=1).reshape(-1, 2, 2)  # node, plane, u and u'
+    # node, direction, deflection and slope
+    u = np.stack((shape.u, shape.slope, shape.w, shape.slope_z), axis=1).reshape(-1, 2, 2)
     edges = np.union1d(shape.x, s)
     at = edges[:-1, None] + np.diff(edges)[:, None] * np.linspace(0, 1, 2001)
     _, dN = shape_functions(shape.x, at.ravel())
@@ -197,8 +195,8 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     simpson = np.array([1, *(4, 2) * 999, 4, 1]) / 6000
     direction = np.cos(angle), y * np.sinc(angle / np.pi), z * np.sinc(angle / np.pi)
     pieces = np.column_stack([np.diff(edges) * (part @ simpson) for part in direction])
-    reached = np.vstack(([shape.x[0], shape.u[0], w[0]], pieces)).cumsum(axis=0)
-    return reached[np.searchsorted(edges, s), : 2 if shape.w is None else 3]
+    reached = np.vstack(([shape.x[0], shape.u[0], shape.w[0]], pieces)).cumsum(axis=0)
+    return reached[np.searchsorted(edges, s)]
 
 
 def modulus(tissue: Tissue, layer: Ints, lam: Floats) -> tuple[Floats, Floats]:

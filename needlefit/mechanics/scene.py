@@ -16,7 +16,7 @@ from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import compile_law, count_planes
+from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
@@ -104,16 +104,9 @@ class Scene:
         """The steps with the roll of the tip in place of the hub's."""
         return turn_tip(self.needle, self.tissue, self.steps)
 
-    @property
-    def spatial(self) -> bool:
-        """Whether the needle leaves the plane z = 0."""
-        return count_planes(self.tip_steps) == 2
-
     @classmethod
-    def from_record(cls, record: SceneRecord, where: str = "", *, in_space: bool = False) -> Self:
+    def from_record(cls, record: SceneRecord, where: str = "") -> Self:
         """Return the scene that a validated record describes; `where` is named in errors.
-
-        `in_space`: whether the caller takes a needle that leaves the plane z = 0.
 
         Raises ConfigError if the model does not take one of its values; the key is named where there is one.
         """
@@ -131,15 +124,7 @@ class Scene:
         with _name_keys(where, deepest, "rules.constraint_spacing_mm", "rules.element_mm"):
             check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
-        scene = cls(needle, tissue, steps, rules, entry, names)
-        if not in_space and (scene.spatial or tissue.torsional_friction):
-            raise ConfigError(
-                "the needle leaves the plane z = 0, or its tip lags behind the hub",
-                where=where,
-                expected="bevels with a side or a roll of 0 or 180, no inputs along z, no torsional friction",
-                fix="`needlefit simulate` computes it, and prints its shape with --json",
-            )
-        return scene
+        return cls(needle, tissue, steps, rules, entry, names)
 
 
 def simulate_scene(scene: Scene) -> tuple[NeedleShape, ...]:
@@ -167,9 +152,8 @@ def begin_session(scene: Scene, first_cell: float) -> Session:
     """
     first = scene.steps[0]
     return Session(
-        scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules,
-        spatial=scene.spatial,
-    )  # fmt: skip
+        scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules, planned=scene.steps
+    )
 
 
 def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) -> Step:

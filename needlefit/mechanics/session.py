@@ -15,7 +15,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, require_type
-from needlefit.mechanics.packing import PackedStops, compute_turn, list_tip, pack_problem
+from needlefit.mechanics.packing import PackedStops, compute_turn, count_planes, list_tip, pack_problem
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, check_reach, check_size, find_input_path
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.simulate import STATUS_NAMES
@@ -55,9 +55,9 @@ class Session:
         one.
     controls : Controls
         As the insertion begins.
-    spatial : bool
-        Whether to compute in two planes from the beginning. Without it a needle that leaves the plane z = 0
-        is simulated again in space, along its `input_path`.
+    planned : tuple of Step
+        Steps that will follow, as far as they are known. Where a step that is not among them leads the
+        needle out of the plane z = 0, all steps are simulated again, along its `input_path`.
     """
 
     # What the kernel reads, and the controls that it holds; `_hold` makes them.
@@ -79,7 +79,7 @@ class Session:
         controls: Controls = _DEFAULT_CONTROLS,
         rules: ModelOptions = _DEFAULT_OPTIONS,
         *,
-        spatial: bool = False,
+        planned: tuple[Step, ...] = (),
     ) -> None:
         require_type("needle", needle, Needle)
         require_type("tissue", tissue, Tissue)
@@ -97,14 +97,15 @@ class Session:
         self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
         self._rays = math.ceil(self._deepest / rules.spacing)
-        # a shaft that twists turns the tip to any side
-        spatial = spatial or tissue.torsional_friction > 0 or not self.last.planar
-        self._begin(self.last, 2 if spatial else 1)
+        self._planned = (self.last, *planned)
+        self._begin(self.last)
         warn_of_units(needle, tissue, (self.last,), rules, is_open=True)
 
-    def _begin(self, first: Step, planes: int) -> None:
+    def _begin(self, first: Step) -> None:
         """Bring the needle to first contact under the inputs of a step."""
-        self.last, self._planes = first, planes
+        self.last = first
+        # a shaft that twists turns the tip to any side
+        self._planes = 2 if self.tissue.torsional_friction else count_planes(self._planned)
         self._roll = find_roll(first.bevel)  # of the tip, degrees
         self._hold(first.controls)
         self._memory = native.SessionMemory(self._problem)
@@ -173,9 +174,9 @@ class Session:
         check_reach(self.needle.length, step.depth, step.controls)
         if step.depth > self._deepest:  # a single step is too large if it is too deep, and only then
             check_size((step.depth,), self.rules)
-        if self._planes == 1 and not step.planar:
-            path = self.input_path()
-            self._begin(Step(0.0, path[0].bevel, path[0].controls), planes=2)
+        if self._planes == 1 and step.acts_along_z:
+            path, self._planned = self.input_path(), (*self._planned, step)
+            self._begin(Step(0.0, path[0].bevel, path[0].controls))
             for before in path:
                 self.go(before)
         hub, turned = step.bevel, step
@@ -188,15 +189,9 @@ class Session:
         if stops == 0:  # only the bevel was turned
             shape = replace(self._shape, iterations=0)
         else:
-            nodes, constraints, track, status, passes = self._memory.read(points)
-            along_z: tuple[Floats, ...] = ()
-            if self._planes == 1:
-                x, u, slope = nodes
-            else:
-                x, u, w, slope, slope_z = nodes
-                along_z = w, slope_z
-            scales, ended = self._scales[bisect_left(self._boundaries, x[-1])], STATUS_NAMES[status]
-            shape = NeedleShape(x, u, slope, constraints, track, ended, int(passes), scales, *along_z)
+            nodes, status, passes = self._memory.read(points)
+            scales = self._scales[bisect_left(self._boundaries, nodes.x[-1])]
+            shape = NeedleShape(*nodes, STATUS_NAMES[status], int(passes), scales)
             if not shape.converged:
                 self.failures[shape.status] += 1
                 return shape
@@ -251,9 +246,8 @@ class Session:
         bevel, controls = steps[0].bevel, steps[0].controls
         tissue = tissue or self.tissue
         other = Session(
-            self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules,
-            spatial=self._planes == 2,
-        )  # fmt: skip
+            self.needle, tissue, bevel, self.lattice.first_cell, controls, self.rules, planned=self._planned
+        )
         for step in steps:
             if not other.go(step).converged:
                 break

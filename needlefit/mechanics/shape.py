@@ -100,9 +100,9 @@ class Solution(Protocol):
     @property
     def slope(self) -> Floats: ...
     @property
-    def w(self) -> Floats | None: ...
+    def w(self) -> Floats: ...
     @property
-    def slope_z(self) -> Floats | None: ...
+    def slope_z(self) -> Floats: ...
     @property
     def constraints(self) -> Floats: ...
     @property
@@ -131,11 +131,15 @@ def compute_validity(solved: Solution) -> Validity:
         )
 
 
+def list_planes(solved: Solution) -> tuple[Floats, Floats]:
+    """Return deflections and slopes (P, ..., N), in the planes for which the kernel solved."""
+    u, slope = (native.stack_planes(*pair) for pair in ((solved.u, solved.w), (solved.slope, solved.slope_z)))
+    return u, slope
+
+
 def _pair_planes(solved: Solution) -> list[tuple[Floats, Floats]]:
-    """Return deflection and slope along y and, of a needle in space, along z."""
-    if solved.w is None or solved.slope_z is None:
-        return [(solved.u, solved.slope)]
-    return [(solved.u, solved.slope), (solved.w, solved.slope_z)]
+    """Return deflection and slope along y and, of a needle that leaves the plane z = 0, along z."""
+    return list(zip(*list_planes(solved), strict=True))
 
 
 def _find_size(parts: Sequence[Floats]) -> Floats:
@@ -227,21 +231,21 @@ class NeedleShape:
     the place in space: see `compute_positions`.
     """
 
-    #: x, u, slope: (N,) node, deflection (mm) and slope u'
+    #: x, u, slope: (N,) node, deflection (mm) along y and slope u'
     x: Floats
     u: Floats
     slope: Floats
-    constraints: Floats  #: (M + 1, 2) depth and y of the constraint points, mm; point 0 is first contact
-    tip_track: Floats  #: (M + 1, 2) deflection (mm) and slope of the tip as it stood at each constraint point
+    #: w, slope_z: (N,) deflection along z (mm) and its slope
+    w: Floats
+    slope_z: Floats
+    constraints: Floats  #: (M + 1, 3) depth, y and z of the constraint points, mm; point 0 is first contact
+    #: (M + 1, 4) of the tip as it stood at each constraint point: deflection (mm) and slope along y, along z
+    tip_track: Floats
     #: "converged", or why it is not; then what was not reached is NaN, the whole shape with it
     status: Status
     iterations: int  #: Newton iterations over all steps
     #: (2,) what validity is measured by: see `compute_scales`; infinite where there is no tissue
     scales: Floats = field(default_factory=lambda: np.full(2, np.inf))
-    #: w, slope_z: (N,) of a needle in space, deflection along z and its slope; None in the plane z = 0.
-    #: `constraints` then are (M + 1, 3), with z, and `tip_track` (M + 1, 4), with both along z.
-    w: Floats | None = None
-    slope_z: Floats | None = None
 
     @cached_property
     def validity(self) -> Validity:
@@ -275,17 +279,22 @@ class NeedleShape:
 
     @property
     def tip_z(self) -> float:
-        """The z of the tip in C, mm; 0 of a needle in its plane."""
-        return 0.0 if self.w is None else float(compute_positions(self, self.x[-1:])[0, 2])
+        """The z of the tip in C, mm."""
+        return float(compute_positions(self, self.x[-1:])[0, 2])
+
+    @property
+    def leaves_plane(self) -> bool:
+        """Whether a point of the needle lies outside of the plane z = 0."""
+        return bool(self.w.any())
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Return the points (K, 2), in space (K, 3), of the needle in C, mm, at given beam coordinates.
+    """Return the points (K, 3) of the needle in C, mm, at given beam coordinates.
 
-    u' is the rotation of the needle's section: x(s) = integral of cos u', y(s) = integral of sin u', from the
-    base, which stands at its own beam coordinate and deflection. The needle keeps its length, and the tip
-    lags a little behind its depth. In space it goes along (cos th, v' sin th / th, w' sin th / th), with
-    th^2 = v'^2 + w'^2 of the slopes v' and w' along y and z.
+    The slopes u' and w' along y and z are a rotation of the needle's section by th, th^2 = u'^2 + w'^2: the
+    needle goes along (cos th, u' sin th / th, w' sin th / th), from the base, which stands at its own beam
+    coordinate and deflections. It keeps its length, and the tip lags a little behind its depth. In the plane
+    z = 0 that is x(s) = integral of cos u', y(s) = integral of sin u'.
 
     The coordinates `s` (K,), mm, are 0 at the entry, `shape.depth` at the tip, negative before the tissue.
 
@@ -299,34 +308,22 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
             f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
-    u, slope = (np.ascontiguousarray(part)[..., None, :] for part in list_planes(shape))
-    return native.compute_positions(np.ascontiguousarray(shape.x)[None], u, slope, wanted)[0]
-
-
-def list_planes(solved: Solution) -> tuple[Floats, Floats]:
-    """Return deflections and slopes; in space along y and z on a leading axis of two."""
-    if solved.w is None or solved.slope_z is None:
-        return solved.u, solved.slope
-    return np.stack((solved.u, solved.w)), np.stack((solved.slope, solved.slope_z))
+    u, slope = (part[:, None] for part in list_planes(shape))
+    return native.compute_positions(shape.x[None], u, slope, wanted)[0]
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return points (K, 2), in space (K, 3), given by beam coordinate and deflections, in those of
-    `compute_positions`.
+    """Return points (K, 3), given by beam coordinate and deflections, in those of `compute_positions`.
 
     Each point moves with the point of the needle at its beam coordinate: its distance from the needle, across
     x, is then the e of the model.
     """
     s = np.ascontiguousarray(points[:, 0])
-    beside = [
-        points[:, 1 + plane] - native.compute_deflections(shape.x, u, slope, s)
-        for plane, (u, slope) in enumerate(_pair_planes(shape))
-    ]
+    along = ((points[:, 1], shape.u, shape.slope), (points[:, 2], shape.w, shape.slope_z))
+    beside = [place - native.compute_deflections(shape.x, u, slope, s) for place, u, slope in along]
     return compute_positions(shape, s) + np.column_stack((np.zeros(len(s)), *beside))
 
 
 def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
-    """Return points (stations, 2), in space (stations, 3), in C at equal fractions of the inserted length,
-    from entry to tip.
-    """
+    """Return points (stations, 3) in C at equal fractions of the inserted length, from entry to tip."""
     return compute_positions(shape, np.linspace(0.0, shape.depth, stations))

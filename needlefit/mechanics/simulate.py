@@ -14,7 +14,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, is_bounded, require_type
-from needlefit.mechanics.packing import pack_plan, pack_problem, plan_insertion
+from needlefit.mechanics.packing import count_planes, pack_plan, pack_problem, plan_insertion
 from needlefit.mechanics.plan import Lattice, TipStop, check_reach
 from needlefit.mechanics.shape import NeedleShape, Status, compute_scales, list_planes
 from needlefit.mechanics.tissue import Tissue
@@ -101,26 +101,24 @@ def equilibrium(
 ) -> NeedleShape:
     """Return the needle's equilibrium against given constraint points, without an insertion before it.
 
-    `constraints` (M + 1, 2), in space (M + 1, 3), are depth (from 0, increasing, the last under the tip) and
-    place of the points, mm; the mesh starts from the depth of point 1.
+    `constraints` (M + 1, 3) are depth (from 0, increasing, the last under the tip), y and z of the points,
+    mm; the mesh starts from the depth of point 1.
     """
-    given = np.asarray(constraints, dtype=np.float64)
-    depths, y = given[:, 0].copy(), given[:, 1:].copy()
-    depth = float(depths[-1])
+    points = np.asarray(constraints, dtype=np.float64)
+    depths, depth = points[:, 0].copy(), float(points[-1, 0])
     require_depth(depth)
     check_reach(needle.length, depth, controls)
-    if not controls.planar and y.shape[1] == 1:
-        y = np.column_stack((y, np.zeros(len(y))))
-    planes = y.shape[1]
+    planes = 2 if points[:, 2].any() else count_planes([Step(depth, Bevel(), controls)])
     problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
-    x, state, status, passes = native.find_equilibrium(problem, depths, y[:, 0].copy() if planes == 1 else y)
+    across = points[:, 1].copy() if planes == 1 else points[:, 1:].copy()
+    x, state, status, passes = native.find_equilibrium(problem, depths, across)
     if status != native.CONVERGED:
         state[:] = np.nan
-    (u, *w), (slope, *slope_z) = state.T[:planes].copy(), state.T[planes:].copy()
-    tip = state[-1:].reshape(1, 2, planes).swapaxes(1, 2).reshape(1, -1)
+    u, slope = state.T[:planes].copy(), state.T[planes:].copy()
+    tip = np.column_stack((u[:, -1], slope[:, -1])).reshape(1, -1)
+    nodes = native.to_space(x, u, slope, points[:, : 1 + planes], tip)
     scales = compute_scales(tissue, depth, rules.spacing)
-    points = np.column_stack((depths, y))
-    return NeedleShape(x, u, slope, points, tip, STATUS_NAMES[status], passes, scales, *w, *slope_z)
+    return NeedleShape(*nodes, STATUS_NAMES[status], passes, scales)
 
 
 def pack_equilibrium(
@@ -147,9 +145,8 @@ def read_shape(shapes: native.Shapes, scales: Floats) -> NeedleShape:
     """Return the shape of the first set; NaN where it failed."""
     a = shapes.arrays
     x, points, track = (a[name][0].copy() for name in ("x", "constraints", "track"))
-    (u, *w), (slope, *slope_z) = a["u"][:, 0].copy(), a["slope"][:, 0].copy()
-    status = STATUS_NAMES[a["status"][0]]
-    return NeedleShape(x, u, slope, points, track, status, int(a["passes"][0]), scales, *w, *slope_z)
+    nodes = native.to_space(x, a["u"][:, 0].copy(), a["slope"][:, 0].copy(), points, track)
+    return NeedleShape(*nodes, STATUS_NAMES[a["status"][0]], int(a["passes"][0]), scales)
 
 
 @dataclass(frozen=True)
@@ -166,22 +163,21 @@ class SupportReaction:
 
 @dataclass(frozen=True)
 class Loads:
-    """All loads across the needle's axis, in the constraint frame C; positive toward +y."""
+    """All loads across the needle's axis, in the constraint frame C; positive toward +y and +z."""
 
     s: Floats  #: (K,) beam coordinates in the tissue at which the model integrates the load, increasing, mm
     #: (K,) lateral load of the tissue there, N/mm; it jumps where constraint point or layer change
     load: Floats
+    load_z: Floats  #: (K,) the same along z
     #: (K,) length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`
     weight: Floats
-    #: force of the tissue on the stretch that belongs to the last constraint point, N
+    #: tip_region_force, tip_region_force_z: of the tissue on the stretch of the last constraint point, N
     tip_region_force: float
+    tip_region_force_z: float
     base: SupportReaction
     #: one for each of the controls' guides, in their order; all 0 for one that does not hold yet
     guides: tuple[SupportReaction, ...]
     tip: SupportReaction  #: what holds a tracked tip where it is; all 0 where the tip is free
-    #: load_z, tip_region_force_z: the same as without _z, toward +z; None and 0 of a needle in its plane
-    load_z: Floats | None = None
-    tip_region_force_z: float = 0.0
 
     @property
     def tip_force(self) -> float:
@@ -191,8 +187,7 @@ class Loads:
     @property
     def tissue(self) -> SupportReaction:
         """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
-        planes = (self.load,) if self.load_z is None else (self.load, self.load_z)
-        forces = [self.weight * load for load in planes]
+        forces = [self.weight * load for load in (self.load, self.load_z)]
         found = [number for one in forces for number in (float(one.sum()), float(one @ self.s))]
         return SupportReaction(0.0, *found)
 
@@ -209,14 +204,14 @@ def compute_loads(
     `tissue`, `needle` and `rules` are those under which it was found, `controls` those of its last step. NaN
     where the shape is, if it did not converge.
     """
-    depths, planes = np.ascontiguousarray(shape.constraints[:, 0]), 1 if shape.w is None else 2
-    problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
+    depths, (u, slope) = np.ascontiguousarray(shape.constraints[:, 0]), list_planes(shape)
+    problem = pack_equilibrium(needle, tissue, depths, controls, rules, len(u))
     front = int(np.searchsorted(shape.x, 0.0))  # base and guides before the tissue
     s, weight, _, near = native.list_quadrature(problem, shape.x[front:].copy(), depths)
-    bent = shape.x, *list_planes(shape), shape.constraints
-    load = native.compute_load(problem, bent, s)  # (planes, K)
+    bent = shape.x, u, slope, shape.constraints
+    load = native.compute_load(problem, bent, s)  # (2, K)
     last = int(np.searchsorted(near, len(depths) - 1))  # the first that belongs to the last constraint point
-    nodal_forces = native.balance_nodes(problem, bent, front, load).swapaxes(0, 1)  # (N, planes, 2)
+    nodal_forces = native.balance_nodes(problem, bent, front, load).swapaxes(0, 1)  # (N, 2, 2)
     # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
 
@@ -224,32 +219,31 @@ def compute_loads(
         held = reactions.get(x, [])  # a guide without a node holds nothing
         return SupportReaction(x, *(n for force, moment in held for n in (force, moment if clamped else 0.0)))
 
-    (load_y, *load_z), (tip_y, *tip_z) = load, (float(weight[last:] @ one[last:]) for one in load)
+    load_y, load_z = load
     return Loads(
         s,
         load_y,
+        load_z,
         weight,
-        tip_region_force=tip_y,
+        tip_region_force=float(weight[last:] @ load_y[last:]),
+        tip_region_force_z=float(weight[last:] @ load_z[last:]),
         base=read(float(shape.x[0]), clamped=True),
         guides=tuple(read(guide.x, guide.slope is not None) for guide in controls.guides),
         tip=SupportReaction(shape.depth)
         if controls.tip is None
         else read(shape.depth, controls.tip.slope is not None),
-        load_z=load_z[0] if load_z else None,
-        tip_region_force_z=sum(tip_z),
     )
 
 
 def compute_lateral_load(
     shape: NeedleShape, tissue: Tissue, s: Floats, rules: ModelOptions = _DEFAULT_OPTIONS
 ) -> Floats:
-    """Return the lateral load (K,), in space (2, K), of the tissue, N/mm, at beam coordinates `s` (K,), mm.
+    """Return the lateral load (2, K) of the tissue along y and z, N/mm, at beam coordinates `s` (K,), mm.
 
     Where the load jumps, that of the side nearer to the base.
     """
-    needle = Needle(shape.x[-1] - shape.x[0], 1.0)
+    needle, (u, slope) = Needle(shape.x[-1] - shape.x[0], 1.0), list_planes(shape)
     depths = np.ascontiguousarray(shape.constraints[:, 0])
-    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules, 1 if shape.w is None else 2)
-    bent = shape.x, *list_planes(shape), shape.constraints
-    load = native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))
-    return load[0] if shape.w is None else load
+    problem = pack_equilibrium(needle, tissue, depths, Controls(), rules, len(u))
+    bent = shape.x, u, slope, shape.constraints
+    return native.compute_load(problem, bent, np.ascontiguousarray(s, dtype=np.float64))

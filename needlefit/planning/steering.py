@@ -128,7 +128,7 @@ class StartedInsertion:
     @property
     def spatial(self) -> bool:
         """Whether the needle has left the plane z = 0."""
-        return not all(step.planar for step in self.path)
+        return any(step.acts_along_z for step in self.path)
 
     @property
     def exact(self) -> ParameterDraws:
@@ -349,10 +349,8 @@ class _Search:
         def place(number: int, shapes: NeedleShapes, rows: slice) -> tuple[Floats]:
             entry, depth, *_ = choices[number].at
             points = compute_batch_positions(shapes, np.linspace(0.0, depth, PATH_POINTS))
-            if self.goal.spatial and points.shape[2] == 2:  # of a roll that leaves it in its plane
-                points = np.pad(points, ((0, 0), (0, 0), (0, 1)))
-            shift = np.array([0.0, entry, 0.0])[: points.shape[2]]
-            return (np.where(shapes.valid[:, None, None], points + shift, np.nan),)
+            points = np.where(shapes.valid[:, None, None], points + np.array([0.0, entry, 0.0]), np.nan)
+            return (points[..., : len(self.goal.target)],)
 
         batches = self.insertion.make_batches(draws, [self.way(one) for one in choices])
         found = read_batches(batches, lambda some: simulate_batches(some, self.threads), place)

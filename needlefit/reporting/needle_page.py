@@ -25,7 +25,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.inputs import describe_input_rules
 from needlefit.mechanics.laws import LAWS, PowerLaw
-from needlefit.mechanics.packing import pack_layers
+from needlefit.mechanics.packing import count_planes, pack_layers
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
@@ -180,7 +180,7 @@ def encode_model(scene: Scene, first_cell: float) -> dict[str, Any]:
             terms = {"at_zero": zero.tolist(), "slopes": slopes.tolist(), "layers": tissue.layers}
     return {
         "model": {
-            "spatial": scene.spatial, "length": scene.needle.length,
+            "spatial": count_planes(scene.tip_steps) == 2, "length": scene.needle.length,
             "rigidity": scene.needle.flexural_rigidity,
             "boundaries": tissue.boundaries.tolist(), "terms": sizes["terms"],
             **{name: layers[name].ravel().tolist() for name in ("mu", "thickness", "friction", "law")},

@@ -30,12 +30,12 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
         Beam coordinate: arc length from the entry, negative before it.
     x_mm, y_mm, slope
         In the constraint frame C; y is the deflection, the slope dy/ds of the model.
-    z_mm, slope_z, load_z_n_per_mm
-        Of a needle in space: the same along z.
-    world_x_mm, world_y_mm[, world_z_mm]
-        In the scene's world; of a placed needle in that of its dataset, with z.
-    load_n_per_mm
-        Lateral load of the tissue, + toward y.
+    z_mm, slope_z
+        The same along z.
+    world_x_mm, world_y_mm, world_z_mm
+        In the scene's world; of a placed needle in that of its dataset.
+    load_n_per_mm, load_z_n_per_mm
+        Lateral load of the tissue, + toward y and z.
     layer
         From 1; none before the tissue.
     """
@@ -44,26 +44,22 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
     near = np.abs(whole[:, None] - shape.x).min(axis=1) < _MIN_STATION_DISTANCE_MM
     s = np.union1d(shape.x, whole[~near])
     place = compute_positions(shape, s)
-    world = (placement or scene.entry).to_world(place)  # (K, 3) or (K, 2)
+    world = (placement or scene.entry).to_world(place)
     layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
     layer[s < 0] = pd.NA
-    load = np.atleast_2d(compute_lateral_load(shape, tissue, s, scene.rules))  # (1 or 2, K)
-    table = pd.DataFrame(
+    load, load_z = compute_lateral_load(shape, tissue, s, scene.rules)
+    return pd.DataFrame(
         {
             "s_mm": s,
-            "x_mm": place[:, 0],
-            "y_mm": place[:, 1],
+            **dict(zip(("x_mm", "y_mm", "z_mm"), place.T, strict=True)),
             "slope": _interpolate_slope(shape.x, shape.u, shape.slope, s),
-            **dict(zip(_WORLD_COLUMNS, world.T, strict=False)),
-            "load_n_per_mm": load[0],
+            "slope_z": _interpolate_slope(shape.x, shape.w, shape.slope_z, s),
+            **dict(zip(_WORLD_COLUMNS, world.T, strict=True)),
+            "load_n_per_mm": load,
+            "load_z_n_per_mm": load_z,
             "layer": layer,
         }
     )
-    if shape.w is not None and shape.slope_z is not None:
-        table.insert(3, "z_mm", place[:, 2])
-        table.insert(5, "slope_z", _interpolate_slope(shape.x, shape.w, shape.slope_z, s))
-        table.insert(len(table.columns) - 1, "load_z_n_per_mm", load[1])
-    return table
 
 
 def _interpolate_slope(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:

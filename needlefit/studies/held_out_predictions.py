@@ -19,9 +19,10 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve, align, pad_planes, turn_about_x
+from needlefit.inference.compared_points import Curve, align, turn_about_x
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
@@ -79,7 +80,7 @@ class HeldOutPrediction:
     sensors: tuple[Row, ...]
     solved: int
     outside: int
-    #: with bands, the predictive median as a curve: beam coordinates (K,) -> points (K, 2) in C, mm. x is the
+    #: with bands, the predictive median as a curve: beam coordinates (K,) -> points (K, 3) in C, mm. x is the
     #: median over draws, y that of what will be measured, each at its own beam coordinate
     median: Curve | None
 
@@ -185,9 +186,10 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        needles = pad_planes(found.points[solved], planes)
+        needles = found.points[solved]
         if planes == 2:
             needles = turn_about_x(needles, insertion.roll_sd * rng.standard_normal(len(needles)))
+        needles = select_compared(needles, planes)
         needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
@@ -227,7 +229,8 @@ class _Predictor:
         sensors = tuple({**where, **one} for one in tabulate_sensors(insertion, about_sensors))
         if self.bands:
             band = tuple({**where, **point} for point in tabulate_band(mixture, observation.measured))
-            middle = np.column_stack([np.median(aligned[..., 0], axis=0), across])
+            middle = np.zeros((len(s), 3))
+            middle[:, 0], middle[:, 1 : 1 + planes] = np.median(aligned[..., 0], axis=0), across
             median = partial(_interpolate, s, middle)
         row = {name: row[name] for name in columns}
         outside = int(np.sum(~found.valid[solved]))
@@ -263,14 +266,15 @@ class _Predictor:
         tip = len(observation.measured) - 1
         planned = self._plan(insertion, observation.nodes.s[0], further, rng)
         found, again = planned.simulate(sd=float(first.sd[tip])), np.full(len(sets), np.nan)
-        aligned = align(observation.pose, found.points[found.solved], observation.measured)
+        points = select_compared(found.points[found.solved], job.dataset.planes)
+        aligned = align(observation.pose, points, observation.measured)
         again[found.solved] = aligned[:, -1, 1]
         errors = first.sd[tip] * rng.standard_normal((2, len(sets)))
         return estimate_width_after_one(again + errors[0], first.means[:, tip] + errors[1])
 
 
 def _interpolate(known: Floats, points: Floats, s: Floats) -> Floats:
-    """Return the points (K, D) of a curve at `s` (K,); `points` are those at `known`."""
+    """Return the points (K, 3) of a curve at `s` (K,); `points` are those at `known`."""
     return np.column_stack([np.interp(s, known, along) for along in points.T])
 
 

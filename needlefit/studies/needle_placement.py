@@ -12,9 +12,9 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
-from needlefit.geometry.frames import Placement, align_rigid
+from needlefit.geometry.frames import Placement
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import align, pad_planes
+from needlefit.inference.compared_points import align
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observations import read_points, select_points
@@ -67,7 +67,7 @@ def place_needles(
 
 
 def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> Floats | None:
-    """Return the needle (K, 2) in C, as `place_points`; None without a solution."""
+    """Return the needle (K, 3) in C, as `place_points`; None without a solution."""
     values = problem.parameters.values(theta)
     shape = predict(values, problem.medium, insertion)
     if not shape.converged:
@@ -83,7 +83,7 @@ def _choose_places(problem: Problem, insertion: Insertion) -> Floats:
 
 
 def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floats) -> Floats:
-    """Return points (K, 2), in space (K, 3), of a simulated needle at `s` (K,), mm, as it lies in C.
+    """Return points (K, 3) of a simulated needle at `s` (K,), mm, as it lies in C.
 
     It lies on the measured one as far as the pose is not known. `s` are those of `select_points`.
     """
@@ -93,11 +93,14 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
     if pose == "free":
         along = insertion.measure_arc(1)
         at = along[-1] - (insertion.depth - s)
-        return align_rigid(
-            points, np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
-        )
-    goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.planes)
-    return align(pose, points, goal.measured_in(points.shape[1] - 1))
+        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
+    else:
+        planes = dataset.planes
+        goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), planes)
+        measured = goal.measured_in(planes)
+    placed, compared = points.copy(), slice(measured.shape[1])
+    placed[:, compared] = align(pose, points[:, compared], measured)
+    return placed
 
 
 def _place_predicted_band(
@@ -126,11 +129,10 @@ def _place_band_of_draws(
     sets = [problem.parameters.values(theta) for theta in thetas]
     (shapes,) = PreparedModel(problem.medium, [insertion]).simulate(sets, jobs)
     s = _choose_places(problem, insertion)
-    needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 2)
+    needles = compute_batch_positions(shapes, s)[shapes.converged]  # (B, K, 3)
     if not len(needles):
         return None
-    placed = [place_points(problem.dataset, insertion, s, needle) for needle in needles]
-    aligned = pad_planes(np.array(placed), 2)
+    aligned = np.array([place_points(problem.dataset, insertion, s, needle) for needle in needles])
     across = np.median(aligned[..., 2], axis=0)
     low, middle, high = (
         placement.to_patient(np.column_stack([x, y, across]))

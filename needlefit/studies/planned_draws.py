@@ -57,14 +57,14 @@ CHECKED_DRAWS = 12  #: draws, at most, that are also simulated at their own dept
 MAX_INTERPOLATION_ERROR = 0.1
 
 Sets = Sequence[Mapping[str, float]]  #: values of parameters (Pa, mm), a set for each draw
-#: returns the points (m, B, K, 2) of B sets with boundaries shifted by (n - 1,) and the tip by a number, mm,
+#: returns the points (m, B, K, 3) of B sets with boundaries shifted by (n - 1,) and the tip by a number, mm,
 #: for m such moves, and the validity (B,) with the first
 Move = Callable[[Sets, Sequence[tuple[Floats, float]]], tuple[Floats, Bools]]
 
 
 @dataclass(frozen=True)
 class PlannedNeedles:
-    """The needles of B draws: points (B, K, 2) in C, mm, and which are valid.
+    """The needles of B draws: points (B, K, 3) in C, mm, and which are valid.
 
     Points are NaN where the solve at the middle depths failed; validity is of these depths too.
     """
@@ -210,23 +210,20 @@ class PlannedInsertion:
             values, entry = self._sets[row], float(self._deep[row])
             met = with_planned_layers(self._insertion, values, self._medium)
             if met is None:
-                found.append((np.full((len(self._s), 2), np.nan), False))
+                found.append((np.full((len(self._s), 3), np.nan), False))
             else:
                 wrong = entry + self._wrong[row, : len(met.boundaries)]
                 found.append(self._simulate_one(row, *shift_depths(met, self._s, wrong, entry)))
         return self._join(found)
 
     def _simulate_one(self, row: int, insertion: Insertion, at: Floats) -> tuple[Floats, bool]:
-        """Return the points (K, 2 or 3) of the needle of a set at beam coordinates (K,), and its validity."""
+        """Return the points (K, 3) of the needle of a set at beam coordinates (K,), and its validity."""
         shape = predict(self._sets[row], self._medium, insertion)
         return read_points(insertion, shape, at), shape.valid
 
     def _join(self, needles: Sequence[tuple[Floats, bool]]) -> PlannedNeedles:
-        size = max(points.shape[1] for points, _ in needles)
-        every = np.full((len(needles), len(self._s), size), np.nan)
-        for row, (points, _) in zip(every, needles, strict=True):
-            row[:, : points.shape[1]] = points
-        return PlannedNeedles(every, np.array([valid for _, valid in needles]))
+        points, valid = zip(*needles, strict=True)
+        return PlannedNeedles(np.array(points), np.array(valid))
 
 
 def simulate_scene(

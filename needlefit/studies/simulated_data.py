@@ -12,12 +12,13 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.planes import select_compared
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
-from needlefit.inference.compared_points import pad_planes, turn_about_x
+from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
 from needlefit.inference.likelihood.observation import (
@@ -93,7 +94,8 @@ def simulate_measurement(
         insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
     points, planes = read_points(true, shape, at), dataset.planes
     if planes == 2:
-        points = turn_about_x(pad_planes(points, 2), insertion.roll_sd * rng.standard_normal())
+        points = turn_about_x(points, insertion.roll_sd * rng.standard_normal())
+    points = select_compared(points, planes)
     x, across = points[:, 0], points[:, 1:]  # (K,), (K, planes)
     # the roll, which turned the needle as a whole, is none of these
     sds = (pose_sds if planes == 1 else pose_sds_in_space)(insertion, dataset.noise)[:5]
@@ -127,9 +129,7 @@ def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.
     assert insertion.curvature is not None
     s, *_, sd = insertion.curvature.T
     about = append_sensors(insertion, np.empty(0))
-    points = turn_about_x(
-        pad_planes(read_points(insertion, shape, about), 2), insertion.roll_sd * rng.normal()
-    )
+    points = turn_about_x(read_points(insertion, shape, about), insertion.roll_sd * rng.normal())
     across = points[:, 1:].reshape(-1, 3, 2)
     kappa = (across[:, 0] - 2 * across[:, 1] + across[:, 2]) / SENSOR_STEP_MM**2
     return np.column_stack([s, kappa + sd[:, None] * rng.standard_normal(kappa.shape), sd])
@@ -171,7 +171,8 @@ def _measure_sections(
     size = across.size
     root = np.linalg.cholesky(known.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
     noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
-    seen = pad_planes(np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T]), 2)
+    seen = np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T])
+    seen = np.pad(seen, ((0, 0), (0, 3 - seen.shape[1])))
     q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
     points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
     measured = insertion.with_planar(points[:, :2], points[:, 2])
@@ -278,7 +279,7 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
         shape = None if met is None else predict(values, job.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
-        points = pad_planes(OBSERVATIONS[one.observed].simulate_places(one, shape), 2)
+        points = OBSERVATIONS[one.observed].simulate_places(one, shape)
         measured = one.with_planar(points[:, :2], points[:, 2])
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(job.problem(fold), insertions=tuple(made))

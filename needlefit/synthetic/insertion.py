@@ -29,7 +29,7 @@ class TrueInsertion:
     """One insertion as it really is: shape, centreline and layers."""
 
     frame: Frame  # C in the world, y toward where the bevel really faces
-    shape: NeedleShape  # in C; only the plane of the bevel
+    shape: NeedleShape  # in C, in the plane of the bevel
     centerline: Floats  # (N, 3); world points from entry to tip, with the bending out of the plane, mm
     boundaries: Floats  # (n - 1,); depths of the interfaces met, along C's x, mm
     sequence: tuple[int, ...]  # layers met
@@ -100,7 +100,9 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: design.PlanDevia
     along = np.clip(s, 0.0, None) / shape.depth
     # powers 2 and 3 leave position and slope at the entry unchanged
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
-    return frame.to_world(np.column_stack([compute_positions(shape, s), aside]))
+    points = compute_positions(shape, s)
+    points[:, 2] += aside
+    return frame.to_world(points)
 
 
 def _tissue_along(

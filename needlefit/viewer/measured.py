@@ -12,7 +12,6 @@ from needlefit.datasets.planes import set_planes
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
-from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.forward_model import ParameterDraws, select_layer_draws
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.inference.parameters import Parameters
@@ -124,7 +123,7 @@ def _show_insertion(
         s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
         points = compute_positions(shape, s)
         moved = place_points(dataset, insertion, s, points)
-        frame = move_frame(frame, pad_planes(points, 2), pad_planes(moved, 2))
+        frame = move_frame(frame, points, moved)
     return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,

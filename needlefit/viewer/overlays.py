@@ -50,7 +50,7 @@ def compute_band(insertion: "StartedInsertion") -> NeedleBand | None:
     # One thread: the other cores are left to the needles that users control at the same time.
     (shapes,) = simulate_batches([batch], threads=1)
     points = compute_batch_positions(shapes, np.linspace(0.0, path[-1].depth, NEEDLE_POINTS))
-    found = points[shapes.converged]  # (B, K, 2)
+    found = points[shapes.converged]  # (B, K, 3)
     if not len(found):
         return None
     low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)
@@ -88,7 +88,7 @@ def make_measured_overlay(
     `floor` is the TE of its noise floor, mm, in space where the dataset's needles are compared there; NaN
     where there is none. A shape whose pose, or the place of whose entry, is unknown is laid on `shape`.
     """
-    from needlefit.inference.compared_points import align, pad_planes
+    from needlefit.inference.compared_points import align
     from needlefit.inference.likelihood.observations import select_points
 
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion, planes=dataset.planes)
@@ -97,10 +97,9 @@ def make_measured_overlay(
     if dataset.pose == "free":
         points, z, s = aim.measured, aim.out_of_plane, aim.s
         if shape.converged:
-            points = align_rigid(points, compute_positions(shape, s))
+            points = align_rigid(points, compute_positions(shape, s)[:, :2])
     elif aim.pose == "direction" and shape.converged:
-        needle = pad_planes(compute_positions(shape, s), 2)
-        moved = align(aim.pose, np.column_stack([points, z]), needle)
+        moved = align(aim.pose, np.column_stack([points, z]), compute_positions(shape, s))
         points, z = moved[:, :2], moved[:, 2]
     stated = None if math.isnan(floor) else floor
     spatial = dataset.planes == 2

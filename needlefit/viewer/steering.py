@@ -28,8 +28,8 @@ def make_scene(record: SceneRecord, where: str) -> Scene:
     ConfigError if the model does not take it, or its needle leaves the plane z = 0 by other inputs than the
     roll of the bevel.
     """
-    scene = Scene.from_record(record, where, in_space=True)
-    if scene.tissue.torsional_friction or not all(step.controls.planar for step in scene.steps):
+    scene = Scene.from_record(record, where)
+    if scene.tissue.torsional_friction or any(step.controls.act_along_z for step in scene.steps):
         raise ConfigError(
             "its tip lags behind the hub, or its base, guides or tip have inputs along z",
             where=where,
@@ -276,8 +276,8 @@ class SteeredNeedle:
             )
             self._require_valid(session.now.shape, valid_only)
         moved = [change for change in changes if not change.is_parameter]
-        along_y, along_z = session.now.shape.u, session.now.shape.w
-        stands = float(along_y[-1]), 0.0 if along_z is None else float(along_z[-1])
+        shape = session.now.shape
+        stands = float(shape.u[-1]), float(shape.w[-1])
         step = apply_changes(session.last, moved, self.names, stands)
         if step != session.last:
             reach, guides = self.reach(step.controls), step.controls.before

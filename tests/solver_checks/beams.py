@@ -47,7 +47,7 @@ def measure_loaded(prop: float | None = None, controls: Controls = Controls()) -
     # linear law: the force is 3 mu e, and e is FAR almost everywhere
     tissue = make_tissue([LOAD / FAR / 3], [1.0], thickness=1e3 * FAR, law="linear")
     depths = np.arange(LOADED_MM + 0.5)
-    points = np.column_stack((depths, np.full(len(depths), FAR)))
+    points = np.column_stack((depths, np.full(len(depths), FAR), np.zeros(len(depths))))
 
     def bend(s: Floats) -> Floats:
         a = L - LOADED_MM
@@ -108,7 +108,7 @@ def _measure_inserted(
 ) -> float:
     tissue = make_tissue([one / 3 for one in k], [1.0] * len(k), interfaces, law="linear")
     depths = np.arange(depth + 0.5)
-    points = np.column_stack((depths, np.zeros(len(depths))))
+    points = np.outer(depths, [1.0, 0.0, 0.0])
     return _find_error(equilibrium(Needle(depth + FREE_MM, EI), tissue, points, controls), exact, 0.0)
 
 

@@ -36,7 +36,7 @@ class ClampedNeedle:
     needle: Needle
     tissue: Tissue
     rules: ModelOptions
-    constraints: Floats  #: (M + 1, 2) depth and y of the constraint points, mm
+    constraints: Floats  #: (M + 1, 3) depth, y and z = 0 of the constraint points, mm
 
     @cached_property
     def nodes(self) -> Floats:
@@ -57,7 +57,7 @@ class ClampedNeedle:
         `target` (Q,) is the y of the cut at each quadrature point, in place of the constraint points'. With
         an infinite tolerance and one iteration it is the state after one step.
         """
-        depths, y = np.ascontiguousarray(self.constraints.T)
+        depths, y, _ = np.ascontiguousarray(self.constraints.T)
         problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
         problem.tolerance, problem.max_iterations = tolerance, iterations
         _, state, status, _ = native.find_equilibrium(problem, depths, y, np.ascontiguousarray(guess), target)
@@ -111,7 +111,7 @@ def measure_orders(tissue: Tissue, first_cell: float = 1.0) -> tuple[float, floa
     errors = []
     for h in MESH_SIZES_MM:
         depths = np.array([0.0, *np.arange(first_cell * h, DEPTH_MM - 1e-9, h), DEPTH_MM])
-        straight = np.column_stack((depths, np.zeros(len(depths))))
+        straight = np.outer(depths, [1.0, 0.0, 0.0])
         clamped = ClampedNeedle(Needle(FREE_MM + DEPTH_MM, EI), tissue, ModelOptions(h, h), straight)
         x, nodes = clamped.list_points(), clamped.nodes
         u, slope, fourth = (choose_deflection(x, order, tissue.boundaries) for order in (0, 1, 4))

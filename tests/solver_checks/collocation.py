@@ -23,7 +23,7 @@ AT = np.linspace(0.0, 1.0, 9)
 def collocate(tissue: Tissue, constraints: Floats, controls: Controls) -> tuple[Floats, Floats]:
     """Return depths x (K,) in the tissue and deflections (K,), mm, of the paper's needle in equilibrium.
 
-    `constraints` (M + 1, 2) are depth and y of the constraint points, mm, the last under the tip.
+    `constraints` (M + 1, 3) are depth, y and z of the constraint points, mm, the last under the tip.
     """
     depths, tip = constraints[:, 0], constraints[-1, 0]
     guides = [guide.x for guide in controls.guides]

@@ -19,7 +19,6 @@ from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Nois
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import DataError
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.compared_points import pad_planes
 from needlefit.inference.likelihood.nodes import Nodes
 from needlefit.project.toml import locate_key
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -184,11 +183,8 @@ class Observation:
         return self.measured.shape[1] - 1
 
     def stack(self, points: Floats) -> Floats:
-        """Return the deflections (..., K) of points (..., K, 2), in space (..., 2 K): along y, then z."""
-        if self.planes == 1:
-            return points[..., 1]
-        padded = pad_planes(points, 2)
-        return np.concatenate([padded[..., 1], padded[..., 2]], axis=-1)
+        """Return the deflections (..., K) of points (..., K, 3), in space (..., 2 K): along y, then z."""
+        return np.concatenate([points[..., 1 + plane] for plane in range(self.planes)], axis=-1)
 
     def covariance(self, scale: float = 1.0) -> Floats:
         """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""
@@ -236,9 +232,9 @@ def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
 
 
 def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
-    """Return the whitened residuals (..., R) of points (..., K, 2 or 3), aligned if the pose is free."""
+    """Return the whitened residuals (..., R) of points (..., K, 3), aligned if the pose is free."""
     if observation.pose == "free":
-        simulated = align_rigid(simulated, observation.measured)
+        simulated = align_rigid(simulated[..., :2], observation.measured)
     return whiten_deflections(observation, observation.stack(simulated))
 
 
@@ -255,13 +251,11 @@ def append_pose_curves(observation: Observation, white: Floats) -> Floats:
 
 
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, D, P)."""
+    """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 3, P)."""
     if observation.pose == "free":
-        slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
-    if observation.planes == 1:
-        return observation.whitening @ slopes[..., 1, :]
-    padded = pad_planes(slopes, 2, axis=-2)
-    return observation.whitening @ np.concatenate([padded[..., 1, :], padded[..., 2, :]], axis=-2)
+        slopes = differentiate_align_rigid(simulated[..., :2], observation.measured, slopes[..., :2, :])
+    across = [slopes[..., 1 + plane, :] for plane in range(observation.planes)]
+    return observation.whitening @ np.concatenate(across, axis=-2)
 
 
 def no_errors_error(dataset: Dataset, insertion: Insertion) -> DataError:

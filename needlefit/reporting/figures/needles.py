@@ -92,9 +92,8 @@ def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = Fal
 
 
 def _see(points: Floats, above: bool) -> Floats:
-    """Return points of C, (K, 2) or (K, 3), as they are seen: x and y from the side, x and z from above."""
-    across = np.zeros(len(points)) if above and points.shape[1] == 2 else points[:, 2 if above else 1]
-    return np.column_stack((points[:, 0], across))
+    """Return points (K, 3) of C as they are seen: x and y from the side, x and z from above."""
+    return points[:, [0, 2 if above else 1]]
 
 
 def _trace(entry: Entry, shape: NeedleShape, above: bool = False) -> Floats:
@@ -115,9 +114,9 @@ def _find_guides(step: Step, above: bool = False) -> Floats:
     return np.reshape(np.array(places, dtype=np.float64), (-1, 2))
 
 
-def is_spatial(shapes: Sequence[NeedleShape]) -> bool:
-    """Return whether one of some needles leaves the plane z = 0: it is drawn in C, from above too."""
-    return any(shape.w is not None for shape in shapes)
+def list_views(shapes: Sequence[NeedleShape]) -> tuple[bool, ...]:
+    """Return which views show some needles, the side or from above (True): both if one leaves its plane."""
+    return (False, True) if any(shape.leaves_plane for shape in shapes) else (False,)
 
 
 def _find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
@@ -232,9 +231,9 @@ def _replace_minus(text: str) -> str:
 
 
 def _format_tip(shape: NeedleShape) -> str:
-    """Return where the tip lies across x, of a needle in space along y and z."""
-    along_z = "" if shape.w is None else f", z {shape.tip_z:+z.2f} mm"
-    return f"{'' if shape.w is None else 'y '}{shape.tip_lateral:+z.2f} mm{along_z}"
+    """Return where the tip lies across x: along y, and along z where the needle leaves the plane z = 0."""
+    along_y = f"{shape.tip_lateral:+z.2f} mm"
+    return f"y {along_y}, z {shape.tip_z:+z.2f} mm" if shape.leaves_plane else along_y
 
 
 def _format_signed(value: float) -> str:
@@ -336,7 +335,7 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: 
     steps, as many are shown and the title states it; each lists the changes since the one shown before. If
     not `whole`, the needle is drawn in C from a little before the entry on.
     """
-    views = (False, True) if is_spatial(shapes) else (False,)  # from above
+    views = list_views(shapes)
     scene = replace(scene, entry=Entry()) if len(views) > 1 or not whole else scene
     most = MAX_PANELS // len(views)
     shown = np.linspace(0, len(shapes) - 1, min(len(shapes), most)).round().astype(int).tolist()
@@ -406,17 +405,15 @@ def _find_limits_of_steps(
     """Return the limits in the world that show every needle, the entry, the guides, and their axis."""
     if not whole:
         before = -_MARGIN_BEFORE_ENTRY * scene.depth
-        views = (False, True) if is_spatial(shapes) else (False,)
-        traces = [_trace(scene.entry, one, above) for one in shapes if one.converged for above in views]
+        found = [one for one in shapes if one.converged]
+        traces = [_trace(scene.entry, one, above) for one in found for above in list_views(shapes)]
         y = np.concatenate(traces or [np.zeros((1, 2))])
         seen = np.append(y[y[:, 0] >= before, 1], 0.0)
         bend = float(np.abs(seen).max()) or 0.1 * scene.depth
         low, high = float(seen.min()) - 0.35 * bend, float(seen.max()) + 0.35 * bend
         return (before, 1.04 * scene.depth), (low, high)
     drawn = [scene.entry.to_world([[0.0, 0.0], [scene.depth, 0.0]])]
-    for (step, shape), above in product(
-        zip(steps, shapes, strict=True), (False, True) if is_spatial(shapes) else (False,)
-    ):
+    for (step, shape), above in product(zip(steps, shapes, strict=True), list_views(shapes)):
         drawn += [
             _trace(scene.entry, shape, above) if shape.converged else _find_base(scene, step, above),
             scene.entry.to_world(_find_guides(step, above)),
@@ -482,8 +479,8 @@ class StateFigure:
         overlays: SceneOverlays = NO_OVERLAYS,
         whole: bool | None = None,
     ) -> None:
-        spatial = is_spatial([state.shape for state in states])
-        scene = replace(scene, entry=Entry()) if spatial else scene
+        from_above = len(list_views([state.shape for state in states])) > 1
+        scene = replace(scene, entry=Entry()) if from_above else scene
         self._scene, self._overlays, entry = scene, overlays, scene.entry
         if whole is None:
             whole = any(state.step.controls != Controls() for state in states)
@@ -518,11 +515,11 @@ class StateFigure:
         columns = int(width / _LEGEND_COLUMN_WIDTH_IN)
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
         x_name, y_name = _NAMES_IN_C if entry == Entry() else _NAMES_IN_WORLD
-        z = self._find_span_above(states, x, 0.5 * span * _MIN_HEIGHT_RATIO) if spatial else (0.0, 0.0)
-        tall = height + self._inches * (z[1] - z[0]) + 0.2 * spatial
+        z = self._find_span_above(states, x, 0.5 * span * _MIN_HEIGHT_RATIO) if from_above else (0.0, 0.0)
+        tall = height + self._inches * (z[1] - z[0]) + 0.2 * from_above
         self.figure = Figure(figsize=(width + 0.6, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
-        self._above: Axes | None = None  # the view from above, of needles in space
-        if spatial:
+        self._above: Axes | None = None  # the view from above
+        if from_above:
             ratios = (y[1] - y[0], z[1] - z[0])
             self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
             self._above.set(ylim=z, aspect=1, xlabel=x_name, ylabel="z (mm)\nfrom above")

@@ -26,7 +26,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.compared_points import pad_planes, turn_about_x
+from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
@@ -143,7 +143,7 @@ def make_scene(record: SceneRecord, where: str, medium: MediumRecord, changed: S
             expected="needle, depth, depths of layers, bevel side, controls",
             fix="leave it out; `needlefit simulate` takes all values from the scene",
         )
-    scene = Scene.from_record(record, where, in_space=True)
+    scene = Scene.from_record(record, where)
     options, stated = make_options(medium), record.rules
     if "element_mm" in stated.model_fields_set:
         options = replace(options, element=stated.element)
@@ -226,7 +226,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
     found = simulate_scene(sets, job.medium, scene, s, deep, wrong)
-    points = pad_planes(found.points[found.solved], job.dataset.planes)  # (B, K, 2 or 3)
+    points = found.points[found.solved]  # (B, K, 3)
     if not len(points):
         raise ModelError(
             f"none of {len(thetas)} draws of the parameters can be solved for this scene",
@@ -234,10 +234,12 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
-    if points.shape[2] == 3:
+    in_space = job.dataset.planes == 2 or bool(points[..., 2].any())
+    if in_space:
         roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
         points = turn_about_x(points, roll_sd * rng.standard_normal(len(points)))
-    return Forecast(s, x, points[:, :, 1:], len(thetas) - len(points), outside)
+    across = points[:, :, 1:] if in_space else points[:, :, 1:2]
+    return Forecast(s, x, across, len(thetas) - len(points), outside)
 
 
 def require_fitted_kind(scene: Scene, job: Job) -> None:

@@ -57,19 +57,19 @@ class ObservationType:
         return ComparedPoints(s, measured, find_pose(pose, insertion), z)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
-        """Return the simulated points (K, 2), in space (K, 3), at beam coordinates `s` (K,), mm."""
+        """Return the simulated points (K, 3) at beam coordinates `s` (K,), mm."""
         return compute_positions(shape, s)
 
     def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
-        """Return `read_points` (B, K, 2), in space (B, K, 3), of many simulations of one insertion."""
+        """Return `read_points` (B, K, 3) of many simulations of one insertion."""
         return compute_batch_positions(shapes, s)
 
     def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
-        """Return the derivatives (B, K, 2, P), in space (B, K, 3, P), of `read_batch_points`."""
+        """Return the derivatives (B, K, 3, P) of `read_batch_points`."""
         return differentiate_batch_positions(shapes, jacobians, s)
 
     def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
-        """Return as many simulated points as were measured, (N, 2) or (N, 3), mm."""
+        """Return as many simulated points as were measured, (N, 3) mm."""
         return sample_inserted_points(shape, len(insertion.planar))
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
@@ -134,12 +134,12 @@ def select_points(
 
 
 def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:
-    """Return the simulated points (K, 2), in space (K, 3), of an insertion, mm; NaN where the solve failed.
+    """Return the simulated points (K, 3) of an insertion, mm; NaN where the solve failed.
 
     `s` (K,), mm, are those of its observation: beam coordinates, or depths.
     """
     if not shape.converged:
-        return np.full((len(s), 2 if shape.w is None else 3), np.nan)
+        return np.full((len(s), 3), np.nan)
     return OBSERVATIONS[insertion.observed].read_points(shape, s)
 
 

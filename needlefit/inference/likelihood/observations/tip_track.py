@@ -66,13 +66,13 @@ class _TipTrack(ObservationType):
         return ComparedPoints(depth, np.column_stack([depth, tip]), pose, across)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
-        """Return depths and tips (K, 2), in space (K, 3), at depths `s` (K,), mm."""
+        """Return depths and tips (K, 3) at depths `s` (K,), mm."""
         tips = shape.tip_track[:, ::2].T
         return np.column_stack([s, *(extrapolate_tip(shape.constraints[:, 0], one, s) for one in tips)])
 
     def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
         """Return `read_points` of many simulations; NaN where the solve failed."""
-        found = np.full((len(shapes), len(s), shapes.constraints.shape[2]), np.nan)
+        found = np.full((len(shapes), len(s), 3), np.nan)
         found[..., 0] = s
         for plane, tips in enumerate(np.moveaxis(shapes.tip_track[:, :, ::2], -1, 0), start=1):
             tip = extrapolate_tip(shapes.constraints[0, :, 0], tips, s)
@@ -81,9 +81,8 @@ class _TipTrack(ObservationType):
 
     def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
         """Return the derivatives of `read_batch_points`."""
-        found = np.zeros((len(shapes), len(s), shapes.constraints.shape[2], len(jacobians.names)))
-        tracks = jacobians.tip_track.reshape(-1, len(shapes), *jacobians.tip_track.shape[-2:])
-        for plane, track in enumerate(tracks, start=1):
+        found = np.zeros((len(shapes), len(s), 3, len(jacobians.names)))
+        for plane, track in enumerate(jacobians.tip_track, start=1):
             moved = extrapolate_tip(shapes.constraints[0, :, 0], track.transpose(0, 2, 1), s)
             found[:, :, plane] = moved.transpose(0, 2, 1)
         return found
