@@ -33,7 +33,7 @@ def fit_twin(seed: int, media: tuple[str, ...], recipe: dict) -> list[dict]:
         twin = make_twin(folder, seed, media)
         for medium in media:
             run = needlefit.fit(twin, medium, tune={"medium": medium}, recipe=recipe)
-            truth = run.run["truth"]
+            truth = run.metadata.truth
             fitted = run.frames["parameters"].query("method == 'fitted' and status == 'free'")
             for row in fitted.to_dict("records"):
                 if row["parameter"] in truth:

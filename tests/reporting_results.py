@@ -7,12 +7,18 @@ import numpy as np
 import pandas as pd
 
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.locate import find_file
+from needlefit.project.toml import load
 from needlefit.reporting import paper
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation import report
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
+from needlefit.studies.validity import tabulate_validity
 
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
 MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm
@@ -196,7 +202,6 @@ def study(number: int, origin: str = "synthetic") -> Run:
     record = StudyRecord.model_validate({**about, "validate": [{"medium": first["validate_medium"]}]})
     fitted = parameters(layers, 1, number != 1, methods)
     begun = starts(rng, layers, 1, ("fitted", "hand_tuned_b"))
-    data = {"name": "twin", "digest": "ab" * 32}
     made = Run(
         kind="cross_validation",
         name=f"study{number}",
@@ -204,13 +209,40 @@ def study(number: int, origin: str = "synthetic") -> Run:
         origin=origin,
         dataset_title="A made-up twin of the paper's insertions",
         frames=frames(errors, shapes, fitted, begun, insertions),
-        run={"needlefit": "0.1.0", "seed": 1, "dataset": data, "failed_solves": 600},
+        metadata=metadata(f"study{number}", record),
         timing={"seconds": 12.5, "out": "somewhere"},
         interrupted=number == 2,
     )
     unconverged = [fault for one in made.posteriors.values() for fault in one.faults]
-    search_faults = made.run.get("search_faults", {})
-    return replace(made, faults=find_faults(made.frames["errors"], search_faults, unconverged))
+    return replace(made, faults=find_faults(made.frames["errors"], {}, unconverged))
+
+
+def metadata(name: str, record: StudyRecord) -> FitMetadata:
+    """What such a run knows of its data, and nothing of its folds."""
+    return FitMetadata(
+        name=name,
+        versions={"needlefit": "0.1.0"},
+        study=record.model_dump(mode="json", by_alias=True),
+        dataset=DatasetMetadata(
+            name="twin",
+            origin="synthetic",
+            sha256="ab" * 32,
+            notes=[],
+            measurement={},
+            boundary_shared_sd_mm=[],
+            rigidity={},
+        ),
+        medium=load(find_file("medium", "phantom2"), MediumRecord),
+        recipe=load(find_file("recipe", "default"), RecipeRecord),
+        hand_tuned=None,
+        rules={},
+        planes=1,
+        layers={},
+        insertions={},
+        new_bevel_sd={},
+        search_faults={},
+        validity=tabulate_validity([]),
+    )
 
 
 @cache
@@ -245,7 +277,7 @@ def stereo() -> Run:
         origin="measured",
         dataset_title="Made-up stereo shapes",
         frames=frames(errors, shapes, params, begun, both),
-        run={"needlefit": "0.1.0", "seed": 1},
+        metadata=metadata("stereo_insertions", record),
         timing={},
         interrupted=False,
     )

@@ -102,9 +102,9 @@ def test_datasets_are_read_one_by_one_as_they_are_sent(project, monkeypatch):
 def test_a_dataset_that_is_listed_twice_by_its_content_is_a_warning(project):
     shutil.copytree("specimens/a", "specimens/again")
     stopped = Settings(stop=lambda: True)
-    (warning,) = run("cohort", cohort("specimens/*"), stopped).run["warnings"]
-    assert warning["kind"] == "same_dataset" and "specimens/again" in warning["what"]
-    assert run("cohort", cohort("specimens/a"), stopped).run["warnings"] == []
+    (warning,) = run("cohort", cohort("specimens/*"), stopped).warnings
+    assert warning.kind == "same_dataset" and "specimens/again" in warning.what
+    assert run("cohort", cohort("specimens/a"), stopped).warnings == ()
 
 
 def _edit(name, text, other):

@@ -65,8 +65,8 @@ def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch
     assert needlefit.load_run(sampled.save(tmp_path / "run")).run == sampled.run
     here = needlefit.predict(sampled, "chicken")
     there = needlefit.predict(needlefit.load_run(tmp_path / "run"), find_file("scene", "chicken"), jobs=1)
-    assert here.kind == "prediction" and here.run["draw_source"] == "posterior"
-    assert here.run["specimen"] == "others" and here.run["fit_verdict"]
+    assert here.kind == "prediction" and here.metadata.draw_source == "posterior"
+    assert here.metadata.specimen == "others" and here.metadata.fit_verdict
     np.testing.assert_array_equal(
         here.frames["forecast"].filter(like="_mm"), there.frames["forecast"].filter(like="_mm")
     )
@@ -91,16 +91,16 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     monkeypatch.chdir(world.folder)
     monkeypatch.setattr(prediction, "PREDICTION_DRAWS", 100)
     found = needlefit.fit("gel", free=["alpha1"], fix={"mu2": 1.5e7})
-    assert found.run["study"]["free"] == ["alpha1"] and found.run["study"]["fix"] == {"mu2_pa": 1.5e7}
-    parameters = found.run["medium"]["parameters"]
-    assert parameters["alpha1"]["bounds"] == [-3.0, 5.0] and parameters["mu2_pa"]["fixed"] == 1.5e7
+    assert found.metadata.study["free"] == ["alpha1"] and found.metadata.study["fix"] == {"mu2_pa": 1.5e7}
+    parameters = found.metadata.medium.parameters
+    assert parameters["alpha1"].bounds == (-3.0, 5.0) and parameters["mu2_pa"].fixed == 1.5e7
     row = found.frames["identification"].set_index("parameter").loc["alpha1"]
     assert row["sd_ratio"] > 0.9
     drawn = found.frames["draws"]
     assert drawn["alpha1"].between(-3, 5).all() and drawn["alpha1"].std() > 1.5
     assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
     # a bound says nothing of an alpha that may have any value within its bounds
-    assert not [one for one in found.run["warnings"] if "alpha1" in one["what"]]
+    assert not [one for one in found.warnings if "alpha1" in one.what]
     found.save(tmp_path / "run")
     assert pd.read_csv(tmp_path / "run/draws.csv")["alpha1"].nunique() > 10
     predicted = needlefit.predict(found, "ahead")

@@ -12,7 +12,7 @@ from test_cli import run
 from needlefit.cli import screen
 from needlefit.project import locate
 from needlefit.project.checkpoint import open_checkpoint
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.kind import kind_of
 from needlefit.studies.kinds.cross_validation.run import find_faults
@@ -83,9 +83,8 @@ def test_what_cannot_be_freed_or_fixed_is_named_with_the_file(tmp_path, capsys, 
 
 
 def test_a_warning_names_its_page_and_with_strict_ends_in_exit_code_5(stub, capsys):
-    warned = warnings_entry([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
-    results = study(1)
-    stub(dataclasses.replace(results, run={**results.run, **warned}))
+    warned = to_stored_rows([ResultWarning("parameter_at_bound", "mu1 lies at its bound")])
+    stub(study(1).with_metadata(warnings=warned))
     assert run("validate", "mine") == 0
     assert "needlefit explain parameter-at-bound" in capsys.readouterr().err
     assert run("validate", "mine", "--out", "again", "--strict", "--json") == 5

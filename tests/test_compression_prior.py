@@ -78,5 +78,5 @@ def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch:
     priors = {"1": "reports/compression_prior.toml"}
     job = prepare("chicken", record.model_copy(update={"priors": priors}), Settings())
     assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
-    stated = describe_configuration(job)["medium"]["parameters"]["alpha1"]["prior"]
-    assert stated["mean"] == prior.alpha.mean
+    stated = describe_configuration(job).medium.parameters["alpha1"].prior
+    assert stated.mean == prior.alpha.mean

@@ -26,7 +26,6 @@ from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import DEPTHS_KEY
 from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.folds import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
@@ -121,7 +120,8 @@ def test_a_residual_that_all_insertions_share_is_named(signs, count):
 def test_a_boundary_that_the_data_put_elsewhere_and_a_modulus_of_no_tissue_are_named(shift, count):
     results = study(1)
     row = {"boundary": 1, "shift_mm": shift, "sd_mm": 1.0, "stated_sd_mm": 0.2}
-    assert len(warn("boundary_shift", replace(results, run={**results.run, DEPTHS_KEY: [row]}))) == count
+    row |= {"parameter": "mu1_pa", "factor_per_mm": 1.1}
+    assert len(warn("boundary_shift", results.with_metadata(stated_depths=[row]))) == count
     assert warn("units", results) == []
     parameters = results.frames["parameters"]
     is_mu = (parameters["parameter"] == "mu1_pa") & (parameters["method"] == "fitted")
@@ -141,8 +141,8 @@ def test_a_boundary_is_put_back_where_it_was_when_the_data_were_made(shift):
     stated = [replace(one, boundaries=one.boundaries + shift) for one in made]
     problem = inference_cases.problem(tissue, stated)
     (row,) = examine_depths(problem, problem.parameters.theta(truth))
-    assert row["shift_mm"] == pytest.approx(-shift, rel=0.3, abs=1e-3)
-    assert row["sd_mm"] > 0 and row["factor_per_mm"] > 1 and row["parameter"] in problem.names
+    assert row.shift_mm == pytest.approx(-shift, rel=0.3, abs=1e-3)
+    assert row.sd_mm > 0 and row.factor_per_mm > 1 and row.parameter in problem.names
 
 
 def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out(tmp_path):

@@ -29,7 +29,6 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import integrate_curvature
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.project.locate import read_toml
-from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
 from needlefit.reporting.dataset_import import write_import
 from needlefit.schemas.scene import SceneRecord, resolve_steps
@@ -735,9 +734,9 @@ def test_the_rule_of_advance_that_fits_better_is_named_with_its_tip_error(tmp_pa
     text = (folder / "tissue.toml").read_text().replace('advance = "path_angle"', "")
     (folder / "tissue.toml").write_text(text.replace("cut_angle_deg", "bevel_mm"))
     found = validate(f"{folder}/gel_study.toml", jobs=1, recipe={"metric": False, "starts": 4})
-    other = found.run["other_advance"]
-    assert other["advance"] == "path_angle" and 0.1 < other["te_3d_mm"] < 0.3
-    assert other["stated_te_3d_mm"] > 0.4 and "advance" in [one.kind for one in read_warnings(found.run)]
+    other = found.metadata.other_advance
+    assert other.advance == "path_angle" and 0.1 < other.te_3d_mm < 0.3
+    assert other.stated_te_3d_mm > 0.4 and "advance" in [one.kind for one in found.warnings]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 import scipy.stats
 from reporting_results import stereo, study, with_predictions
 
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.studies.answer import Check, Verdict, worst_status
 from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
@@ -110,7 +110,8 @@ def test_few_tips_do_not_decide_the_50_percent_intervals():
 
 def test_the_width_that_serves_for_aiming_is_a_key_of_the_recipe():
     results = with_predictions(study(1))
-    narrow = replace(results, run={**results.run, "recipe": {"aiming_width_mm": 0.5}})
+    recipe = results.metadata.recipe.model_copy(update={"aiming_width_mm": 0.5})
+    narrow = results.with_metadata(recipe=recipe)
     assert [find(one, Check.WIDTH).passed for one in (results, narrow)] == [True, False]
 
 
@@ -118,8 +119,8 @@ def test_warnings_about_the_data_are_one_check():
     results = study(4)
     assert find(results, Check.DATA).passed
     kinds = ("noise_too_large", "validity", "copy")
-    run = {**results.run, **warnings_entry(ResultWarning(kind, "") for kind in kinds)}
-    found = find(replace(results, run=run), Check.DATA)
+    warned = to_stored_rows(ResultWarning(kind, "") for kind in kinds)
+    found = find(results.with_metadata(warnings=warned), Check.DATA)
     assert (found.passed, found.named) == (False, "noise_too_large, copy")
 
 

@@ -59,7 +59,7 @@ def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
             path.relative_to(folder / "dataset").as_posix() for path in (folder / "dataset").rglob("*.*")
         }
         assert copied == {"dataset.toml", *kept.data.names} and "layers/gel.stl" in copied
-        assert kept.data.digest() == kept.run["dataset"]["sha256"]
+        assert kept.data.digest() == kept.metadata.dataset.sha256
         assert json.loads((folder / "timing.json").read_text())["folder"] == str(world.folder)
 
 
@@ -116,7 +116,7 @@ def test_a_moved_run_is_predicted_with_and_sampled_in_python(places):
     kept = needlefit.load_run(places.moved / "held_out")
     by_run = needlefit.predict(kept, places.here / "ahead.toml", jobs=1)
     by_folder = needlefit.predict(places.moved / "held_out", places.here / "ahead.toml", jobs=1)
-    assert by_run.run["fit_verdict"] and by_run.run["fit_verdict"] == by_folder.run["fit_verdict"]
+    assert by_run.metadata.fit_verdict and by_run.metadata.fit_verdict == by_folder.metadata.fit_verdict
     for name, column in by_run.frames["forecast"].filter(like="_mm").items():
         np.testing.assert_array_equal(column, by_folder.frames["forecast"][name])
     saved = needlefit.sample(kept, jobs=1).save(places.here / "sampled")
@@ -190,4 +190,4 @@ def test_a_run_in_memory_finds_its_data_from_another_working_folder(places, monk
     monkeypatch.chdir(places.project)
     found = needlefit.fit("./configs/fits/gel.toml", jobs=1)
     monkeypatch.chdir(places.here)
-    assert read_data(found, "run").digest == found.run["dataset"]["sha256"]
+    assert read_data(found, "run").digest == found.metadata.dataset.sha256

@@ -14,7 +14,8 @@ from test_viewer_placement import fitted
 
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
-from needlefit.studies.explorer import INSERTIONS_KEY, collect_explorer
+from needlefit.schemas.run_metadata import NeedleMetadata
+from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.report import compose_run_report
 
 pytestmark = pytest.mark.skipif(
@@ -29,14 +30,16 @@ HOSTILE = "</script><img src=x onerror=alert(1)>"
 def result(world):
     """A run with a second held-out insertion, a copy of the first with a hostile name."""
     run = world.restore("cross_validation")
-    first = run.run["folds"][0]["validate"][0]
-    name, frames, about = first + HOSTILE, dict(run.frames), dict(run.run)
+    known = run.metadata
+    first = known.folds[0].held_out[0]
+    name, frames = first + HOSTILE, dict(run.frames)
     for key in ("errors", "shapes"):
         copy = frames[key][frames[key]["insertion"] == first].assign(insertion=name)
         frames[key] = pd.concat([frames[key], copy])
-    for key in (INSERTIONS_KEY, "layers"):
-        about[key] = {**about[key], name: about[key][first]}
-    return replace(run, frames=frames, run=about, dataset_title=HOSTILE)
+    stated = {
+        key: {**getattr(known, key), name: getattr(known, key)[first]} for key in ("insertions", "layers")
+    }
+    return replace(run.with_metadata(**stated), frames=frames, dataset_title=HOSTILE)
 
 
 @pytest.fixture(scope="module")
@@ -74,16 +77,18 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
 
 
 def test_each_insertion_of_the_page_has_its_needle(result) -> None:
-    about, thin = dict(result.run), {"length": 140.0, "flexural_rigidity": 2e3, "outer_diameter": 0.7}
-    thin["insertions"] = 1
-    data = dict(about["dataset"])
-    thick = data.pop("needle") | {"outer_diameter": None, "insertions": 1}
-    about["dataset"] = data | {"needles": {"18G": thick, "22G": thin}}
-    about[INSERTIONS_KEY] = {
-        name: stored | {"needle": "22G" if HOSTILE in name else "18G"}
-        for name, stored in about[INSERTIONS_KEY].items()
-    }
-    page = collect_explorer(replace(result, run=about))
+    known = result.metadata
+    thin = NeedleMetadata(length=140.0, flexural_rigidity=2e3, outer_diameter=0.7)
+    needles = {"18G": known.dataset.needle, "22G": thin}
+    page = collect_explorer(
+        result.with_metadata(
+            dataset=known.dataset.model_copy(update={"needle": None, "needles": needles}),
+            insertions={
+                name: stored.model_copy(update={"needle": "22G" if HOSTILE in name else "18G"})
+                for name, stored in known.insertions.items()
+            },
+        )
+    )
     found = {
         (
             HOSTILE in scene["target"],
@@ -93,7 +98,7 @@ def test_each_insertion_of_the_page_has_its_needle(result) -> None:
         )
         for scene in (one["scene"] for one in page.needles)
     }
-    assert found == {(False, thick["flexural_rigidity"], 150.0, 1.27), (True, 2e3, 140.0, 0.7)}
+    assert found == {(False, known.dataset.needle.flexural_rigidity, 150.0, 1.27), (True, 2e3, 140.0, 0.7)}
 
 
 @pytest.mark.sweep

@@ -13,7 +13,7 @@ from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import find_steps, leave_last_out, leave_one_out
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.dataset import ImportRecord
 from needlefit.schemas.scene import NeedleRecord
 from needlefit.studies.advice import classify_doubt, list_contradictions
@@ -222,7 +222,7 @@ def test_steps_and_ends_of_polynomials_are_found_with_their_errors():
 
 def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():
     def make(*kinds):
-        return type("Result", (), {"run": warnings_entry(ResultWarning(kind, "") for kind in kinds)})()
+        return type("Result", (), {"warnings": [ResultWarning(kind, "") for kind in kinds]})()
 
     found = [ResultWarning(kind, "") for kind in ("placeholder", "needle_outlier", "point_outlier")]
     assert list_contradictions(found) == ["point_outlier", "needle_outlier"]

@@ -102,7 +102,7 @@ def test_the_commands_that_a_command_prints_run(start, world, monkeypatch, capsy
         found = world.restore("cross_validation")
 
         def rename(name, *_):
-            return replace(found, name=name, run={**found.run, "name": name})
+            return replace(found.with_metadata(name=name), name=name)
 
         monkeypatch.setattr(cross_validation, "run", rename)
     assert run_all_printed(START[start], capsys)

@@ -254,7 +254,7 @@ def test_two_replicates_have_their_own_truths(small):
     whole = calibration.run("one", record, Settings())
     frames = whole.frames
     assert set(frames["coverage"]["quantity"]) == {HELD_OUT_TIP, "mu1_pa", "bevel_mm"}
-    assert len(frames["predictions"]) == 4 and whole.run["not_predicted"] == 0
+    assert len(frames["predictions"]) == 4 and whole.metadata.not_predicted == 0
     assert frames["predictions"]["tip_pit"].between(0, 1).all()
     seeds = frames["replicates"]["seed"].unique()
     truths = frames["parameters"].query("parameter == 'mu1_pa'")["truth"]

@@ -1,7 +1,6 @@
 """`needlefit diff`: two runs are joined on the columns that name a row."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,9 +37,9 @@ def of_table(found, name):
 
 def test_inputs_and_states_are_compared_by_their_path(first, tmp_path):
     assert compare_runs(first, write(tmp_path / "same")).empty
-    other = replace(RUN, run=RUN.run | {"asked": {"starts": 99}})
+    other = RUN.with_metadata(recipe=RUN.metadata.recipe.model_copy(update={"starts": 99}))
     (one,) = compare_runs(first, write(tmp_path / "b", other)).to_dict("records")
-    assert (one["table"], one["column"], one["after"]) == ("run.json", "asked.starts", 99)
+    assert (one["table"], one["column"], one["after"]) == ("run.json", "recipe.starts", 99)
 
 
 def test_of_a_column_the_greatest_change_is_given_whatever_the_order_of_rows(first, tmp_path):

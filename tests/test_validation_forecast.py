@@ -1,5 +1,6 @@
 """Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -9,17 +10,15 @@ from light_runs import do_not_escalate
 
 import needlefit
 from needlefit.cli.options import scene_record
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError
 from needlefit.inference.predict import Draws, PredictiveMixture, simulate_shape_pit
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
-from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import find_file
 from needlefit.project.progress import no_note
-from needlefit.project.result_warnings import read_warnings
 from needlefit.project.toml import load
-from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
@@ -37,7 +36,6 @@ from needlefit.studies.kinds.prediction import (
     tabulate_forecast,
 )
 from needlefit.studies.provenance import describe_configuration
-from needlefit.studies.store import read_run
 
 SCENE = needlefit.open_scene("study2")
 
@@ -178,9 +176,9 @@ def test_a_prediction_follows_a_target_without_spread_between_specimens(job, mon
     found, same, new = (
         predict_with(plain, monkeypatch, [theta(job)] * 20, specimen=one) for one in (None, "same", "new")
     )
-    assert [one.run["specimen"] for one in (found, same, new)] == ["training only", "same", "others"]
+    assert [one.metadata.specimen for one in (found, same, new)] == ["training only", "same", "others"]
     within = replace(job, record=job.record.model_copy(update={"same_specimen": True}))
-    assert predict_with(within, monkeypatch, [theta(job)] * 20).run["specimen"] == "same"
+    assert predict_with(within, monkeypatch, [theta(job)] * 20).metadata.specimen == "same"
     widths = [
         one.verdicts[0].numbers["needle_95_high_mm"] - one.verdicts[0].numbers["needle_95_low_mm"]
         for one in (found, same, new)
@@ -193,26 +191,27 @@ def test_a_depth_that_was_not_fitted_is_named(job, monkeypatch, depth, count):
     """`depth`: over that of an insertion that was fitted."""
     depth *= job.folds[0].tune[0].depth
     found = predict_with(job, monkeypatch, [theta(job)] * 5, depth=depth)
-    assert sum(one.kind == "extrapolation" for one in read_warnings(found.run)) == count
+    assert sum(one.kind == "extrapolation" for one in found.warnings) == count
 
 
 def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
     """Of a run of other data, or another fit, nothing is repeated; that is named before the work."""
-    about = to_json_values(describe_configuration(job))
+    about = describe_configuration(job)
     fitted = replace(predict_with(job, monkeypatch, [theta(job)] * 5), name="known")
-    same = {key: about[key] for key in ("dataset", "medium", "recipe")}
-    moved = same["dataset"] | {"sha256": "0" * 64}
-    for changes, named in (({}, ""), ({"dataset": moved}, "dataset"), ({"medium": {}}, "medium")):
-        judged, notes = replace(fitted, run={**fitted.run, **same, **changes}), list[str]()
+    same = {key: getattr(about, key) for key in ("dataset", "medium", "recipe")}
+    moved = about.dataset.model_copy(update={"sha256": "0" * 64})
+    other = about.medium.model_copy(update={"thickness_mm": 1.0})
+    for changes, named in (({}, ""), ({"dataset": moved}, "dataset"), ({"medium": other}, "medium")):
+        judged, notes = fitted.with_metadata(**(same | changes)), list[str]()
         found = predict_with(job, monkeypatch, [theta(job)] * 5, Inputs(judged=judged), note=notes.append)
-        warned = [one for one in read_warnings(found.run) if one.kind == "data_changed"]
+        warned = [one for one in found.warnings if one.kind == "data_changed"]
         assert len(warned) == len(notes) == bool(named)
-        assert found.run["fit_run"] == (None if named else "known")
+        assert found.metadata.fit_run == (None if named else "known")
         if named:
-            assert named in notes[0] and found.run["fit_changed"] in found.answer.about
-            assert found.run["fit_verdict"] is None
+            assert named in notes[0] and found.metadata.fit_changed in found.answer.about
+            assert found.metadata.fit_verdict is None
         else:
-            assert found.run["fit_verdict"].startswith("known: ")
+            assert found.metadata.fit_verdict.startswith("known: ")
 
 
 def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
@@ -256,27 +255,23 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     layout = REPORT.lay_out(found)[0]
     assert "NOT CERTIFIED" in layout.caption and any("(budget)" in str(one) for one in found.faults)
     tip = find_tip(found)
-    assert tip["s_mm"] == SCENE.depth and "(budget)" in found.run["not_converged"][0]
+    assert tip["s_mm"] == SCENE.depth and "(budget)" in found.metadata.not_converged[0]
     assert tip["needle_median_mm"] is not None
     assert {tip[f"needle_{level}_{end}_mm"] for level in (50, 95) for end in ("low", "high")} == {None}
     (verdict,) = found.verdicts
     assert verdict.status == "fail" and set(verdict.numbers) == {"s_mm"}
 
 
-def test_a_posterior_of_other_data_is_refused(job, tmp_path):
-    record = {key: describe_configuration(job)[key] for key in ("medium", "folds", "dataset", "recipe")}
-    write_json(tmp_path / "run.json", record)
-    require_same_configuration(job, read_run(tmp_path), "run")
-    write_json(tmp_path / "run.json", record | {"dataset": {}})
+def test_a_posterior_of_other_data_is_refused(job):
+    record = describe_configuration(job)
+    stored = JobMetadata.model_validate_json(json.dumps(record.to_json()))
+    require_same_configuration(job, stored, "run")
+    other_data = record.dataset.model_copy(update={"sha256": "0"})
     with pytest.raises(ConfigError, match="another dataset"):
-        require_same_configuration(job, read_run(tmp_path), "run")
+        require_same_configuration(job, record.state(dataset=other_data), "run")
     other = job.recipe.model_copy(update={"likelihood": LikelihoodRecord(noise="independent")})
-    write_json(tmp_path / "run.json", record)
     with pytest.raises(ConfigError, match="another likelihood"):
-        require_same_configuration(replace(job, recipe=other), read_run(tmp_path), "run")
-    (tmp_path / "run.json").write_text("{")
-    with pytest.raises(DataError):
-        require_same_configuration(job, read_run(tmp_path), "run")
+        require_same_configuration(replace(job, recipe=other), record, "run")
 
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])

@@ -1,7 +1,6 @@
 """A study on needles whose truth is known: recovered, scored, stopped, resumed to the same frames."""
 
 import dataclasses
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -157,13 +156,14 @@ def test_scored_simulations_are_counted_and_named():
         place = {"fold": "all", "role": "tune", "method": method}
         scored += scorer.score(place, one, model_predictor(values, medium(), data)).validity
     assert predict(STEEP, medium(), one).converged
-    table = json.loads(json.dumps(tabulate_validity([ValidityCounts(scored=tuple(scored))])))
+    validity = tabulate_validity([ValidityCounts(scored=tuple(scored))])
+    table = validity.model_dump(mode="json")
     assert table["scored"] == {"simulations": 3, "outside": 2}
     assert table["fitted_outside"] == 1
     assert [row["method"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
     (row,) = [row for row in table["scored_outside"] if row["method"] == "fitted"]
     assert row["insertion"] == one.id and row["faults"]
-    (words,) = list_outside({"validity": table})
+    (words,) = list_outside(validity)
     assert words.startswith("1 ")
 
 

@@ -60,7 +60,7 @@ def run_study(folder: Path, recipe: str, planes: int | None = None):
 def put(results, folder: Path) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     store(results, folder)
-    (folder / "run.json").write_text(json.dumps(results.run))
+    (folder / "run.json").write_text(json.dumps(results.run_json))
     return str(folder)
 
 
@@ -148,7 +148,7 @@ def test_a_run_shows_its_fit_starting_with_a_held_out_insertion(project):
     assert tuple(viewed_scene.choices) == ("needle-3", "needle-4", "needle-1", "needle-2")
     assert viewed_scene.name == "small/needle-3"
     assert viewed_scene.note != open_target("reports/small", "needle-1").note  # held out, and fitted to
-    assert len(viewed_scene.fitted_depths) == len(results.run["folds"][0]["tune"])
+    assert len(viewed_scene.fitted_depths) == len(results.metadata.folds[0].tune)
     rows = results.frames["parameters"].query("method == 'fitted'").set_index("parameter")["value"]
     assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
     assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]
@@ -177,7 +177,8 @@ def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
     results = restore_run(project / "reports/small")
-    put(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
+    other = results.metadata.dataset.model_copy(update={"sha256": "0"})
+    put(results.with_metadata(dataset=other), tmp_path)
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
     pack({"kind": "calibration"}, tmp_path)

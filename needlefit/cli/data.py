@@ -240,7 +240,7 @@ def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
 
 def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.faults import merge_like
-    from needlefit.datasets.needles import describe_needles, tabulate_needles
+    from needlefit.datasets.needles import describe_needles, summarize_needles
     from needlefit.datasets.planes import measure_out_of_plane
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
@@ -248,7 +248,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
 
     found = inspect(path)
     faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()
-    needles = {} if dataset is None else tabulate_needles(dataset)
+    needles = {} if dataset is None else summarize_needles(dataset)
     if dataset is not None:
         planes, measured = measure_out_of_plane(dataset), describe_measurement(dataset)
         holes = name_holes(dataset)
@@ -258,7 +258,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "dataset": str(path),
                 "ok": not faults,
                 "measurement": measured,
-                "needles": needles,
+                "needles": {name: one.model_dump() for name, one in needles.items()},
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
                 "faults": [asdict(fault) for fault in faults],

@@ -309,10 +309,8 @@ def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -
 
 def show_warnings(invocation: Invocation, result: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
-    from needlefit.project.result_warnings import read_warnings
-
     data, located = Path(result.timing.get("dataset", "")).parent, []
-    for one in read_warnings(result.run):
+    for one in result.warnings:
         if one.kind == "data_changed":  # its file is none of those that the run used
             if any(one.what in line for line in invocation.noted):
                 invocation.warned = True

@@ -113,6 +113,7 @@ def calibrate(
     uniform. Exit code 5: a posterior has not converged, or there are too few replicates for a verdict.
     """
     with begin(context) as execution:
+        from needlefit.schemas.run_metadata import CalibrationMetadata
         from needlefit.studies.study_files import load_target
 
         about = load_target(target)
@@ -126,10 +127,11 @@ def calibrate(
         found = execution.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
         execution.write_reference([found])
     show_runs(execution, [found])
-    if found.run["conclusive"] and not found.run["passes"]:
+    stated = found.knows(CalibrationMetadata)
+    if stated.conclusive and not stated.passes:
         screen.print_note(f"needlefit: {execution.folder(name)}: {found.verdicts[0].sentence}")
         raise typer.Exit(exit_codes.CALIBRATION_FAILED)
-    if found.faults or not found.run["conclusive"]:
+    if found.faults or not stated.conclusive:
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
@@ -20,6 +19,7 @@ from needlefit.schemas.dataset import (
     list_needles,
     needle_key,
 )
+from needlefit.schemas.run_metadata import NeedleMetadata
 from needlefit.schemas.scene import NeedleRecord
 
 MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
@@ -99,28 +99,28 @@ def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackData
         yield Fault(where, f"needle {cell!r:.60} is unknown", expected, fix)
 
 
-def tabulate_needles(dataset: Dataset) -> dict[str, dict[str, Any]]:
-    """Return the numbers of each needle (mm, N mm^2) and how many insertions it has, by its name."""
+def summarize_needles(dataset: Dataset) -> dict[str, NeedleMetadata]:
+    """Return the numbers of each needle and how many insertions it has, by its name."""
     names = [one.needle.name for one in dataset.insertions]
     return {
-        name: {
-            "outer_diameter": one.outer_diameter,
-            "flexural_rigidity": one.flexural_rigidity,
-            "length": one.length,
-            "insertions": names.count(name),
-        }
+        name: NeedleMetadata(
+            outer_diameter=one.outer_diameter,
+            flexural_rigidity=one.flexural_rigidity,
+            length=one.length,
+            insertions=names.count(name),
+        )
         for name, one in sorted(dataset.needles.items())
     }
 
 
-def describe_needles(needles: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what `tabulate_needles` found, for people; of a single needle without its name."""
+def describe_needles(needles: Mapping[str, NeedleMetadata]) -> str:
+    """Return what `summarize_needles` found, for people; of a single needle without its name."""
     described = []
     for name, one in needles.items():
-        outer = f"diameter {one['outer_diameter']:g} mm, " if one["outer_diameter"] is not None else ""
-        rigidity = float(f"{one['flexural_rigidity']:.4g}")
-        numbers = f"{outer}EI {rigidity:g} N mm², {one['length']:g} mm long"
-        count = one["insertions"]
+        outer = f"diameter {one.outer_diameter:g} mm, " if one.outer_diameter is not None else ""
+        rigidity = float(f"{one.flexural_rigidity:.4g}")
+        numbers = f"{outer}EI {rigidity:g} N mm², {one.length:g} mm long"
+        count = one.insertions
         counted = f"{name}: {numbers}, {count} insertion{'s' * (count != 1)}"
         described.append(counted if len(needles) > 1 else numbers)
     return f"Needle{'s' * (len(needles) > 1)}: {'; '.join(described)}."

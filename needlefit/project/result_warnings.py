@@ -5,11 +5,10 @@ A fault stops a run; a warning does not. It is printed under the result, kept un
 """
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
-WARNINGS_KEY = "warnings"  # of `run.json` and of `--json`
+WARNINGS_KEY = "warnings"  # of `--json`
 
 
 @dataclass(frozen=True)
@@ -41,16 +40,12 @@ def to_rows(found: Iterable[ResultWarning]) -> list[dict[str, str]]:
     return [asdict(one) for one in dict.fromkeys(found)]
 
 
-def warnings_entry(found: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
-    """Return the entry of `run.json`; files stand there by their names alone, wherever they lie."""
-    return {WARNINGS_KEY: to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in found)}
+def to_stored_rows(found: Iterable[ResultWarning]) -> list[dict[str, str]]:
+    """Return warnings as `run.json` has them; files stand there by their names alone, wherever they lie."""
+    return to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in found)
 
 
 def issue_warnings(found: Iterable[ResultWarning], stacklevel: int = 3) -> None:
     """Issue a UserWarning for each warning; `stacklevel`: as of `warnings.warn`, counted from here."""
     for one in found:
         warnings.warn(f"{one.what}; {one.fix}", UserWarning, stacklevel)
-
-
-def read_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
-    return tuple(ResultWarning(**row) for row in run.get(WARNINGS_KEY, ()))

@@ -68,6 +68,6 @@ class StoredRunTable(_StoredTable):
     dataset_title: str
     interrupted: bool
     faults: list[FaultTable]
-    run: RunTable
+    run: dict[str, Any]
     frames: dict[FileName, FrameTable]
     posteriors: list[str]

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from needlefit.project.folders import replace_folder
-from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting import document
 from needlefit.reporting.document import Document
 from needlefit.reporting.latex import format_latex
@@ -62,7 +61,7 @@ def compose_overview(
         for one in studies
         for block in (
             *(document.warning(f"{one.name}: {fault.kind}: {fault}.") for fault in one.faults),
-            *compose_warnings(read_warnings(one.run), head=f"{one.name}: "),
+            *compose_warnings(one.warnings, head=f"{one.name}: "),
         )
     ]
     blocks = {

@@ -3,7 +3,6 @@
 A run stores how each insertion was made, so that its report can be made again without the dataset.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -29,6 +28,7 @@ from needlefit.reporting import labels
 from needlefit.reporting.needle_page import PageData, encode_metrics, encode_scene, kernel_exists
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata
 from needlefit.studies.fit_frames import (
     FIT_KINDS,
     NEW_SPECIMEN,
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from needlefit.studies.job import Fold, Job
 
 # Modules that simulate are imported where they are used: other reports do not load them.
-INSERTIONS_KEY, NEW_BEVEL_KEY = "insertions", "new_bevel_sd"  #: keys in `run.json`
 MAX_DRAWS = 200  #: needles of a band, evenly chosen from all draws
 #: the same of a law that is a table whose parameters differ between draws: each draw has tables of its own
 MAX_TABLE_DRAWS = 40
@@ -69,40 +68,41 @@ class StoredInsertion:
     guide: GuideMotion | None = None  #: insertions under one are not stored
 
     @classmethod
-    def read(cls, run: Mapping[str, Any], name: str) -> Self:
-        layers = run["layers"][name]
+    def read(cls, metadata: FitMetadata, name: str) -> Self:
+        layers, stored = metadata.layers[name], metadata.insertions[name]
         sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
-        stored = dict(run[INSERTIONS_KEY][name])
-        stored["needle"] = _read_needle(run["dataset"], stored.get("needle", ""))
-        return cls(**stored, sequence=sequence, boundaries=tops)
+        needle = _read_needle(metadata.dataset, stored.needle)
+        made = {**vars(stored), "needle": needle, "turns": tuple(stored.turns)}
+        return cls(**made, sequence=sequence, boundaries=tops)
 
 
-def _read_needle(dataset: Mapping[str, Any], name: str) -> Needle:
+def _read_needle(dataset: DatasetMetadata, name: str) -> Needle:
     """Return the needle of all insertions or, where they differ, the one of this name."""
-    stated = dataset["needles"][name] if "needles" in dataset else dataset["needle"]
-    return Needle(**{key: value for key, value in stated.items() if key != "insertions"}, name=name)
+    stated = dataset.needle or (dataset.needles or {})[name]
+    return Needle(stated.length, stated.flexural_rigidity, outer_diameter=stated.outer_diameter, name=name)
 
 
-def describe_insertions(job: "Job") -> dict[str, Any]:
-    """Return what `run.json` stores of every insertion, besides its layers; under a moved guide nothing."""
+def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
+    """Return what a fit knows of every insertion, besides its layers; under a moved guide nothing."""
     drop = job.dataset.drop_proximal if job.dataset.pose == "free" else None
     return {
-        INSERTIONS_KEY: {
-            one.id: {
-                "depth": one.depth, "side": one.side, "bevel_factor": one.bevel_factor,
-                "guide_distance": one.guide_distance, "base_moved": one.base_moved,
-                "compared": None if drop is None else find_free_reach(drop, one), "specimen": one.specimen,
-                **({"turns": one.turns} if one.turns else {}),
-                **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
-            }
-            for one in job.insertions
-            if one.guide is None
-        },
-        NEW_BEVEL_KEY: {fold.name: _find_bevel_sd(job, fold) for fold in job.folds},
-    }  # fmt: skip
+        one.id: InsertionMetadata(
+            depth=one.depth,
+            side=one.side,
+            bevel_factor=one.bevel_factor,
+            guide_distance=one.guide_distance,
+            base_moved=one.base_moved,
+            compared=None if drop is None else find_free_reach(drop, one),
+            specimen=one.specimen,
+            **({"turns": one.turns} if one.turns else {}),
+            **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
+        )
+        for one in job.insertions
+        if one.guide is None
+    }
 
 
-def _find_bevel_sd(job: "Job", fold: "Fold") -> float:
+def find_bevel_sd(job: "Job", fold: "Fold") -> float:
     """Return by how many SDs the bevel of a further insertion deviates, see `find_new_bevel_sd`."""
     from needlefit.inference.problem import find_new_bevel_sd
 
@@ -148,11 +148,12 @@ def collect_explorer(results: Run) -> PageData | None:
         return None
     errors = results.frames["errors"]
     scored = select_fitted(errors, find_scored_role(errors))
-    stored = results.run.get(INSERTIONS_KEY, {})
+    metadata = results.knows(FitMetadata)
+    stored = metadata.insertions
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
-    data = PageData({"needlefit": results.run["versions"]["needlefit"], "title": results.title})
+    data = PageData({"needlefit": metadata.versions["needlefit"], "title": results.title})
     shapes = results.frames["shapes"]
     shapes = shapes[shapes["boundaries"] == "measured"]
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
@@ -164,10 +165,9 @@ def collect_explorer(results: Run) -> PageData | None:
     order = {name: n for n, name in enumerate(list_methods())}
     errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
-    medium = MediumRecord.model_validate(results.run["medium"])
     for row in rows:
         where = row["fold"], row["role"], row["insertion"]
-        needle = _encode_needle(data, results, medium, row, curves[*where, "fitted"])
+        needle = _encode_needle(data, results, row, curves[*where, "fitted"])
         methods = [
             _encode_method(one, curves.get((*where, one["method"])), results.origin)
             for one in to_records(scores[where])
@@ -180,14 +180,12 @@ def collect_explorer(results: Run) -> PageData | None:
     return data
 
 
-def _encode_needle(
-    data: PageData, results: Run, medium: MediumRecord, row: Row, curve: Floats
-) -> dict[str, Any]:
+def _encode_needle(data: PageData, results: Run, row: Row, curve: Floats) -> dict[str, Any]:
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
     from needlefit.inference.forward_model import make_simulation_inputs
 
-    run, name = results.run, row["insertion"]
-    stored = StoredInsertion.read(run, name)
+    metadata, name = results.knows(FitMetadata), row["insertion"]
+    medium, stored = metadata.medium, StoredInsertion.read(metadata, name)
     known = results.frames["parameters"]
     known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
@@ -195,7 +193,7 @@ def _encode_needle(
     names = tuple(f"layer {layer}" for layer in stored.sequence)
     scene = Scene(needle, tissue, steps, rules, layer_names=names)
     lattice = make_lattice(steps, rules)
-    measured = _encode_measured(scene, lattice, stored, row, curve, run.get("planes") == 2)
+    measured = _encode_measured(scene, lattice, stored, row, curve, metadata.planes == 2)
     encoded = encode_scene(scene, lattice.first_cell) | {
         "title": f"{name} · {results.dataset_title}",
         "target": name,
@@ -204,12 +202,12 @@ def _encode_needle(
         "measured": measured,
         "draws": None,
     }
-    fold = next(one for one in run["folds"] if one["name"] == row["fold"])
-    tuned = {run[INSERTIONS_KEY][one]["specimen"] for one in fold["tune"]}
+    fold = next(one for one in metadata.folds if one.name == row["fold"])
+    tuned = {metadata.insertions[one].specimen for one in fold.tune}
     specimen = choose_specimen(results, stored.specimen, tuned)
     draws = select_draws(results.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():
-        varied = vary_draws(draws, medium, name, run["recipe"]["seed"], run[NEW_BEVEL_KEY][row["fold"]])
+        varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])
         encoded["draws"] = _encode_draws(data, varied, medium, stored, tissue)
     return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN}
 

@@ -64,8 +64,6 @@ DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified
 MEDIAN_METHOD = "predictive_median"
 #: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
 MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
-DEPTHS_KEY = "stated_depths"  #: in `run.json`: what leans on stated depths of boundaries
-ADVANCE_KEY = "other_advance"  #: in `run.json`: the rule of advance that fits better, and its tip error, mm
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 _PREDICTIVE_COLUMNS = (
     *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),

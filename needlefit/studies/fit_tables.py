@@ -30,10 +30,10 @@ from needlefit.reporting.number_format import (
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import (
-    DEPTHS_KEY,
     MEDIAN_METHOD,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
@@ -334,12 +334,12 @@ def lay_out_parameters(results: Run) -> TableLayout:
 
     Parameters with the same cells have one row.
     """
-    frames, truth = results.frames, results.run.get("truth", {})
+    frames, truth = results.frames, results.knows(FitMetadata).truth
     merged: dict[tuple[object, ...], Row] = {}
     for name, members in frames["parameters"].groupby("parameter", sort=False):
         if "fitted" not in set(members["method"]):
             continue
-        row = _describe_parameter(str(name), members, truth.get(name))
+        row = _describe_parameter(str(name), members, truth.get(str(name)))
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
@@ -355,7 +355,7 @@ def lay_out_parameters(results: Run) -> TableLayout:
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
-        "leaning": [one for one in results.run.get(DEPTHS_KEY, []) if one["sd_mm"] > one["stated_sd_mm"]],
+        "leaning": [one for one in results.knows(FitMetadata).stated_depths if one.sd_mm > one.stated_sd_mm],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 

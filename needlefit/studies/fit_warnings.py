@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +16,13 @@ from needlefit.inference.identifiability.directions import (
     short_name,
 )
 from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
-from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.reporting.text import KindText
-from needlefit.studies.fit_frames import ADVANCE_KEY, DEPTHS_KEY, select_fitted, select_free
+from needlefit.schemas.run_metadata import FitMetadata
+from needlefit.studies.fit_frames import select_fitted, select_free
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
@@ -35,8 +35,8 @@ TEXT = KindText("warnings")
 
 def add_warnings(results: Run, job: "Job") -> Run:
     """Return results whose `run` also has the warnings about data, study, fit and predictions."""
-    found = [*read_warnings(results.run), *job.warnings, *list_warnings(results)]
-    return replace(results, run={**results.run, **warnings_entry(found)})
+    found = [*results.warnings, *job.warnings, *list_warnings(results)]
+    return results.with_metadata(warnings=to_stored_rows(found))
 
 
 def list_warnings(results: Run) -> list[ResultWarning]:
@@ -155,10 +155,10 @@ def _find_shared_residual(results: Run) -> Iterator[Row]:
 
 def _find_shifted_boundaries(results: Run) -> Iterator[Row]:
     """Yield the boundaries at stated depths that the data put elsewhere, beyond their errors."""
-    for one in results.run.get(DEPTHS_KEY, ()):
-        sd = math.hypot(one["sd_mm"], one["stated_sd_mm"])
-        if abs(one["shift_mm"]) > SHIFT_SD * sd:
-            yield {**one, "sd": sd}
+    for one in results.knows(FitMetadata).stated_depths:
+        sd = math.hypot(one.sd_mm, one.stated_sd_mm)
+        if abs(one.shift_mm) > SHIFT_SD * sd:
+            yield {**vars(one), "sd": sd}
 
 
 def _find_implausible_moduli(results: Run) -> Iterator[Row]:
@@ -169,15 +169,27 @@ def _find_implausible_moduli(results: Run) -> Iterator[Row]:
             yield {"parameter": str(name), "value": value, "text": "modulus"}
 
 
+def _find_outside(results: Run) -> Iterator[Row]:
+    """Yield the parts of the run that are outside what the model assumes."""
+    if parts := list_outside(results.knows(FitMetadata).validity):
+        yield {"parts": parts}
+
+
+def _find_other_advance(results: Run) -> Iterator[Row]:
+    """Yield the other rule of advance, if it fits better."""
+    if (found := results.knows(FitMetadata).other_advance) is not None:
+        yield vars(found)
+
+
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
 #: the text, for each case found
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
-    "validity": lambda run: [{"parts": parts}] if (parts := list_outside(run.run)) else [],
+    "validity": _find_outside,
     "parameter_at_bound": _find_bounds,
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,
     "boundary_shift": _find_shifted_boundaries,
     "units": _find_implausible_moduli,
-    "advance": lambda run: filter(None, [run.run.get(ADVANCE_KEY)]),
+    "advance": _find_other_advance,
 }

@@ -17,7 +17,7 @@ import pandas as pd
 import scipy
 
 from needlefit.inference.baselines import BASELINES
-from needlefit.project.result_warnings import read_warnings
+from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
@@ -195,11 +195,13 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
     predictive = results.frames["predictive"]
     if len(predictive) and role == "validate":
         held_out = int(group.head["insertions"]) if group else 0
-        found += check_intervals(predictive, results.run, held_out)
+        found += check_intervals(predictive, results.metadata.recipe, held_out)
     return (*found, check_data(results))
 
 
-def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any], held_out: int = 0) -> Iterator[Finding]:
+def check_intervals(
+    predictive: pd.DataFrame, recipe: RecipeRecord | None, held_out: int = 0
+) -> Iterator[Finding]:
     """Yield how many tips lie in their intervals, and how wide these are.
 
     Of the `held_out` insertions those that could not be predicted have no interval.
@@ -218,7 +220,7 @@ def check_intervals(predictive: pd.DataFrame, run: Mapping[str, Any], held_out: 
             passed = inside if found.trials >= MIN_TIPS_50 else None
             yield replace(one, passed=passed, threshold=found.trials / 2, beyond=_count_beyond(predictive))
     width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
-    limit = float((run.get("recipe") or {}).get("aiming_width_mm", MAX_AIMING_WIDTH_MM))
+    limit = MAX_AIMING_WIDTH_MM if recipe is None else recipe.aiming_width_mm
     yield Finding(Check.WIDTH, width <= limit, width, limit, deflection_mm=deflection)
 
 
@@ -232,10 +234,10 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
 
 def check_data(results: Run) -> Finding:
     """Return whether any warning casts doubt on the data or on a parameter."""
-    named = [one.kind for one in list_doubts(read_warnings(results.run))]
+    named = [one.kind for one in list_doubts(results.warnings)]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
 
 
 def limit_status(results: Run, status: Status) -> Status:
     """Return the status of a verdict; data that contradict themselves let nothing pass."""
-    return "warn" if status == "pass" and list_contradictions(read_warnings(results.run)) else status
+    return "warn" if status == "pass" and list_contradictions(results.warnings) else status

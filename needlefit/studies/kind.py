@@ -18,6 +18,7 @@ from needlefit.project.source_revision import find_source_revision
 from needlefit.project.toml import add_study_context
 from needlefit.registry import Registry
 from needlefit.schemas.base import FileRecord
+from needlefit.schemas.run_metadata import RunMetadata
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class StudyKind:
     #: `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these (either one the
     #: columns). They are imported on first use: to report a run, `report` alone
     package: str
+    metadata: type[RunMetadata] = RunMetadata  #: what its runs know besides their frames
 
     @property
     def frames(self) -> Mapping[str, Sequence[str]]:
@@ -66,10 +68,10 @@ class StudyKind:
             if settings.checkpoint is not None and not complete:
                 release_checkpoint(settings.checkpoint)
         timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
-        state = {"interrupted": result.interrupted, "faults": list(map(str, result.faults))}
-        revision = find_source_revision()
-        state |= {"source_revision": revision} if revision else {}
-        return replace(result, run=result.run | state, timing=timing | result.timing)
+        state: dict[str, Any] = {"interrupted": result.interrupted, "faults": list(map(str, result.faults))}
+        if revision := find_source_revision():
+            state["source_revision"] = revision
+        return replace(result.with_metadata(**state), timing=timing | result.timing)
 
     def compute(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""

@@ -12,11 +12,12 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters, with_hyperparameters
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import change_advance
+from needlefit.schemas.run_metadata import AdvanceMetadata
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.score import Row, make_scorer, model_predictor
 
 
-def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> Row | None:
+def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> AdvanceMetadata | None:
     """Return the other rule and its mean TE_3D beside the stated rule's, mm, where it fits better.
 
     It is tried where the fit of the first fold misses tips by more than the noise. `errors` are rows of that
@@ -43,4 +44,4 @@ def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> 
     error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves).errors])
     if not error < missed:
         return None
-    return {"advance": medium.advance, "te_3d_mm": float(error), "stated_te_3d_mm": missed}
+    return AdvanceMetadata(advance=medium.advance, te_3d_mm=float(error), stated_te_3d_mm=missed)

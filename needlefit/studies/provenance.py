@@ -1,13 +1,13 @@
 """What decides a result: versions of packages, data, configuration, rules of the model."""
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
-from needlefit.datasets.needles import tabulate_needles
+from needlefit.datasets.needles import summarize_needles
 from needlefit.datasets.sections import describe_measurement
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES
@@ -15,45 +15,58 @@ from needlefit.inference.forward_model import make_options as mesh
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
-from needlefit.project.json_values import to_json_values
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.run_metadata import (
+    DatasetMetadata,
+    FoldMetadata,
+    JobMetadata,
+    RigidityMetadata,
+    RunMetadata,
+)
 from needlefit.studies.job import Job
 
 #: whose versions decide the result of a study
 PACKAGES = ("numpy", "scipy", "nlopt", "emcee", "pandas", "trimesh")
 
 
-def describe_configuration(job: Job) -> dict[str, Any]:
-    """Return everything that decides the result of a job, as JSON values."""
-    return {
-        "name": job.name,
-        "versions": package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        "dataset": describe_dataset(job.dataset) | record_needles(job.dataset),
-        "study": job.record.model_dump(mode="json", by_alias=True),
-        "medium": job.medium.model_dump(mode="json", by_alias=True),
-        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
-        "hand_tuned": job.hand_tuned,
-        "folds": [
-            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
-            for f in job.folds
+def describe_configuration(job: Job) -> JobMetadata:
+    """Return everything that decides the result of a job."""
+    return JobMetadata(
+        name=job.name,
+        versions=package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
+        dataset=describe_dataset(job.dataset),
+        study=job.record.model_dump(mode="json", by_alias=True),
+        medium=job.medium,
+        recipe=job.recipe,
+        hand_tuned=None if job.hand_tuned is None else dict(job.hand_tuned),
+        folds=[
+            FoldMetadata(
+                name=fold.name,
+                tune=[one.id for one in fold.tune],
+                held_out=[one.id for one in fold.validate],
+            )
+            for fold in job.folds
         ],
-        "rules": describe_model_options(job.medium),
-        "planes": job.dataset.planes,
-    }
+        rules=describe_model_options(job.medium),
+        planes=job.dataset.planes,
+    )
 
 
-def find_changes(job: Job, recorded: Mapping[str, Any]) -> list[str]:
+def find_changes(job: Job, recorded: RunMetadata) -> list[str]:
     """Return what of a job is another one than a run recorded: dataset, medium, folds, likelihood."""
     ours = describe_configuration(job)
-    pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
-    recipe = recorded.get("recipe")
-    theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
-    pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
-    return [key for key, (found, wanted) in pairs.items() if found != to_json_values(wanted)]
+    likelihood = None if recorded.recipe is None else recorded.recipe.likelihood
+    pairs = {
+        "dataset": (recorded.dataset, ours.dataset),
+        "medium": (recorded.medium, ours.medium),
+        "folds": (recorded.folds, ours.folds),
+        "likelihood": (likelihood, job.recipe.likelihood),
+    }
+    return [key for key, (found, wanted) in pairs.items() if found != wanted]
 
 
-def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str) -> None:
+def require_same_configuration(job: Job, recorded: RunMetadata, where: str) -> None:
     """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
     for key in find_changes(job, recorded):
         raise ConfigError(
@@ -64,30 +77,30 @@ def require_same_configuration(job: Job, recorded: Mapping[str, Any], where: str
         )
 
 
-def describe_dataset(dataset: Dataset) -> dict[str, Any]:
-    """Return which data these are, what their measurement does to shapes, and which errors they share."""
+def describe_dataset(dataset: Dataset) -> DatasetMetadata:
+    """Return which data these are, their needles, and what their measurement does to shapes.
+
+    A single needle stands alone; several stand by their names.
+    """
     stated = dataset.measurement.model_dump(mode="json", exclude_none=True, exclude={"note"})
     shared = {split_boundary_sd(one)[0] for one in dataset.insertions if len(one.boundaries)}
-    return {
-        "name": dataset.name,
-        "origin": dataset.origin,
-        "sha256": dataset.digest,
-        "notes": list(dataset.notes),
-        "measurement": stated | {"description": describe_measurement(dataset)},
-        "boundary_shared_sd_mm": sorted(shared - {0.0}),
-        "rigidity": {
-            name: {"nmm2": needle.flexural_rigidity, "origin": dataset.rigidities.get(name, "")}
+    needles: dict[str, Any] = {"needles": summarize_needles(dataset)}
+    if len(dataset.needles) == 1:
+        (one,) = dataset.needles.values()
+        needles = {"needle": {"length": one.length, "flexural_rigidity": one.flexural_rigidity}}
+    return DatasetMetadata(
+        name=dataset.name,
+        origin=dataset.origin,
+        sha256=dataset.digest,
+        notes=list(dataset.notes),
+        measurement=stated | {"description": describe_measurement(dataset)},
+        boundary_shared_sd_mm=sorted(shared - {0.0}),
+        rigidity={
+            name: RigidityMetadata(nmm2=needle.flexural_rigidity, origin=dataset.rigidities.get(name, ""))
             for name, needle in sorted(dataset.needles.items())
         },
-    }
-
-
-def record_needles(dataset: Dataset) -> dict[str, Any]:
-    """Return the needle of all insertions or, where they differ, every needle by its name."""
-    if len(dataset.needles) > 1:
-        return {"needles": tabulate_needles(dataset)}
-    (one,) = dataset.needles.values()
-    return {"needle": {"length": one.length, "flexural_rigidity": one.flexural_rigidity}}
+        **needles,
+    )
 
 
 def package_versions(packages: Sequence[str]) -> dict[str, str]:

@@ -13,7 +13,6 @@ from needlefit.reporting.table_files import to_tidy, write_csv, write_json
 from needlefit.studies.fit_frames import FIT_KINDS
 from needlefit.studies.report import list_files
 from needlefit.studies.run import Run
-from needlefit.studies.validity import VALIDITY_KEY
 
 LENGTH_DECIMALS = 5  #: decimals of a length in mm
 SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
@@ -32,7 +31,7 @@ def write_reference(one: Run, folder: Path) -> Path:
             if 0 < len(frame) <= MAX_ROWS:
                 write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
         table = dict(one.run_json)
-        for name in ("source_revision", VALIDITY_KEY):  # they differ from machine to machine
+        for name in ("source_revision", "validity"):  # they differ from machine to machine
             table.pop(name, None)
         write_json(new / "run.json", table)
     return folder

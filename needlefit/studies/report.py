@@ -15,7 +15,7 @@ from needlefit.datasets.needles import describe_needles
 from needlefit.project.folders import listed_files, replace_folder
 from needlefit.project.help_pages import read_sections
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
+from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
@@ -55,7 +55,7 @@ def run_to_json(result: Run) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "faults": list(map(str, result.faults)),
         **answer_to_json(result.answer),
-        WARNINGS_KEY: to_rows(read_warnings(result.run)),
+        WARNINGS_KEY: to_rows(result.warnings),
         **find_kind(result.kind).report.to_json(result),
     }
 
@@ -107,7 +107,7 @@ class StudyReport:
         blocks = compose_first_page(result)
         if not result.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(one) for one in self.lay_out(result) if one.name not in shown]
-        blocks += compose_warnings(read_warnings(result.run), linked=False)
+        blocks += compose_warnings(result.warnings, linked=False)
         return document.format_html_part(
             Document(result.title, subtitle(result), result.synthetic, tuple(blocks))
         )
@@ -285,7 +285,7 @@ def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
         *compose_first_page(result, pictures),
         document.page_break(),
         *page.text.compose("report", values, tables, further),
-        *compose_warnings(read_warnings(result.run)),
+        *compose_warnings(result.warnings),
         *_run_blocks(result),
     ]
     return Document(
@@ -333,7 +333,8 @@ def state_blocks(result: Run) -> list[Block]:
 def _run_blocks(result: Run) -> list[Block]:
     """Return the note of a study and its settings; what the report shows elsewhere is left to run.json."""
     stated = ("dataset", "datasets", "recipe", "rules", "versions")
-    settings = {key: _format_value(result.run[key]) for key in stated if key in result.run}
+    known = result.run_json
+    settings = {key: _format_value(known[key]) for key in stated if key in known}
     rows = [{"setting": key, "setting_value": line} for key, line in settings.items() if line]
     if not rows:
         return []
@@ -343,11 +344,11 @@ def _run_blocks(result: Run) -> list[Block]:
     return [*map(document.text, words), document.table(table)]
 
 
-def list_data_notes(run: Mapping[str, Any]) -> list[str]:
+def list_data_notes(run: Run) -> list[str]:
     """Return the needles of the data, where there are several, and what its makers want known."""
-    data = run.get("dataset", {})
-    needles = [describe_needles(data["needles"])] if "needles" in data else []
-    return [*needles, *map(str, data.get("notes", ()))]
+    if (data := run.metadata.dataset) is None:
+        return []
+    return [*([describe_needles(data.needles)] if data.needles else []), *data.notes]
 
 
 _OMITTED_DATA_KEYS = ("notes", "origin")  #: of a dataset: they stand elsewhere in a report

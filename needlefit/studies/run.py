@@ -11,11 +11,14 @@ import pandas as pd
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
 from needlefit.studies.kind import find_kind
 
 Given = ParamSpec("Given")
 Value = TypeVar("Value")
+Known = TypeVar("Known", bound=RunMetadata)
 
 
 def once_per_run(
@@ -46,7 +49,7 @@ def mark_faults(faults: Sequence[RunFault]) -> str:
 def _mark(result: "Run", verdict: Verdict) -> Verdict:
     """Return a verdict with what must be read before it; then it does not pass: "warn" at best."""
     head = "INTERRUPTED: the best found so far. " if result.interrupted else mark_faults(result.faults)
-    if (result.run.get("recipe") or {}).get("preliminary"):
+    if result.metadata.recipe is not None and result.metadata.recipe.preliminary:
         recipe = Path(str(getattr(result.record, "recipe", ""))).stem
         head += f"Preliminary (recipe {recipe}). " if recipe else "Preliminary. "
     status = verdict.status if result.reliable else worst_status([verdict, Verdict("", "warn")])
@@ -74,8 +77,8 @@ class Run:
         The data, in words.
     frames : mapping of DataFrame
         One row a fact, the unit in every column's name.
-    run : dict
-        All that decides the result (versions, data, configuration, rules); no time and no path.
+    metadata : RunMetadata
+        All that decides the result (versions, data, configuration, rules), and what was found as a whole.
     timing : dict
         Seconds, jobs, paths.
     interrupted : bool
@@ -94,7 +97,7 @@ class Run:
     origin: Literal["measured", "synthetic"]
     dataset_title: str
     frames: Mapping[str, pd.DataFrame] = field(repr=False)
-    run: dict[str, Any] = field(repr=False)
+    metadata: RunMetadata = field(repr=False)
     timing: dict[str, Any] = field(repr=False)
     interrupted: bool = False
     faults: tuple[RunFault, ...] = ()
@@ -106,7 +109,22 @@ class Run:
     @property
     def run_json(self) -> dict[str, Any]:
         """What `run.json` holds: the kind, and all that decides the result."""
-        return {"kind": self.kind, **self.run}
+        return {"kind": self.kind, **self.metadata.to_json()}
+
+    @property
+    def warnings(self) -> tuple[ResultWarning, ...]:
+        """What is suspicious about the data or the result."""
+        return tuple(ResultWarning(**vars(one)) for one in self.metadata.warnings)
+
+    def knows(self, kind: type[Known]) -> Known:
+        """Return the metadata of a run of a kind; TypeError for a run of another one."""
+        if not isinstance(self.metadata, kind):
+            raise TypeError(f"{self.name} is of kind {self.kind}")
+        return self.metadata
+
+    def with_metadata(self, **stated: Any) -> Self:  # noqa: ANN401 - as pydantic's
+        """Return the run, which also knows what is stated."""
+        return replace(self, metadata=self.metadata.state(**stated))
 
     def with_frames(self, **frames: pd.DataFrame) -> Self:
         """Return the run with some tables replaced."""

@@ -12,6 +12,7 @@ from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, to_records
+from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.studies.fit_frames import list_methods
 from needlefit.studies.run import Run, once_per_run
 
@@ -56,7 +57,7 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
 
 def is_in_space(results: Run) -> bool:
     """Whether needles were simulated and compared in space."""
-    return bool(results.run.get("planes", 1) == 2)
+    return results.knows(JobMetadata).planes == 2
 
 
 def name_tip_error(results: Run) -> str:
@@ -221,7 +222,7 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
         return None
     grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
-    return ScoredGroup({**fitted, **head, "planes": results.run.get("planes", 1)}, by_place)
+    return ScoredGroup({**fitted, **head, "planes": results.knows(JobMetadata).planes}, by_place)
 
 
 def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
@@ -247,7 +248,7 @@ def _list_rows(results: Run, grouping: str) -> list[Row]:
             "layer_count_rule": results.record.layer_count_rule,
             "origin": results.origin,
             "comparison": str(errors["comparison"].iloc[0]),
-            "planes": results.run.get("planes", 1),
+            "planes": results.knows(JobMetadata).planes,
         }
         found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found

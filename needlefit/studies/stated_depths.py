@@ -9,14 +9,14 @@ from needlefit.arrays import Floats
 from needlefit.inference.identifiability.precision import linearize, prior_and_noise_information
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.problem import Problem
-from needlefit.reporting.table_files import Row
+from needlefit.schemas.run_metadata import DepthMetadata
 
 #: of a boundary, either way, for derivatives, mm: that of constraint points, between which they jump
 STEP_MM = 1.0
 
 
-def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
-    """Return a row for each boundary at a stated depth, by the information at the fit `theta` (P,).
+def examine_depths(problem: Problem, theta: Floats) -> list[DepthMetadata]:
+    """Return a record for each boundary at a stated depth, by the information at the fit `theta` (P,).
 
     Of a shift that all insertions share: `sd_mm` to which the data know it, with the parameters free;
     `shift_mm` that the residuals suggest, positive where the boundary is deeper; `stated_sd_mm`; and the
@@ -32,7 +32,7 @@ def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
     scale = max(1.0, chi_square)
     covariance = np.linalg.pinv(slope.T @ slope / scale + prior_and_noise_information(base), hermitian=True)
     moduli = [k for k, name in enumerate(problem.names) if name.startswith("mu")]
-    rows: list[Row] = []
+    found: list[DepthMetadata] = []
     for k in range(max(len(one.boundaries) for one in exact)):
         ends = []
         for step in (STEP_MM, -STEP_MM):
@@ -47,14 +47,14 @@ def examine_depths(problem: Problem, theta: Floats) -> list[Row]:
         if not known > 0 or not moduli:
             continue
         worst = max(moduli, key=lambda n: abs(taken[n]))
-        rows.append(
-            {
-                "boundary": k + 1,
-                "sd_mm": 1 / math.sqrt(known),
-                "shift_mm": -float(left @ residuals) / scale / known,
-                "stated_sd_mm": stated,
-                "parameter": problem.names[worst],
-                "factor_per_mm": math.exp(abs(taken[worst])),
-            }
+        found.append(
+            DepthMetadata(
+                boundary=k + 1,
+                sd_mm=1 / math.sqrt(known),
+                shift_mm=-float(left @ residuals) / scale / known,
+                stated_sd_mm=stated,
+                parameter=problem.names[worst],
+                factor_per_mm=math.exp(abs(taken[worst])),
+            )
         )
-    return rows
+    return found

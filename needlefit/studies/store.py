@@ -43,7 +43,7 @@ MAX_UNPACKED_BYTES = 256 * 2**20
 MAX_DATA_BYTES = 64 * 2**20  #: of the data that are copied; the synthetic dataset has 0.8 MB
 MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies together have some hundred kB
 
-_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted", "run")
+_PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted")
 
 
 def store_run(result: Run, folder: Path) -> Path:
@@ -54,11 +54,13 @@ def store_run(result: Run, folder: Path) -> Path:
     table = {
         "posteriors": list(result.posteriors),
         "record": result.record.model_dump(mode="json", by_alias=True),
-        **{key: to_json_values(getattr(result, key)) for key in _PLAIN},
+        **{key: getattr(result, key) for key in _PLAIN},
+        "run": to_json_values(result.metadata.to_json()),
         "faults": [{"kind": one.kind.name, "what": one.what} for one in result.faults],
         "frames": {name: _pack_frame(frame) for name, frame in result.frames.items()},
     }
-    if result.data is not None and _can_be_kept(result.data, result.run["dataset"]["sha256"]):
+    stated = result.metadata.dataset
+    if result.data is not None and stated is not None and _can_be_kept(result.data, stated.sha256):
         result.data.copy_to(folder / DATA_FOLDER)
     return pack(table, folder)
 
@@ -95,11 +97,13 @@ def restore_run(folder: Path) -> Run:
             columns = frames.get(name, ())
             if missing := [column for column in wanted if column not in columns]:
                 raise ValueError(f"the table {name} lacks {', '.join(missing)}")
+        require_schema(table["run"], kind.metadata, str(folder / RESULTS_FILE))
         names = table["posteriors"]
         files = posterior_file_names(len(names))
         return Run(
             record=kind.record.model_validate(table["record"]),
             frames=frames,
+            metadata=kind.metadata.model_validate(table["run"]),
             timing=read_timing(folder),
             posteriors={name: load(folder / file) for name, file in zip(names, files, strict=True)},
             faults=tuple(faults),

@@ -16,9 +16,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import is_file
 from needlefit.project.locate import find_file, is_path
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import check
-from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.folds import prepare
 from needlefit.studies.job import Inputs, Settings
@@ -47,13 +45,10 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
             where=where,
             expected="a run of `needlefit tune`, or of `needlefit validate` that fits and predicts",
         )
-    inputs = Inputs(
-        dataset=read_data(run, where),
-        medium=check(run.run["medium"], MediumRecord, where),
-        recipe=check(run.run["recipe"], RecipeRecord, where),
-    )
+    stated = run.metadata
+    inputs = Inputs(dataset=read_data(run, where), medium=stated.medium, recipe=stated.recipe)
     job = prepare(run.name, record, Settings(inputs=inputs))
-    require_same_configuration(job, run.run, where)
+    require_same_configuration(job, stated, where)
     one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
     name = run.name
     if isinstance(record, StudyRecord):
@@ -68,7 +63,7 @@ def read_data(run: Run, where: str) -> Dataset:
     A copy that differs from those files has a warning. Raises DataError if there is neither; it names
     `where`, the run.
     """
-    digest, before = run.run["dataset"]["sha256"], _find_earlier_file(run)
+    digest, before = run.knows(JobMetadata).dataset.sha256, _find_earlier_file(run)
     if run.data is not None and is_file(run.data.file):
         dataset = read(run.data.file, root=run.data.root)
         if dataset.digest == digest:

@@ -12,10 +12,11 @@ from needlefit.errors import ConfigError
 from needlefit.project.input_files import is_file
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import FileKind, find_file, find_study_or_fit, is_path, read_toml
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
+from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.folds import prepare, print_notes
@@ -237,12 +238,12 @@ def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
     target = path.stem if path.is_absolute() else record.target
     named = {"target": target, "title": record.title or title}
     stored = record.model_copy(update=named)
-    work: dict[str, Any] = {
-        **describe_configuration(job),
-        "study": stored.model_dump(mode="json", by_alias=True),
-        "fit": job.record.model_dump(mode="json", by_alias=True),
-        **warnings_entry(job.warnings),
-    }
+    metadata = describe_configuration(job).extend(
+        AnalysisMetadata,
+        study=stored.model_dump(mode="json", by_alias=True),
+        fit=job.record.model_dump(mode="json", by_alias=True),
+        warnings=to_stored_rows(job.warnings),
+    )
     data = job.dataset
     timing = {"dataset": str(data.path)}
-    return Run(str(record.kind), name, stored, data.origin, data.title or data.name, {}, work, timing)
+    return Run(str(record.kind), name, stored, data.origin, data.title or data.name, {}, metadata, timing)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import pandas as pd
 
@@ -23,6 +22,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
@@ -141,7 +141,6 @@ def _show_insertion(
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
-    from needlefit.project.result_warnings import read_warnings
     from needlefit.studies.explorer import choose_specimen
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
     from needlefit.studies.report import recall
@@ -158,10 +157,11 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
         )
     results = restore_run(view_target.path)
     dataset = require_shapes(read_data(results, str(view_target.path)))
-    dataset = set_planes(dataset, (), results.run["planes"])
-    folds: list[Mapping[str, Any]] = results.run["folds"]  # held-out insertions come first
-    held = {id_: (fold["name"], "without this insertion") for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: (fold["name"], "with this insertion") for fold in folds for id_ in fold["tune"]}
+    stated = results.knows(FitMetadata)
+    dataset = set_planes(dataset, (), stated.planes)
+    folds = stated.folds  # held-out insertions come first
+    held = {id_: (fold.name, "without this insertion") for fold in folds for id_ in fold.held_out}
+    tuned = {id_: (fold.name, "with this insertion") for fold in folds for id_ in fold.tune}
     roles = held | {id_: role for id_, role in tuned.items() if id_ not in held}
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
     members = tuple(by_id[id_] for id_ in roles)
@@ -177,9 +177,8 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             fix="look at its report, or run it again",
         )
     values = dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
-    medium = MediumRecord.model_validate(results.run["medium"])
-    shown = ShownInsertion(dataset, insertion, medium, values, results.run["recipe"]["seed"])
-    (names,) = (set(one["tune"]) for one in folds if one["name"] == fold)
+    shown = ShownInsertion(dataset, insertion, stated.medium, values, stated.recipe.seed)
+    (names,) = (set(one.tune) for one in folds if one.name == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
     specimen = choose_specimen(
         results, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
@@ -189,11 +188,11 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     description = f"Parameters: fitted by {results.name} {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
-    warnings = [one for one in read_warnings(results.run) if (one.kind, one.what) not in known]
+    warnings = [one for one in results.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings
     viewed_scene = replace(
         viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings),
-        fitted_depths=tuple(one.depth for one in fitted), fitted_planes=results.run.get("planes", 1),
+        fitted_depths=tuple(one.depth for one in fitted), fitted_planes=stated.planes,
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():
         return viewed_scene

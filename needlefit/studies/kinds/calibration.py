@@ -44,6 +44,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import CalibrationMetadata
 from needlefit.studies import rank_statistics
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, FaultKind, RunFault, Status
@@ -94,7 +95,7 @@ class CalibrationRecord(TargetRecord):
     """True parameters from the prior, or synthetic datasets of a model that is not the fitted one."""
 
 
-KIND = StudyKind("calibration", CalibrationRecord, __name__)
+KIND = StudyKind("calibration", CalibrationRecord, __name__, CalibrationMetadata)
 """What `needlefit calibrate` runs, or a study file."""
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -348,13 +349,13 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
     if synthetic:
         task = partial(replicate_synthetic, design=job, plan=plan_synthetic(job))
-        work: Row = {"draws": PREDICTION_DRAWS}
+        planned: Row = {"draws": PREDICTION_DRAWS}
     else:
         stiff = find_stiff_direction(job)
-        task, work = partial(replicate, job=job, stiff=stiff), {"draws": RANK_DRAWS, "stiff_design": stiff}
+        task, planned = partial(replicate, job=job, stiff=stiff), {"draws": RANK_DRAWS, "stiff_design": stiff}
     about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
-    work = {**about.run, **work}
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    work = about.metadata.extend(CalibrationMetadata, **planned)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
     tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
     parts = run_tasks(tasks, job.name, settings, checkpoint)
     frames = _make_frames(join_rows(parts), synthetic)
@@ -363,7 +364,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
         about,
         frames=frames,
         origin="synthetic" if synthetic else about.origin,
-        run={**work, **outcome},
+        metadata=work.state(**outcome),
         interrupted=len(parts) < record.replicates,
         faults=tuple(list_faults(outcome)) if parts else (),
     )
@@ -437,12 +438,15 @@ def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
     coverage = to_records(found.frames["coverage"])
     quantities = found.frames["coverage"]["quantity"].nunique()
+    stated, study = found.knows(CalibrationMetadata), found.record
     return {
-        **{key: found.run[key] for key in ("replicates", "conclusive")},
-        "synthetic": found.run["study"]["truth"] == "synthetic",
+        "replicates": stated.replicates,
+        "conclusive": stated.conclusive,
+        "synthetic": study.truth == "synthetic",
         "tips": {f"{100 * one['level']:.0f}": one for one in coverage if one["quantity"] == HELD_OUT_TIP},
-        "failing": [insert_symbols(name_quantity(name)) for name in found.run["not_calibrated"]],
-        **{"quantities": quantities, "target": found.run["study"]["target"]},
+        "failing": [insert_symbols(name_quantity(name)) for name in stated.not_calibrated],
+        "quantities": quantities,
+        "target": study.target,
         "draws": RANK_DRAWS,
         "family_error": rank_statistics.FAMILY_ERROR,
         "single_error": f"{rank_statistics.single_check_error(quantities):.1e}",
@@ -452,12 +456,13 @@ def describe(found: Run) -> dict[str, Any]:
 def tabulate(found: Run) -> list[Table]:
     """Return a row per quantity: the share of true values in central intervals, and ranks beyond chance."""
     outside = found.frames["ranks"].query("not passes").groupby("quantity").size()
-    calibrated = "yes" if found.run["conclusive"] else "undecided"
+    stated = found.knows(CalibrationMetadata)
+    calibrated = "yes" if stated.conclusive else "undecided"
     rows = [
         {
             **row,
             "ranks": f"{outside.get(row['quantity'], 0)} of {RANK_DRAWS} outside",
-            "calibrated": "NO" if row["quantity"] in found.run["not_calibrated"] else calibrated,
+            "calibrated": "NO" if row["quantity"] in stated.not_calibrated else calibrated,
             "quantity": name_quantity(row["quantity"]),
         }
         for row in to_records(found.frames["coverage"])
@@ -488,26 +493,27 @@ def draw(found: Run) -> dict[str, Drawing]:
 
 def find_answer(found: Run) -> Answer:
     """Return whether the uncertainties are correct."""
-    status: Status = "pass" if found.run["passes"] else "fail"
-    numbers = {
-        "replicates": found.run["replicates"],
-        "not_calibrated": ", ".join(found.run["not_calibrated"]),
+    stated = found.knows(CalibrationMetadata)
+    status: Status = "pass" if stated.passes else "fail"
+    numbers: dict[str, float | str | None] = {
+        "replicates": stated.replicates,
+        "not_calibrated": ", ".join(stated.not_calibrated),
     }
-    answer = answer_in_words(found, status if found.run["conclusive"] else "warn", **numbers)
+    answer = answer_in_words(found, status if stated.conclusive else "warn", **numbers)
     return replace(answer, advice=_find_advice(found))
 
 
 def _find_advice(found: Run) -> Advice | None:
     """Return what to do: more truths, or a test of the model, which the synthetic dataset allows."""
-    study, synthetic = found.run["study"], found.run["study"]["truth"] == "synthetic"
-    if not found.run["conclusive"]:
+    stated, synthetic = found.knows(CalibrationMetadata), found.record.truth == "synthetic"
+    if not stated.conclusive:
         finding = ["synthetic_truths_too_few" if synthetic else "truths_too_few"]
-    elif not found.run["passes"]:
+    elif not stated.passes:
         finding = ["not_calibrated"]
     else:
-        has_synthetic = found.run["dataset"]["name"] == SYNTHETIC_DATASET and len(found.run["folds"]) == 1
+        has_synthetic = stated.dataset.name == SYNTHETIC_DATASET and len(stated.folds) == 1
         finding = [] if synthetic else ["computation_calibrated" if has_synthetic else "prior_calibrated"]
-    return advise(finding, {"target": study["target"], "replicates": DEFAULT_REPLICATES})
+    return advise(finding, {"target": found.record.target, "replicates": DEFAULT_REPLICATES})
 
 
 REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

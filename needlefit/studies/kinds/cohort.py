@@ -28,7 +28,7 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.metrics import METRICS, compute_metrics, headline_metrics, list_metrics
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file, join_names
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import add_study_context, find_named, load
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.registry import plugin_versions
@@ -45,6 +45,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.run_metadata import CohortMetadata
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.fold_draws import find_fit
@@ -76,7 +77,7 @@ class CohortRecord(AnalysisRecord):
     """What is fitted together."""
 
 
-KIND = StudyKind("cohort", CohortRecord, __name__)
+KIND = StudyKind("cohort", CohortRecord, __name__, CohortMetadata)
 
 MAX_NAMED_COPIES = 8  #: datasets that a warning names
 
@@ -122,15 +123,15 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     records = {"medium": medium, "recipe": recipe}
     stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
     stored["rules"] = describe_model_options(medium)
-    work = {
-        "name": name,
+    work = CohortMetadata(
+        name=name,
         # of plugins all that may read a dataset
-        "versions": package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
-        "study": record.model_dump(mode="json", by_alias=True),
-        "parts": [stored],
-        "datasets_sha256": digests,
-    }
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+        versions=package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
+        study=record.model_dump(mode="json", by_alias=True),
+        parts=[stored],
+        datasets_sha256=digests,
+    )
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
     parts = run_tasks(tasks, name, settings, checkpoint)
     rows, interrupted = join_rows(parts), len(parts) < len(tasks)
     frames: Frames = {
@@ -143,7 +144,7 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         origin="synthetic" if (frames["errors"]["origin"] == "synthetic").any() else "measured",
         dataset_title=f"{len(files)} dataset{'s' * (len(files) > 1)}",
         frames=frames,
-        run={**work, **warnings_entry(warnings)},
+        metadata=work.state(warnings=to_stored_rows(warnings)),
         timing={},
         interrupted=interrupted,
         faults=() if interrupted else _conclude(frames),

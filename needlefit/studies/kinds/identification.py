@@ -18,6 +18,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
+from needlefit.schemas.run_metadata import IdentificationMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
@@ -39,7 +40,7 @@ class IdentificationRecord(TargetRecord):
 
 
 #: what `needlefit tune --design` runs, or a study file
-KIND = StudyKind("identification", IdentificationRecord, __name__)
+KIND = StudyKind("identification", IdentificationRecord, __name__, IdentificationMetadata)
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "identify": COLUMNS["identification"],
@@ -84,12 +85,13 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in found.rows]
     parameters = [n for n in job.parameters.names if any(n in row for row in found.points)]
     depths = [insertion.depth for insertion in fold.tune]
-    stated = {
-        "place": place,
-        "values": dict(problem.values(theta)),
-        "insertions": len(depths),
-        "depths_mm": [min(depths), max(depths)],
-    }
+    metadata = about.metadata.extend(
+        IdentificationMetadata,
+        place=place,
+        values=problem.values(theta),
+        insertions=len(depths),
+        depths_mm=[min(depths), max(depths)],
+    )
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
         "profiles": pd.DataFrame(
@@ -97,7 +99,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
         ),
         "candidates": rank_candidates(job, fold, problem, theta, settings),
     }
-    return replace(about, frames=frames, run=stated | about.run, interrupted=settings.stop())
+    return replace(about, frames=frames, metadata=metadata, interrupted=settings.stop())
 
 
 # ---- the report
@@ -108,15 +110,17 @@ TEXT = KindText("identification")
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints: the free parameters by what the design determines of them."""
     design, candidates = found.frames["identify"], found.frames["candidates"]
+    stated = found.knows(IdentificationMetadata)
     free = design.groupby("determined")["parameter"].agg(list)
     words = {"known": "yes", "together": "only together", "loose": "no"}
     ranked = to_records(candidates[candidates["nats"].notna()])
     return {
         **{key: free.get(word, []) for key, word in words.items()},
         "best": ranked[0] if ranked else None,
-        "insertions": found.run["insertions"],
-        "depths": list(dict.fromkeys(f"{depth:.3g}" for depth in found.run["depths_mm"])),
-        **{key: found.run[key] for key in ("place", "name")},
+        "insertions": stated.insertions,
+        "depths": list(dict.fromkeys(f"{depth:.3g}" for depth in stated.depths_mm)),
+        "place": stated.place,
+        "name": stated.name,
     }
 
 

@@ -34,7 +34,7 @@ from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, find_geom
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.random_streams import random_stream
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
@@ -44,6 +44,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import advise
@@ -77,7 +78,8 @@ class PredictionRecord(TargetRecord):
     new one, with the spread between specimens unless `specimens` of the target leaves that out."""
 
 
-KIND = StudyKind("prediction", PredictionRecord, __name__)  #: what `needlefit predict` runs, or a study file
+#: what `needlefit predict` runs, or a study file
+KIND = StudyKind("prediction", PredictionRecord, __name__, PredictionMetadata)
 
 
 #: advice on a fit with which it may be used all the same
@@ -302,13 +304,13 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
             expected="the folder of a run of one fold that was sampled",
             fix="name a result of `needlefit tune` without --no-sample",
         )
-    require_same_configuration(job, run.run, where)
+    require_same_configuration(job, run.metadata, where)
     return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
 
 
 def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
     """Return a warning if the result that judges a fit is of other data, or of another fit."""
-    found = [] if judged is None else find_changes(job, judged.run)
+    found = [] if judged is None else find_changes(job, judged.metadata)
     found = [key for key in found if key != "folds"]  # a validation has more of them
     if judged is None or not found:
         return []
@@ -338,7 +340,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     about = begin_run(name, record, job, f"Prediction: {title}")
     folder = None if record.posterior is None else Path(record.posterior)
     sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.run, settings.note)
+    checkpoint = open_checkpoint(
+        settings.checkpoint, settings.resume, about.metadata.to_json(), settings.note
+    )
     require_fitted_kind(scene, job)
     judged = settings.inputs.judged or sampled
     changed = _find_changes(job, judged)
@@ -369,24 +373,24 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         about,
         record=stored.model_copy(update=named),
         frames={"forecast": needle},
-        run={
-            **about.run,
-            "study": about.run["study"] | named,
-            "draw_source": draws.source,
-            "pareto_k": draws.pareto_k,
-            "ess": draws.effective_sample_size,
-            "draws": len(found.across),
-            "specimen": "others" if into is None else where,
-            "fit_verdict": None if judged is None else recall(judged),
-            "fit_run": None if judged is None else judged.name,
-            "fit_changed": changed[0].what if changed else "",
-            "fit_advice": None if judged is None else _recall_advice(judged),
-            "held_out_by_target": settings.inputs.target is None and is_study(record.target),
-            "failed_solves": found.failed,
-            "outside_validity": found.outside,
-            "not_converged": list(draws.faults),
-            **warnings_entry(warned),
-        },
+        metadata=about.metadata.extend(
+            PredictionMetadata,
+            study=about.metadata.study | named,
+            draw_source=draws.source,
+            pareto_k=draws.pareto_k,
+            ess=draws.effective_sample_size,
+            draws=len(found.across),
+            specimen="others" if into is None else where,
+            fit_verdict=None if judged is None else recall(judged),
+            fit_run=None if judged is None else judged.name,
+            fit_changed=changed[0].what if changed else "",
+            fit_advice=None if judged is None else _recall_advice(judged),
+            held_out_by_target=settings.inputs.target is None and is_study(record.target),
+            failed_solves=found.failed,
+            outside_validity=found.outside,
+            not_converged=list(draws.faults),
+            warnings=to_stored_rows(warned),
+        ),
         faults=tuple(RunFault(find_fault_kind(draws), words) for words in draws.faults),
     )
 
@@ -398,16 +402,18 @@ TEXT = KindText("prediction")
 
 def describe(found: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    study = found.run["study"]
+    stated, study = found.knows(PredictionMetadata), found.record
     return {
-        **{
-            key: found.run[key]
-            for key in ("draws", "draw_source", "failed_solves", "specimen", "fit_verdict", "fit_changed")
-        },
+        "draws": stated.draws,
+        "draw_source": stated.draw_source,
+        "failed_solves": stated.failed_solves,
+        "specimen": stated.specimen,
+        "fit_verdict": stated.fit_verdict,
+        "fit_changed": stated.fit_changed,
         **find_tip(found),
-        "title": study["scene"]["title"] or study["scene_name"],
-        "scene": study["scene_name"],
-        "target": study["target"],
+        "title": study.scene.title or study.scene_name,
+        "scene": study.scene_name,
+        "target": study.target,
         "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
     }
 
@@ -432,23 +438,23 @@ def find_answer(found: Run) -> Answer:
 
 def _find_advice(found: Run) -> Advice | None:
     """Return what to do: settle what the fit needs first, test it, narrow the interval, or plan a path."""
-    stated, tip = found.run, find_tip(found)
+    stated, tip = found.knows(PredictionMetadata), find_tip(found)
     if found.faults:
         finding = "not_converged"
-    elif (recalled := stated.get("fit_advice")) is not None:  # results of earlier versions have none
+    elif (recalled := stated.fit_advice) is not None:
         return Advice(**{**recalled, "command": tuple(recalled["command"])})
-    elif stated.get("fit_run") is None:
-        finding = "study_unvalidated" if stated.get("held_out_by_target") else "fit_untested"
+    elif stated.fit_run is None:
+        finding = "study_unvalidated" if stated.held_out_by_target else "fit_untested"
     elif tip["needle_95_high_mm"] - tip["needle_95_low_mm"] > MAX_AIMING_WIDTH_MM:
         finding = "prediction_wide"
     else:
         finding = "tip_predicted"
     axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
-    values = {"target": (target := stated["study"]["target"]), "tip": place}
+    values = {"target": (target := found.record.target), "tip": place}
     if target.endswith("/") or ("/" in target and not target.endswith(".toml")):
         values["run"] = target  # the folder of a run, wherever it is
-    return advise([finding], values, stated.get("fit_run") or "")
+    return advise([finding], values, stated.fit_run or "")
 
 
 def _recall_advice(judged: Run) -> dict[str, Any] | None:

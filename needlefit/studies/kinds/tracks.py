@@ -32,13 +32,14 @@ from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_cur
 from needlefit.project.checkpoint import Checkpoint, open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
-from needlefit.project.result_warnings import warnings_entry
+from needlefit.project.result_warnings import to_stored_rows
 from needlefit.project.toml import locate_key, renamed_keys
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.recipe import TrackErrorsRecord
+from needlefit.schemas.run_metadata import TracksMetadata
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
@@ -54,7 +55,7 @@ from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 
-KIND = StudyKind("tracks", TrackStudyRecord, __name__)
+KIND = StudyKind("tracks", TrackStudyRecord, __name__, TracksMetadata)
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     # a row per reading of a run predicted and method; `measured_mm` counts from the run's first reading. The
@@ -132,12 +133,17 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
                 fix="lower registration_depth_mm, or leave the run out",
             )
     fits = {one.name: describe_configuration(one) for one in jobs}
-    doing = {
-        **{key: fits[jobs[0].name][key] for key in ("versions", "dataset", "recipe")},
-        **{"name": name, "study": record.model_dump(mode="json", by_alias=True)},
-        **{"fits": fits, "prediction_draws": PREDICTION_DRAWS},
-    }
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
+    first = fits[jobs[0].name]
+    work = TracksMetadata(
+        name=name,
+        versions=first.versions,
+        dataset=first.dataset,
+        recipe=first.recipe,
+        study=record.model_dump(mode="json", by_alias=True),
+        fits={fit: one.to_json() for fit, one in fits.items()},
+        prediction_draws=PREDICTION_DRAWS,
+    )
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
     rows: dict[str, list[Row]] = {"readings": [], "runs": []}
     draws, posteriors = dict[str, predict.Draws](), dict[str, Posterior]()
     for n, one in enumerate(jobs):
@@ -164,11 +170,10 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> Run:
         origin=dataset.origin,
         dataset_title=dataset.title,
         frames={**frames, "methods": compare_methods_by_run(frames["runs"])},
-        run={
-            **doing,
-            "draws": {fit: one.describe() for fit, one in draws.items()},
-            **warnings_entry(dataset.warnings),
-        },
+        metadata=work.state(
+            draws={fit: one.describe() for fit, one in draws.items()},
+            warnings=to_stored_rows(dataset.warnings),
+        ),
         timing={"dataset": str(dataset.path)},
         interrupted=len(draws) < len(jobs),
         faults=faults,
@@ -351,7 +356,7 @@ def describe(results: Run) -> dict[str, Any]:
         "fits": results.frames["runs"]["fit"].nunique(),
         "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
         "runs": results.frames["runs"]["run"].nunique(),
-        "notes": list_data_notes(results.run),
+        "notes": list_data_notes(results),
         "placed_by": results.record.registration_depth_mm,
         "faults": bool(results.faults),
         "name": results.name,
@@ -368,7 +373,8 @@ def find_answer(results: Run) -> Answer:
     checks = [Finding(Check.CURVES, closer, *errors, about["curve"], fits=about["fits"])]
     ends = results.frames["runs"].query("method == 'fitted'").dropna(subset="tip_95_low_mm")
     if len(ends):
-        checks += check_intervals(ends.rename(columns={"fit": "fold", "run": "hole"}), results.run)
+        named = ends.rename(columns={"fit": "fold", "run": "hole"})
+        checks += check_intervals(named, results.metadata.recipe)
     return Answer(
         [Verdict(TEXT.sentence("answer", about), status, numbers=numbers)],
         REPORT.lay_out(results)[:1],

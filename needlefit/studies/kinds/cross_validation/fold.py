@@ -29,6 +29,7 @@ from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
+from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
@@ -51,7 +52,7 @@ from needlefit.studies.needle_placement import place_needles
 from needlefit.studies.needles_in_scan import NeedleInScan
 from needlefit.studies.score import Row, Scores, curve_predictor, make_predictors, make_scorer
 from needlefit.studies.stated_depths import examine_depths
-from needlefit.studies.validity import MOSTLY_OUTSIDE, ValidityCount, ValidityCounts
+from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
 Rows = tuple[Row, ...]
 
@@ -93,7 +94,7 @@ class FoldResult:
     draws: Rows
     population: Rows
     needles: tuple[NeedleInScan, ...]
-    depths: Rows  #: what leans on stated depths of boundaries; of the first fold
+    depths: tuple[DepthMetadata, ...]  #: what leans on stated depths of boundaries; of the first fold
     validity: ValidityCounts
     search_faults: tuple[str, ...]
     faults: tuple[RunFault, ...]  #: of draws that are not certified
@@ -110,7 +111,7 @@ class FoldDrawn:
     shown: Draws  #: as many as figures show
     posterior: Posterior | None  #: if it was asked for
     predicted: tuple[HeldOutPrediction, ...]
-    outside: int  #: of the draws that are shown, those outside what the model assumes
+    count: CountMetadata  #: of the draws that are shown
 
 
 @dataclass(frozen=True)
@@ -160,9 +161,11 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
         depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
         validity=ValidityCounts(
-            starts=_count_outside_starts(job, fold, found.fits),
-            draws=ValidityCount(len(drawn.shown.thetas), drawn.outside) if drawn else ValidityCount(),
-            predicted=sum((ValidityCount(one.solved, one.outside) for one in predicted), ValidityCount()),
+            starts=_count_starts(job, fold, found.fits),
+            draws=drawn.count if drawn else NO_SIMULATIONS,
+            predicted=add_counts(
+                CountMetadata(simulations=one.solved, outside=one.outside) for one in predicted
+            ),
             scored=tuple(row for one in scored for row in one.validity),
         ),
         search_faults=tuple(_find_search_faults(found)),
@@ -297,7 +300,7 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
         shown,
         made.posterior if settings.sample else None,
         tuple(predicted),
-        int(outside.sum()),
+        CountMetadata(simulations=len(outside), outside=int(outside.sum())),
     )
 
 
@@ -352,13 +355,14 @@ def _list_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> Iterator[Row]
         yield from ({**place, **make_start_row(problem, start, fit)} for start in fit.starts)
 
 
-def _count_outside_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> ValidityCount:
+def _count_starts(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> CountMetadata:
     """Return the ends of all starts, and how many of them are outside what the model assumes."""
-    count = ValidityCount()
+    counts = []
     for name, fit in fits.items():
         ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
-        count += ValidityCount(len(ends), int(find_outside_validity(job.problem(fold, name), ends).sum()))
-    return count
+        outside = find_outside_validity(job.problem(fold, name), ends)
+        counts.append(CountMetadata(simulations=len(ends), outside=int(outside.sum())))
+    return add_counts(counts)
 
 
 def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:
@@ -384,7 +388,7 @@ def _describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
     }
 
 
-def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[Row]:
+def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
     """Return what leans on stated depths, by the first fold; without stated noise that cannot be known."""
     if fit.minimized != "posterior" or fold is not job.folds[0]:
         return []
@@ -432,7 +436,7 @@ def _describe_fit(
         for one in (verdict.directions if fit.minimized == "posterior" else ())
     ]
     # without stated noise nothing says how far the data can be trusted, outside its validity the model
-    invalid = drawn is not None and drawn.outside > MOSTLY_OUTSIDE * len(drawn.shown.thetas)
+    invalid = drawn is not None and drawn.count.outside > MOSTLY_OUTSIDE * drawn.count.simulations
     if fit.minimized != "posterior" or invalid:
         nothing = dict.fromkeys(verdict.determined, False)
         notes = dict.fromkeys(verdict.notes, "most draws are outside what the model assumes")

@@ -14,12 +14,12 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.metrics import list_metrics
-from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_bare_symbol, format_metric, format_quantity_range
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
+from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import (
@@ -47,9 +47,10 @@ __all__ = ["FRAMES", "REPORT"]
 @once_per_run
 def collect_values(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    run, frames, role = results.run, results.frames, find_scored_role(results.frames["errors"])
-    folds, starts, errors = list(run.get("folds", ())), frames["starts"], frames["errors"]
-    counts = sorted(len(fold["tune"]) for fold in folds)
+    frames, stated = results.frames, results.knows(FitMetadata)
+    role = find_scored_role(frames["errors"])
+    folds, starts, errors = stated.folds, frames["starts"], frames["errors"]
+    counts = sorted(len(fold.tune) for fold in folds)
     group = scores.pool_insertions(results, role)
     floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
     return {
@@ -57,13 +58,13 @@ def collect_values(results: Run) -> dict[str, Any]:
         "frames": frames,
         "role": role,
         "in_space": scores.is_in_space(results),
-        "dataset": str(run.get("dataset", {}).get("name", results.dataset_title)),
+        "dataset": stated.dataset.name,
         "media": {
             name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
             for name in ("tune", "validate")
         },
         "folds": len(folds),
-        "held_out": len({one for fold in folds for one in fold["validate"]}),
+        "held_out": len({one for fold in folds for one in fold.held_out}),
         "depths": {
             str(name): [float(found.min()), float(found.max())]
             for name, found in errors[errors["method"] == "fitted"].groupby("role")["depth_mm"]
@@ -82,9 +83,9 @@ def collect_values(results: Run) -> dict[str, Any]:
         "failed": int(starts["failed_solves"].sum()),
         "population": fit_tables.list_spreads(results),
         "chains": fit_tables.tabulate_percentiles(results),
-        "notes": list_data_notes(run),
-        "rigidity": run.get("dataset", {}).get("rigidity", {}),
-        "contradictions": [name_doubt(kind) for kind in list_contradictions(read_warnings(run))],
+        "notes": list_data_notes(results),
+        "rigidity": stated.dataset.rigidity,
+        "contradictions": [name_doubt(kind) for kind in list_contradictions(results.warnings)],
     }
 
 
@@ -149,7 +150,7 @@ def find_advice(results: Run, checks: Sequence[Finding], determined: Sequence[st
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     width, curves = by_check.get(Check.WIDTH), by_check.get(Check.CURVES)
-    doubts = list_doubts(read_warnings(results.run))[:1]
+    doubts = list_doubts(results.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
     if results.faults or results.interrupted:
         found.append("not_converged")

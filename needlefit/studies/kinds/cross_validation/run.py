@@ -13,10 +13,10 @@ from needlefit.grouping import group_values
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
+from needlefit.schemas.run_metadata import AdvanceMetadata, FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
-from needlefit.studies.explorer import describe_insertions
-from needlefit.studies.fit_frames import ADVANCE_KEY, DEPTHS_KEY
+from needlefit.studies.explorer import describe_insertions, find_bevel_sd
 from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.folds import plan_folds, print_notes
@@ -27,9 +27,8 @@ from needlefit.studies.needles_in_scan import tabulate_needles
 from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
-from needlefit.studies.score import Row
 from needlefit.studies.simulated_data import find_true_value
-from needlefit.studies.validity import VALIDITY_KEY, tabulate_validity
+from needlefit.studies.validity import tabulate_validity
 
 __all__ = ["FRAMES", "Settings", "run"]
 
@@ -47,7 +46,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     job = plan_folds(load_study(name, record, settings))
     print_notes(job, settings)
     work = describe_configuration(job)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
     services = FoldServices(settings, checkpoint, StudyProgress(job, settings.progress))
     results: list[FoldResult] = []
     for fold in job.folds:
@@ -61,7 +60,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
 
 
 def conclude_run(
-    job: Job, work: Mapping[str, Any], results: Sequence[FoldResult], better_advance: Row | None = None
+    job: Job, work: JobMetadata, results: Sequence[FoldResult], better: AdvanceMetadata | None = None
 ) -> Run:
     """Return the run of a job by the results of its folds, with warnings about data, fits and predictions.
 
@@ -74,13 +73,28 @@ def conclude_run(
     search_faults = {
         name: list(one.search_faults) for name, one in zip(names, results, strict=False) if one.search_faults
     }
-    depths = [row for one in results for row in one.depths]
     needles = {needle.insertion: needle for one in results for needle in one.needles}
     frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
     frames["needles"] = tabulate_needles(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
     faults = find_faults(frames["errors"], search_faults, unconverged)
-    found = Run(
+    found: dict[str, Any] = {
+        "layers": {
+            one.id: list(zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True))
+            for one in job.insertions
+        },
+        "insertions": describe_insertions(job),
+        "new_bevel_sd": {fold.name: find_bevel_sd(job, fold) for fold in job.folds},
+        "search_faults": search_faults,
+        "validity": tabulate_validity([one.validity for one in results]),
+    }
+    if truth := _find_truth(job):
+        found["truth"] = truth
+    if depths := [row for one in results for row in one.depths]:
+        found["stated_depths"] = depths
+    if better is not None:
+        found["other_advance"] = better
+    run = Run(
         kind="cross_validation" if isinstance(job.record, StudyRecord) else "fit",
         name=job.name,
         record=job.record,
@@ -88,26 +102,13 @@ def conclude_run(
         dataset_title=job.dataset.title or job.dataset.name,
         frames=frames,
         posteriors=posteriors,
-        run={
-            **work,
-            # by insertion the layers that it meets, each with the depth at which it begins, mm
-            "layers": {
-                one.id: list(map(list, zip(one.sequence, (0.0, *one.boundaries.tolist()), strict=True)))
-                for one in job.insertions
-            },
-            **describe_insertions(job),
-            **_find_truth(job),
-            "search_faults": search_faults,
-            **({DEPTHS_KEY: depths} if depths else {}),
-            **({ADVANCE_KEY: better_advance} if better_advance else {}),
-            VALIDITY_KEY: tabulate_validity([one.validity for one in results]),
-        },
+        metadata=work.extend(FitMetadata, **found),
         timing={"dataset": str(job.dataset.path)},
         interrupted=results[-1].interrupted,
         faults=(*faults, *(fault for one in results for fault in one.faults)),
         data=job.dataset.files,
     )
-    return add_warnings(found, job)
+    return add_warnings(run, job)
 
 
 def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFrame:
@@ -117,7 +118,7 @@ def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFr
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 
 
-def _find_truth(job: Job) -> dict[str, dict[str, float]]:
+def _find_truth(job: Job) -> dict[str, float]:
     """Return the true parameters, where the data are our synthetic ones; nothing that fits knows them."""
     path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
     if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
@@ -127,7 +128,7 @@ def _find_truth(job: Job) -> dict[str, dict[str, float]]:
         return {}
     problem = job.problem(job.folds[0])
     known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
-    return {"truth": {name: value for name, value in known.items() if math.isfinite(value)}}
+    return {name: value for name, value in known.items() if math.isfinite(value)}
 
 
 def find_faults(

@@ -20,7 +20,7 @@ from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
-from needlefit.project.result_warnings import ResultWarning, warnings_entry
+from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
 from needlefit.reporting.scan_pages import write_quality
@@ -28,6 +28,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer
 from needlefit.studies.job import Settings
@@ -95,12 +96,11 @@ def tabulate_batch(
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
             "deflections": tabulate_deflections(ones),
         },
-        run={
-            "name": name,
-            "versions": package_versions(VERSIONED_PACKAGES),
-            "study": record.model_dump(mode="json", by_alias=True),
-            **warnings_entry(warnings),
-        },
+        metadata=RunMetadata(
+            name=name,
+            versions=package_versions(VERSIONED_PACKAGES),
+            study=record.model_dump(mode="json", by_alias=True),
+        ).state(warnings=to_stored_rows(warnings)),
         timing={},
     )
 

@@ -7,6 +7,7 @@ from needlefit.project.locate import find_file
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
+from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.job import Settings
 from needlefit.studies.report import StudyReport
 from needlefit.studies.run import Run
@@ -27,7 +28,7 @@ def run(name: str, record: DepthRecord, settings: Settings) -> Run:
         origin=dataset.origin,
         dataset_title=dataset.title,
         frames={"depths": table.reset_index()},
-        run={"name": name, "study": record.model_dump(mode="json", by_alias=True)},
+        metadata=RunMetadata(name=name, study=record.model_dump(mode="json", by_alias=True)),
         timing={},
     )
 

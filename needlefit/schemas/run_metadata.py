@@ -1,0 +1,251 @@
+"""What a run knows besides its tables: all that decides its result, and what it found as a whole.
+
+`run.json` and the stored results hold these records. Paths and times are in `timing.json`. A key that a run
+does not state is left out.
+"""
+
+from typing import Any, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
+
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+
+Table = dict[str, Any]  #: what is stored for a reader alone
+Other = TypeVar("Other", bound="RunMetadata")
+
+
+class _Metadata(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        populate_by_name=True,
+        protected_namespaces=(),
+        defer_build=True,
+    )
+
+    @model_serializer(mode="wrap")
+    def _leave_out_unset(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the keys that were stated."""
+        fields = type(self).model_fields
+        stated = {fields[name].alias or name for name in self.model_fields_set}
+        return {key: value for key, value in serialize(self).items() if key in stated}
+
+
+# ---- parts
+
+
+class WarningMetadata(_Metadata):
+    """A warning about data, study or result; `where` is a file by its name alone."""
+
+    kind: str
+    what: str
+    where: str = ""
+    fix: str = ""
+
+
+class NeedleMetadata(_Metadata):
+    """A needle: lengths in mm, EI in N mm^2, and of several how many insertions it has."""
+
+    outer_diameter: float | None = None
+    flexural_rigidity: float
+    length: float
+    insertions: int = 1
+
+
+class RigidityMetadata(_Metadata):
+    """The flexural rigidity of a needle, and where it is from."""
+
+    nmm2: float
+    origin: str
+
+
+class DatasetMetadata(_Metadata):
+    """The data: a digest, what their measurement does to shapes, and which errors they share."""
+
+    name: str
+    origin: str
+    sha256: str
+    notes: list[str]
+    measurement: Table
+    boundary_shared_sd_mm: list[float]
+    rigidity: dict[str, RigidityMetadata]
+    needle: NeedleMetadata | None = None  #: of all insertions; where they differ `needles`, by name
+    needles: dict[str, NeedleMetadata] | None = None
+
+
+class FoldMetadata(_Metadata):
+    """The ids of the insertions of a fold: of those fitted to, and of those held out."""
+
+    name: str
+    tune: list[str]
+    held_out: list[str] = Field(alias="validate")
+
+
+class InsertionMetadata(_Metadata):
+    """How an insertion was made: what its simulation needs besides needle and layers, lengths in mm."""
+
+    depth: float
+    side: int
+    bevel_factor: float
+    guide_distance: float | None
+    base_moved: float
+    compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
+    specimen: str
+    turns: list[tuple[float, float]] = []
+    needle: str = ""  #: its name, where there are several
+
+
+class CountMetadata(_Metadata):
+    """A number of simulations, and how many of them are outside what the model assumes."""
+
+    simulations: int = 0
+    outside: int = 0
+
+
+class ValidityMetadata(_Metadata):
+    """How many simulations of each kind were outside what the model assumes, and its limits."""
+
+    scored: CountMetadata
+    starts: CountMetadata
+    draws: CountMetadata
+    predicted: CountMetadata
+    limits: dict[str, float]
+    fitted_outside: int  #: scored simulations of the fits
+    scored_outside: list[Table]  #: some of these: fold, role, method, insertion, boundaries, faults
+
+
+class DepthMetadata(_Metadata):
+    """Whether the data would show a boundary at another depth than stated, and which modulus leans on it."""
+
+    boundary: int
+    sd_mm: float  #: to which the data know a shift of it
+    shift_mm: float  #: that they suggest
+    stated_sd_mm: float
+    parameter: str
+    factor_per_mm: float  #: of this parameter
+
+
+class AdvanceMetadata(_Metadata):
+    """The other rule of advance, which fits better: its tip error beside that of the stated one."""
+
+    advance: str
+    te_3d_mm: float
+    stated_te_3d_mm: float
+
+
+# ---- runs
+
+
+class RunMetadata(_Metadata):
+    """What every run knows; runs of a kind may know more."""
+
+    name: str
+    versions: dict[str, str] = {}  #: of Python, needlefit and the packages that decide the result
+    study: Table = {}  #: the study file
+    dataset: DatasetMetadata | None = None
+    medium: MediumRecord | None = None
+    recipe: RecipeRecord | None = None
+    folds: list[FoldMetadata] = []
+    warnings: list[WarningMetadata] = []
+    interrupted: bool = False
+    faults: list[str] = []
+    source_revision: str = ""  #: of a working copy
+
+    def state(self, **more: Any) -> Self:  # noqa: ANN401 - as pydantic's
+        """Return what also states these keys."""
+        return self.extend(type(self), **more)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return all that is stated, as JSON values."""
+        return self.model_dump(mode="json", by_alias=True)
+
+    def extend(self, kind: type[Other], **more: Any) -> Other:  # noqa: ANN401 - as pydantic's
+        """Return what runs of a kind know: all that is stated here, and more."""
+        stated = {name: getattr(self, name) for name in self.model_fields_set}
+        return kind.model_validate({**stated, **more})
+
+
+class JobMetadata(RunMetadata):
+    """What a run of a fit knows: everything that decides it."""
+
+    dataset: DatasetMetadata
+    medium: MediumRecord
+    recipe: RecipeRecord
+    hand_tuned: dict[str, float] | None
+    rules: Table  #: of the model; fits with other rules cannot be compared
+    planes: int
+
+
+class FitMetadata(JobMetadata):
+    """What a fit or cross-validation knows."""
+
+    layers: dict[str, list[tuple[int, float]]]  #: by insertion those it meets, and where each begins, mm
+    insertions: dict[str, InsertionMetadata]
+    new_bevel_sd: dict[str, float]  #: by fold: by how many SDs the bevel of a further insertion deviates
+    truth: dict[str, float] = {}  #: the true parameters, of our synthetic data
+    search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
+    stated_depths: list[DepthMetadata] = []
+    other_advance: AdvanceMetadata | None = None
+    validity: ValidityMetadata
+
+
+class AnalysisMetadata(JobMetadata):
+    """What an analysis of a fit knows: its own study file, and that of the fit."""
+
+    fit: Table
+
+
+class IdentificationMetadata(AnalysisMetadata):
+    """What an identification knows."""
+
+    place: str  #: where the reference values are from
+    values: dict[str, float]
+    insertions: int
+    depths_mm: list[float]
+
+
+class CalibrationMetadata(AnalysisMetadata):
+    """What a calibration knows; without a replicate it has no outcome."""
+
+    draws: int
+    stiff_design: dict[str, float] = {}
+    replicates: int = 0
+    passes: bool = False
+    conclusive: bool = False
+    not_calibrated: list[str] = []
+    untrusted: int = 0  #: replicates whose draws are not certified
+    not_predicted: int = 0  #: held-out insertions
+
+
+class PredictionMetadata(AnalysisMetadata):
+    """What a prediction knows: how its draws were made, and what was found of the fit."""
+
+    draw_source: str
+    pareto_k: float | None
+    ess: float | None
+    draws: int
+    specimen: str
+    fit_verdict: str | None
+    fit_run: str | None
+    fit_changed: str
+    fit_advice: Table | None
+    held_out_by_target: bool
+    failed_solves: int
+    outside_validity: int
+    not_converged: list[str]
+
+
+class CohortMetadata(RunMetadata):
+    """What a cohort knows."""
+
+    parts: list[Table]  #: tissue model, recipe and rules of the fits
+    datasets_sha256: dict[str, str]
+
+
+class TracksMetadata(RunMetadata):
+    """What a study of tip tracks knows, by the names of its fits."""
+
+    fits: dict[str, Table]
+    draws: dict[str, Table] = {}
+    prediction_draws: int
