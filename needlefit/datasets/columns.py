@@ -47,6 +47,9 @@ ROLL_COLUMNS = ("bevel_roll_deg", "bevel_roll_sd_deg")
 TURN_COLUMNS = ("id", "depth_mm", "bevel_roll_deg")  # of the table of turns during insertions
 # Of the table of curvatures: place of a sensor from the tip, curvature toward +y and +z of C, its deviation.
 CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1_per_mm")
+# Of an insertion of which the tip alone was measured: its deflection along y and z of C, and their deviation.
+TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
+OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that of the data that are there
 MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and entry, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
@@ -61,6 +64,9 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
     "guide_distance_mm": ("guide_distance", math.nan),
     BASE_SHIFT_COLUMN: ("base_moved", 0.0),
     SHARED_COLUMN: ("boundary_shared_sd", math.nan),
+    TIP_COLUMNS[0]: ("tip_y", math.nan),
+    TIP_COLUMNS[1]: ("tip_z", math.nan),
+    TIP_COLUMNS[2]: ("tip_sd", math.nan),
     ROLL_COLUMNS[0]: ("roll", math.nan),
     ROLL_COLUMNS[1]: ("roll_sd", DEFAULT_ROLL_SD_DEG),
 }
@@ -122,5 +128,10 @@ class InsertionRow:
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     # turns during the insertion: depth (mm) from which on the bevel has a roll (rad)
     turns: tuple[tuple[float, float], ...] = ()
+    # deflection of the tip along y and z of C and their standard deviation, mm, where it alone was measured
+    tip_y: float | None = None
+    tip_z: float | None = None
+    tip_sd: float | None = None
+    observed: str = ""  # the name of an observation; "": that of the data that are there
     # (n, 4); of each sensor the numbers of `CURVATURE_COLUMNS`
     curvature: Floats | None = None

@@ -1,7 +1,7 @@
 """Warn about a dataset that can be fitted all the same: placeholders, units, copies, bevel sides."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -131,12 +131,13 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
     if insertion.turns:
         return "unknown"
     x, y = insertion.planar[:, 0], insertion.side * insertion.planar[:, 1]
-    parabola = np.polyfit(x - x[0], y, 2)
-    bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
-    scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
-    noise_sd = SIGNIFICANT_SD * float(np.hypot(scatter, np.hypot(noise.point_sd, noise.correlated_sd)))
-    least = MIN_BEND_SLOPE * insertion.depth
-    measures = [(bend, max(least if guide else 0.5 * least, noise_sd))]
+    least, measures = MIN_BEND_SLOPE * insertion.depth, []
+    if len(x) > 2:  # more than a tip
+        parabola = np.polyfit(x - x[0], y, 2)
+        bend = float(parabola[0] * (x[-1] - x[0]) ** 2)  # the deflection from its first tangent
+        scatter = float(np.sqrt(np.mean((y - np.polyval(parabola, x - x[0])) ** 2)))
+        noise_sd = SIGNIFICANT_SD * float(np.hypot(scatter, np.hypot(noise.point_sd, noise.correlated_sd)))
+        measures.append((bend, max(least if guide else 0.5 * least, noise_sd)))
     if guide is None:
         limit = max(least, SIGNIFICANT_SD * compute_deflection_sd(insertion, noise))
         measures.append((insertion.deflection, limit))
@@ -273,15 +274,42 @@ def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> Iterator[ResultWarning]:
     """Yield the warnings about insertions that have no fault."""
-    where, outlying = format_place(file), find_outlying_points(listed, noise)
-    yield from find_point_warnings(listed, outlying)
-    yield from find_axis_warnings(listed, noise)
-    yield from find_constant_warnings(listed, noise)
-    # what is wrong with a point alone is no finding about its needle
-    listed = [drop_outlying_points(one, outlying) for one in listed]
+    where = format_place(file)
+    if record.centerlines is None:
+        yield from _find_side_warnings(record, listed, noise)
+    else:
+        outlying = find_outlying_points(listed, noise)
+        yield from find_point_warnings(listed, outlying)
+        yield from find_axis_warnings(listed, noise)
+        yield from find_constant_warnings(listed, noise)
+        # what is wrong with a point alone is no finding about its needle
+        listed = [drop_outlying_points(one, outlying) for one in listed]
+        yield from _find_shape_warnings(record, listed, noise, outlying)
     insertions = [one.insertion for one in listed]
+    yield from find_boundary_warnings(record, insertions, where)
+    yield from _find_own_boundary_warnings(record, listed)
+    deepest = max(insertions, key=lambda one: one.depth, default=None)
+    if deepest is not None and (unit := name_small_unit(deepest)):
+        what = f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}"
+        yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
+    for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
+        group = [one for one in insertions if one.medium == name]
+        yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
+    yield from _find_noise_warnings(record, listed, noise, where)
+
+
+def _find_side_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise
+) -> list[ResultWarning]:
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    sides = list(find_side_warnings([(one.insertion, one.where) for one in listed], noise, column))
+    return list(find_side_warnings([(one.insertion, one.where) for one in listed], noise, column))
+
+
+def _find_shape_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, outlying: Collection[str]
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about whole curves; those whose ids are `outlying` have points that are not."""
+    sides = _find_side_warnings(record, listed, noise)
     yield from sides
     # wrong sides look like needles that lean alike, and like one that differs
     needles = [] if sides else list(find_needle_warnings(listed, noise))
@@ -293,16 +321,6 @@ def find_insertion_warnings(
     measured = [one for one in listed if one.insertion.id not in outlying]  # their ends are points
     yield from _find_length_warnings(record, measured, noise)
     yield from _find_copy_warnings(listed, noise)
-    yield from find_boundary_warnings(record, insertions, where)
-    yield from _find_own_boundary_warnings(record, listed)
-    deepest = max(insertions, key=lambda one: one.depth, default=None)
-    if deepest is not None and (unit := name_small_unit(deepest)):
-        what = f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}"
-        yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
-    for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
-        group = [one for one in insertions if one.medium == name]
-        yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
-    yield from _find_noise_warnings(record, listed, noise, where)
 
 
 def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) -> Iterator[ResultWarning]:

@@ -21,6 +21,7 @@ from needlefit.datasets.columns import (
     NEEDLE_COLUMN,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
+    OBSERVED_COLUMN,
     POSE_COLUMNS,
     POSE_SOURCES,
     REQUIRED_COLUMNS,
@@ -152,7 +153,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
         values = np.radians(values) if name.endswith("_deg") else values
         numbers[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
     boundaries = [_parse_boundaries(table, n, found) for n in range(len(table.lines))]
-    needles = texts(NEEDLE_COLUMN)
+    needles, observed = texts(NEEDLE_COLUMN), texts(OBSERVED_COLUMN)
     side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
@@ -176,6 +177,7 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
             needle=needles[n],
             boundaries=boundaries[n],
             hole=holes[n],
+            observed=observed[n],
             line=int(table.lines[n]),
             **{field: values[n] for field, values in numbers.items()},  # type: ignore[arg-type]
         )

@@ -184,6 +184,8 @@ def reduce_insertion(
             "side": row.side if row.roll is None else 1,
             "turns": tuple((depth, math.degrees(roll - contact)) for depth, roll in row.turns),
             "curvature": _turn_curvature(row),
+            "observed": row.observed or "points",
+            "directions": 1 if row.tip_y is not None and row.tip_z is None else 2,
         }
     )
 

@@ -36,20 +36,23 @@ def estimate_noise_floor(
     across = flat + draw_errors_across(dataset, insertion, rng, draws)
     again = np.concatenate([curve + displaced, across[..., None]], axis=-1)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    tracker = dataset.pose == "tracker"
-    whole = np.column_stack([curve, flat])
+    tracker, whole = dataset.pose == "tracker", np.column_stack([curve, flat])
+    is_tip = tracker or len(curve) == 2
+    if is_tip:
+        again[..., 0] = curve[:, 0]  # depths are known
     if tracker:
-        again[..., 0] = curve[:, 0]  # depths are known; the best shifts and slopes are taken off
-        again = align_lateral(again, whole)
+        again = align_lateral(again, whole)  # the best shifts and slopes are taken off
     compare = (
         partial(compare_curves, measured=whole)
-        if tracker
+        if is_tip
         else _prepare_comparison(whole, insertion.measure_arc(1), find_pose(dataset.pose, insertion), free)
     )
     compared, floor = [compare(one) for one in again], dict[str, float]()
     for metric in metrics:
         with METRICS.plugin_error_context(metric.name):
-            floor[metric.name] = float(np.mean([metric.compute(one) for one in compared]))
+            known = compared[0].is_curve or not metric.of_curve
+            errors = [metric.compute(one) for one in compared] if known else math.nan
+            floor[metric.name] = float(np.mean(errors))
     return floor
 
 

@@ -38,6 +38,7 @@ from needlefit.datasets.points import Points
 from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.datasets.tip_tracks import parse_tracks
+from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project.locate import read_toml
@@ -167,9 +168,9 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
         return [], set(), {}
     insertions = [one.insertion for one in listed]
     reading.warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
-    pattern = record.centerlines.pattern
-    listed_tables = record.insertions
-    named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, record.centerlines.file)
+    lines, listed_tables = record.centerlines, record.insertions
+    pattern, long = (None, None) if lines is None else (lines.pattern, lines.file)
+    named = (listed_tables.file, listed_tables.turns, listed_tables.curvature, long)
     tables = [name for name in named if name is not None]
     own = [pattern.replace("{id}", one.id) for one in insertions] if pattern is not None else []
     own += [s.file_of(one.id) for one in insertions for s in record.media[one.medium].surfaces if s.own]
@@ -188,12 +189,13 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
 def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[ListedInsertion]:
     """Yield the sound insertions; note the faults of the others, and unused or open cells."""
     record, root, found = reading.record, reading.root, reading.faults
-    curves, motion = _Centerlines(reading), record.frame.lps_to_world
+    curves = None if record.centerlines is None else _Centerlines(reading)
+    motion = record.frame.lps_to_world
     scanned = IDENTITY_FRAME if motion is None else Frame.from_rows(motion)  # where a row states no other
-    if record.centerlines.file is not None and not curves.read_long_table():
+    if curves is not None and record.centerlines.file is not None and not curves.read_long_table():
         return
-    table = curves.long if record.insertions.file is None else None
-    if table is not None:  # the first row of every insertion
+    table = curves.long if curves is not None and record.insertions.file is None else None
+    if curves is not None and table is not None:  # the first row of every insertion
         first = [int(rows[0]) for rows in curves.groups.values()]
         table = _take_rows(table, first)
         table = replace(table, cells=table.cells.assign(id=list(curves.groups)))
@@ -207,8 +209,11 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
     for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or scanned
         faults: list[Fault] = []
-        points = curves.find(row, patient, faults)
-        if points is not None:
+        row = replace(row, observed=name_observed(row, curves is not None))
+        if curves is None:
+            faults += find_tip_faults(row, where)
+            row, points = (row, None) if faults else place_tip(row, table.path)
+        elif (points := curves.find(row, patient, faults)) is not None:
             faults += points.find_faults(row.id) or find_curve_faults(points, row, record, where)
         sections = None
         if points is not None and not faults:

@@ -21,6 +21,7 @@ from needlefit.datasets.columns import (
     NEEDLE_COLUMN,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
+    OBSERVED_COLUMN,
     POINT_COLUMNS,
     ROLL_COLUMNS,
     SCAN_COLUMNS,
@@ -28,6 +29,7 @@ from needlefit.datasets.columns import (
     SCAN_SHIFT_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
+    TIP_COLUMNS,
     TURN_COLUMNS,
     InsertionRow,
 )
@@ -54,8 +56,9 @@ def write_dataset(
     last, so that a folder with one is complete. Files of an earlier dataset in `folder` that this one does
     not name stay there.
 
-    `record`: with `insertions.file` and `centerlines.pattern` (a .csv with `{id}`) set (`insertions.csv`,
-    `centerlines/{id}.csv`); its checksums are replaced by those of the files written.
+    `record`: with `insertions.file` and, but of tips or curvatures alone, `centerlines.pattern` (a .csv with
+    `{id}`) set (`insertions.csv`, `centerlines/{id}.csv`); its checksums are replaced by those of the files
+    written.
     `rows`: in the order in which the table shall list them.
     `centerlines`: (N, 3) or (N, 4); world points from entry to tip, and, where it is known, the standard
     deviation of each in any one direction across the needle; mm; one for every row.
@@ -65,8 +68,9 @@ def write_dataset(
     `sections`: of every row, world, where `record.measurement.sections` names files of them.
     """
     surfaces, sections = surfaces or {}, sections or {}
-    table, pattern = record.insertions.file, record.centerlines.pattern
-    assert table is not None and pattern is not None, "files of both"
+    table = record.insertions.file
+    pattern = None if record.centerlines is None else record.centerlines.pattern
+    assert table is not None and (pattern is None) == (record.centerlines is None), "files of both"
     files = {table: _format_rows(rows)}
     if (turns := record.insertions.turns) is not None:
         rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
@@ -80,6 +84,8 @@ def write_dataset(
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
     for row in rows:
+        if pattern is None:
+            break
         values = np.asarray(centerlines[row.id], dtype=np.float64)
         columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
         table_rows = (columns, *(_format_vector(point, 4) for point in values))
@@ -105,6 +111,12 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns += [BOUNDARIES_COLUMN] if any(row.boundaries is not None for row in rows) else []
     columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
     columns += [HOLE_COLUMN] if any(row.hole for row in rows) else []
+    columns += [
+        name
+        for name in TIP_COLUMNS
+        if any(getattr(row, name.removesuffix("_mm")) is not None for row in rows)
+    ]
+    columns += [OBSERVED_COLUMN] if any(row.observed for row in rows) else []
     columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
     columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
@@ -123,6 +135,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         "specimen": row.specimen or row.hole or row.id,
         HOLE_COLUMN: row.hole,
         NEEDLE_COLUMN: row.needle,
+        OBSERVED_COLUMN: row.observed,
         BOUNDARIES_COLUMN: _format_boundaries(row.boundaries),
         "layers": str(row.layers),
         "layers_alternative": str(alternative),

@@ -133,6 +133,11 @@ class ComparedCurves:
         return distances
 
     @property
+    def is_curve(self) -> bool:
+        """Whether there are stations between entry and tip."""
+        return len(self.measured) > 2
+
+    @property
     def tip_error(self) -> float:
         """The in-plane error at the last station, mm."""
         return float(self.distances[-1])

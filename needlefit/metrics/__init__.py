@@ -1,5 +1,6 @@
 """Error metrics, here or of a plugin. Whatever shows errors iterates over them."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -29,6 +30,7 @@ class Metric:
     relative: bool = False
     #: whether it counts what leaves the plane too; it stands in for the one of the plane where needles turn
     in_space: bool = False
+    of_curve: bool = False  #: whether it needs a measured curve: of a tip alone it is NaN
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
     order: int = 100  #: its place in tables, from the left
 
@@ -54,7 +56,8 @@ def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
     found = {}
     for metric in list_metrics():
         with METRICS.plugin_error_context(metric.name):
-            found[metric.name] = float(metric.compute(curves))
+            known = curves.is_curve or not metric.of_curve
+            found[metric.name] = float(metric.compute(curves)) if known else math.nan
     return found
 
 
@@ -64,6 +67,7 @@ MEDIAN = Metric(
     "mm",
     "Median of the in-plane error over the points of a curve.",
     compute=lambda curves: float(np.median(curves.distances)),
+    of_curve=True,
     order=10,
 )
 
@@ -75,6 +79,7 @@ IPE = Metric(
     "length.",
     compute=lambda curves: float(np.mean(curves.distances)),
     headline=True,
+    of_curve=True,
     order=20,
 )
 
@@ -86,6 +91,7 @@ IPE_SPREAD = Metric(
     compute=lambda curves: float(np.std(curves.distances)),
     has_floor=False,
     spread_of="ipe_mean_mm",
+    of_curve=True,
     order=21,
 )
 
@@ -95,6 +101,7 @@ MAX_IPE = Metric(
     "mm",
     "Largest in-plane error of the points of a curve.",
     compute=lambda curves: float(np.max(curves.distances)),
+    of_curve=True,
     order=30,
 )
 
@@ -106,6 +113,7 @@ IPE_3D = Metric(
     compute=lambda curves: float(np.mean(curves.distances_3d)),
     headline=True,
     in_space=True,
+    of_curve=True,
     order=35,
 )
 

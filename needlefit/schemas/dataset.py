@@ -310,8 +310,8 @@ class DatasetRecord(SourceRecord):
     """Measurement errors."""
     insertions: InsertionsRecord
     """Table of insertions."""
-    centerlines: CenterlinesRecord
-    """Measured shapes."""
+    centerlines: CenterlinesRecord | None = None
+    """Measured shapes; without them, tips (`tip_y_mm` of the table of insertions) or curvatures alone."""
     measurement: MeasurementRecord | None = None
     """Smoothing that the measurement did."""
     media: dict[Name, DatasetMediumRecord] = {}
@@ -323,10 +323,14 @@ class DatasetRecord(SourceRecord):
 
     @model_validator(mode="after")
     def _has_insertions(self) -> Self:
-        if self.insertions.file is None and self.centerlines.file is None:
+        if self.insertions.file is None and (self.centerlines is None or self.centerlines.file is None):
             raise ValueError("without insertions.file the insertions must be the groups of centerlines.file")
         if self.insertions.file is None and self.insertions.id_template is None:
             raise ValueError("without insertions.file, insertions.id_template must name the insertions")
+        if self.frame.pose == "free" and self.centerlines is None:
+            raise ValueError('tips and curvatures alone need the pose of their needle: frame.pose = "known"')
+        if self.measurement is not None and self.centerlines is None:
+            raise ValueError("[measurement] is of centrelines, and there are none")
         if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
             raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
         if self.frame.pose == "free" and (self.insertions.turns or self.insertions.curvature):

@@ -139,10 +139,12 @@ def _lay_out_groups(
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
     in_space = bool(blocks) and all(group.in_space for group, _ in blocks)
+    shown = {row["metric"] for row in rows if row["value"] is not None and not math.isnan(row["value"])}
     metrics = [one for one in list_metrics() if one.in_space == in_space and not one.spread_of]
+    metrics = [one for one in metrics if one.name in shown]
     if short:
         metrics = [one for one in metrics if one.headline or one.relative]
-    floors = [one.name for one in headline_metrics(in_space=in_space) if one.has_floor]
+    floors = [one.name for one in metrics if one.headline and one.has_floor]
     last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
     if short:
         metrics.sort(key=lambda one: one.name not in (scores.TE, scores.TE_IN_SPACE))
@@ -239,14 +241,16 @@ def lay_out_coverage(results: Run) -> TableLayout:
 def lay_out_baselines(results: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
     digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
+    compared = scores.compare_methods(results, role)
     rows = [
         {
             **{**row, DIGITS: digits, "method": method_name(row["method"], results.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
-        for row in to_records(scores.compare_methods(results, role))
+        for row in to_records(compared)
     ]
-    errors = (one.name for one in headline_metrics(in_space=scores.is_in_space(results)))
+    metrics = headline_metrics(in_space=scores.is_in_space(results))
+    errors = (one.name for one in metrics if compared[one.name].notna().any())
     columns = ("method", "insertions", *errors, "te_difference", "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
@@ -255,7 +259,9 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
     method = choose_method(results) if role == "validate" else "fitted"
     # beside the errors in the plane those in space; the paper's EDP is of the plane alone
+    chosen = select_fitted(results.frames["errors"], role, method)
     metrics = [one for one in list_metrics() if not (one.spread_of or (one.in_space and one.relative))]
+    metrics = [one for one in metrics if chosen[one.name].notna().any()]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in metrics),
@@ -271,7 +277,7 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
                 if one.relative and row["edp_flagged"]
             },
         }
-        for row in to_records(select_fitted(results.frames["errors"], role, method))
+        for row in to_records(chosen)
     ]
     return _lay_out(Table("insertions", rows, columns), method=method)
 

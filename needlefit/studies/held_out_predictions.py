@@ -231,6 +231,8 @@ class _Predictor:
             band = tuple({**where, **point} for point in tabulate_band(mixture, observation.measured))
             middle = np.zeros((len(s), 3))
             middle[:, 0], middle[:, 1 : 1 + planes] = np.median(aligned[..., 0], axis=0), across
+            if s[0] > 0:  # of a tip alone; the needle begins at the entry
+                s, middle = np.append(0.0, s), np.vstack([np.zeros(3), middle])
             median = partial(_interpolate, s, middle)
         row = {name: row[name] for name in columns}
         outside = int(np.sum(~found.valid[solved]))

@@ -22,7 +22,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.layers import find_layers
 from needlefit.inference.forward_model import PreparedModel, predict, stack_values, tabulate_sets
 from needlefit.inference.likelihood.nodes import enforce_order, shift_depths
-from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
+from needlefit.inference.likelihood.observations import read_points
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.planned_layers import MAX_DRAWN_LAYERS, with_planned_layers
@@ -176,9 +176,8 @@ class PlannedInsertion:
     def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
         shapes = PreparedModel(self._medium, [one for one, _ in nodes]).simulate(which, self._jobs)
-        kind, pairs = OBSERVATIONS[self._insertion.observed], zip(nodes, shapes, strict=True)
-        found = [kind.read_batch_points(shape, at) for (_, at), shape in pairs]
-        return np.array(found), shapes[0].valid
+        pairs = zip(nodes, shapes, strict=True)
+        return np.array([compute_batch_positions(shape, at) for (_, at), shape in pairs]), shapes[0].valid
 
     def simulate(self, stride: int = 1, sd: float = 0.0) -> PlannedNeedles:
         """Return the needles of every so many sets; `sd` is the deviation of a measured tip from one, mm."""

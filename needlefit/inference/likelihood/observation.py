@@ -19,7 +19,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Nois
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import DataError
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.likelihood.nodes import Nodes
+from needlefit.inference.likelihood.nodes import Nodes, make_nodes
 from needlefit.project.toml import locate_key
 from needlefit.schemas.recipe import LikelihoodRecord
 
@@ -266,6 +266,46 @@ def no_errors_error(dataset: Dataset, insertion: Insertion) -> DataError:
         expected="noise.point_sd_mm above 0",
         fix="write how well a point is known, per axis; `needlefit check` names such datasets",
     )
+
+
+def list_pose_modes(
+    insertion: Insertion, errors: StatedErrors, measured: Floats, slopes: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """Return the changes (C, c) by errors of a known pose, and their deviations (c,), in one plane or two."""
+    if errors.dataset.planes == 2:
+        return pose_modes_in_space(measured, slopes), pose_sds_in_space(insertion, errors.noise)
+    slope = None if slopes is None else slopes[:, 0]
+    return pose_modes(measured, slope), pose_sds(insertion, errors.noise)
+
+
+def complete_observation(
+    insertion: Insertion,
+    errors: StatedErrors,
+    s: Floats,
+    measured: Floats,
+    covariance: Floats,
+    pose: Floats,
+    free: Floats,
+    operator: Floats | None = None,
+    shift: Floats | None = None,
+) -> Observation:
+    """Return the observation of places measured at beam coordinates `s` (K,), or of C combinations of them.
+
+    `pose` (C, c) and `free` (C, f) are as in `Observation`. `operator` (C, K), in space (C, 2 K), leads to
+    the combinations; `shift` (C,) is added to those of the simulation.
+
+    Raises DataError if the errors leave a place without any.
+    """
+    try:
+        whitening, log_norm, curves = whiten_known(covariance, pose, free, errors.likelihood)
+    except np.linalg.LinAlgError:
+        raise no_errors_error(errors.dataset, insertion) from None
+    depths, varies = errors.likelihood.depths, errors.bevels_vary
+    nodes = make_nodes(insertion, s, depths, bevel=varies, constants=len(curves))
+    offset: Floats | float = 0.0 if shift is None else whitening @ shift
+    whitening = whitening if operator is None else whitening @ operator
+    known = find_pose(errors.dataset.pose, insertion)
+    return Observation(measured, covariance, pose, free, whitening, log_norm, known, nodes, curves, offset)
 
 
 def join_observations(one: Observation, other: Observation) -> Observation:

@@ -110,7 +110,7 @@ def make_observation(
     # the cross-sections are what the points were drawn through
     has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
     found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
-    if insertion.curvature is None:
+    if insertion.curvature is None or insertion.observed == "curvature":
         return found
     return join_observations(found, OBSERVATIONS["curvature"].observe(insertion, errors))
 

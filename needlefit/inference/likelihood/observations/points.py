@@ -10,23 +10,18 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, find_pose, select_compared_places
+from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Insertion, select_compared_places
 from needlefit.geometry.frames import make_tracker_columns
 from needlefit.geometry.smoothing_spline import fit_matrices, make_knots
 from needlefit.inference.compared_points import rotate_to_entry_axes
-from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import (
     Discrepancy,
     Observation,
     StatedErrors,
-    no_errors_error,
+    complete_observation,
+    list_pose_modes,
     points_covariance,
-    pose_modes,
-    pose_modes_in_space,
-    pose_sds,
-    pose_sds_in_space,
     split_pose_modes,
-    whiten_known,
 )
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.schemas.dataset import MeasurementRecord
@@ -71,26 +66,16 @@ class _Points(ObservationType):
         if dataset.planes == 2:
             cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
             operator = None if operator is None else block_diag(operator, operator)
-            modes, sds = pose_modes_in_space(measured), pose_sds_in_space(insertion, noise)
-        else:
-            modes, sds = pose_modes(measured), pose_sds(insertion, noise)
         pose = np.empty((len(cov), 0))
         if dataset.pose == "known":
+            modes, sds = list_pose_modes(insertion, errors, measured)
             pose, free = (_apply(operator, part) for part in split_pose_modes(insertion, modes, sds))
         # else across and turn alone: arc lengths are counted from the tip, so that nothing shifts along them
-        try:
-            whitening, log_norm, curves = whiten_known(cov, pose, free, errors.likelihood)
-        except np.linalg.LinAlgError:
-            raise no_errors_error(dataset, insertion) from None
-        depths, varies = errors.likelihood.depths, errors.bevels_vary
-        nodes = make_nodes(insertion, s, depths, bevel=varies, constants=len(curves))
-        offset: Floats | float = 0.0
+        shift = None
         if measurement.operator == "gaussian":  # what is stored was smoothed already, the simulation was not
             stored = measured[:, 1:].T.ravel()
-            offset = whitening @ (_apply(operator, stored) - stored)
-        whitening = whitening if operator is None else whitening @ operator
-        known_of = find_pose(dataset.pose, insertion)
-        return Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves, offset)
+            shift = _apply(operator, stored) - stored
+        return complete_observation(insertion, errors, s, measured, cov, pose, free, operator, shift)
 
 
 def _apply(operator: Floats | None, values: Floats) -> Floats:

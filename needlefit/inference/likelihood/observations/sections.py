@@ -10,18 +10,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from needlefit.arrays import Bools, Floats
-from needlefit.datasets.insertion import Insertion, find_pose
+from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices
-from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import (
     Observation,
     StatedErrors,
-    pose_modes,
-    pose_modes_in_space,
-    pose_sds,
-    pose_sds_in_space,
+    complete_observation,
+    list_pose_modes,
     split_pose_modes,
-    whiten_known,
 )
 from needlefit.inference.likelihood.observations import ObservationType
 
@@ -88,18 +84,11 @@ class _Sections(ObservationType):
                 [[0.0, -insertion.roll_sd], [insertion.roll_sd, 0.0]], np.eye(len(measured))
             )
             cov = cov + quarter @ known.shared @ quarter.T
-            modes = pose_modes_in_space(measured, known.slope)
-            sds = pose_sds_in_space(insertion, dataset.noise)
         else:
             measured = known.places[:, :2]
-            modes, sds = pose_modes(measured, known.slope[:, 0]), pose_sds(insertion, dataset.noise)
+        modes, sds = list_pose_modes(insertion, errors, measured, known.slope)
         pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
-        whitening, log_norm, curves = whiten_known(cov, pose, free, errors.likelihood)
-        depths, varies = errors.likelihood.depths, errors.bevels_vary
-        nodes = make_nodes(insertion, known.s, depths, bevel=varies, constants=len(curves))
-        whitening = whitening @ operator
-        known_of = find_pose(dataset.pose, insertion)
-        return Observation(measured, cov, pose, free, whitening, log_norm, known_of, nodes, curves)
+        return complete_observation(insertion, errors, known.s, measured, cov, pose, free, operator)
 
 
 SECTIONS = _Sections("sections")

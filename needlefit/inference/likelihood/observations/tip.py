@@ -1,0 +1,69 @@
+"""The tip alone: its deflection from the entry line at one depth, in a known pose.
+
+Its place along the needle is not measured: it is compared at its depth, so that its error is that across.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from needlefit.arrays import Floats
+from needlefit.datasets.insertion import Insertion, Pose, find_pose
+from needlefit.inference.compared_points import ComparedPoints
+from needlefit.inference.likelihood.observation import (
+    Observation,
+    StatedErrors,
+    complete_observation,
+    list_pose_modes,
+    points_covariance,
+    split_pose_modes,
+)
+from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.mechanics.batch import Jacobians, NeedleShapes
+from needlefit.mechanics.shape import NeedleShape
+
+
+@dataclass(frozen=True)
+class _Tip(ObservationType):
+    def select_points(
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+    ) -> ComparedPoints:
+        """Return the entry, where the needle has no deflection, and the tip."""
+        s = np.array([0.0, insertion.depth])
+        measured = np.column_stack([s, [0.0, insertion.planar[-1, 1]]])
+        z = np.array([0.0, insertion.out_of_plane[-1]])
+        return ComparedPoints(s, measured, find_pose(pose, insertion), z)
+
+    def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
+        """Return the deflections, each at its beam coordinate."""
+        points = super().read_points(shape, s)
+        points[:, 0] = s
+        return points
+
+    def read_batch_points(self, shapes: NeedleShapes, s: Floats) -> Floats:
+        """Return `read_points` of many simulations."""
+        points = super().read_batch_points(shapes, s)
+        points[..., 0] = s
+        return points
+
+    def read_batch_derivatives(self, shapes: NeedleShapes, jacobians: Jacobians, s: Floats) -> Floats:
+        """Return the derivatives of `read_batch_points`."""
+        derivatives = super().read_batch_derivatives(shapes, jacobians, s)
+        derivatives[:, :, 0] = 0.0
+        return derivatives
+
+    def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return the observation of the tip, whose slope is taken as that of constant curvature."""
+        s, planes = np.array([insertion.depth]), errors.dataset.planes
+        across = np.append(insertion.planar[-1:, 1], insertion.out_of_plane[-1])[None, :planes]  # (1, planes)
+        cov = points_covariance(s, errors.noise, None if insertion.sd is None else insertion.sd[-1:])
+        if errors.model_error is not None:
+            cov = cov + errors.model_error.covariance(s)
+        cov, measured = block_diag(*[cov] * planes), np.column_stack([s, across])
+        modes, sds = list_pose_modes(insertion, errors, measured, 2 * across / s)
+        pose, free = split_pose_modes(insertion, modes, sds)
+        return complete_observation(insertion, errors, s, measured, cov, pose, free)
+
+
+TIP = _Tip("tip")
