@@ -295,17 +295,54 @@ def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
         settled = Answers(answers | {"guide": guide})
         write_import(tmp_path / "runs", *plan_import([file], settled), settled)
         (run,) = read(tmp_path / "runs").insertions
-        np.testing.assert_allclose(run.guide, 0.1 * np.arange(16), atol=1e-4)
+        np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
 
 
-def test_tips_alone_and_curvatures_alone_are_refused_in_one_line(tmp_path):
-    rows = [["needle", "depth", "deflection"], *([f"n{n}", 40 + 5 * n, 0.1 * n] for n in range(8))]
-    error = refusal(DataError, "8 needles", read_content, [write_rows(tmp_path / "a.csv", rows)])
-    assert "tips alone" in error.fix
+@pytest.mark.parametrize(
+    ("head", "rows", "holes", "ends"),
+    [
+        # one depth of each needle; several of each; without names; along y and z; toward the bevel
+        ("needle,depth,deflection", ["a,40,2.5", "b,60,5"], ["", ""], [(2.5, None), (5, None)]),
+        ("needle,depth,deflection", ["a,40,2.5", "a,60,5"], ["a", "a"], [(2.5, None), (5, None)]),
+        ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),
+        ("needle,depth,tip y,tip z", ["a,40,2.5,1", "b,60,5,-1"], ["", ""], [(2.5, 1), (5, -1)]),
+        ("needle,depth,deflection,side", ["a,40,2.5,1", "b,60,5,-1"], ["", ""], [(2.5, None), (-5, None)]),
+    ],
+)
+def test_a_table_of_depths_and_deflections_is_of_tips(tmp_path, head, rows, holes, ends):
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]) + "\n")
+    answers = Answers({"point sd": "0.2"})
+    content, plan = plan_import([tmp_path / "a.csv"], answers)
+    assert [row.hole for row in plan.rows] == holes
+    found = [(row.tip_y, row.tip_z) for row in plan.rows]
+    assert np.array(found, dtype=float) == pytest.approx(np.array(ends, dtype=float), nan_ok=True)
+    write_import(tmp_path / "tips", content, plan, answers)
+    data = read(tmp_path / "tips")
+    assert {one.observed for one in data.insertions} == {"tip"} and data.noise.point_sd == 0.2
+
+
+def test_deflections_of_each_needle_at_many_depths_may_be_of_tips(tmp_path):
+    rows = [["needle", "depth", "deflection"], *(["a", 10 * n, 0.1 * n] for n in range(1, 9))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert planned([file])[1].pose == "tracker"
+    _, plan, made = planned([file], observable="tips")
+    assert made["observable"] == ("tips", "option")
+    assert plan.pose == "known" and [row.depth for row in plan.rows] == [10 * n for n in range(1, 9)]
+
+
+def test_one_place_of_each_needle_is_refused_and_curvatures_alone_are_read(tmp_path):
     rows = [["needle", "x", "y", "z"], *([f"n{n}", 40 + 5 * n, 0.1 * n, 0] for n in range(3))]
-    assert "tips alone" in refusal(DataError, "", read_content, [write_rows(tmp_path / "a.csv", rows)]).fix
+    assert "deflection" in refusal(DataError, "", read_content, [write_rows(tmp_path / "a.csv", rows)]).fix
     rows = [["needle", "s (mm)", "kappa_y", "kappa_z", "sd"], ["a", 10, 0.001, 0, 1e-4]]
-    refusal(DataError, "curvatures", read_content, [write_rows(tmp_path / "a.csv", rows)])
+    file = write_rows(tmp_path / "a.csv", rows)
+    refusal(DataError, "inserted length", planned, [file])
+    beside = write_rows(tmp_path / "b.csv", [["needle", "depth"], ["a", 40]])
+    answers = Answers({})
+    write_import(tmp_path / "read", *plan_import([file, beside], answers), answers)
+    (one,) = read(tmp_path / "read").insertions
+    assert one.observed == "curvature" and one.depth == 40
+    # half of the curvature times the square of the length
+    assert one.planar[-1, 1] == pytest.approx(0.001 * 40**2 / 2, rel=1e-3)
 
 
 def test_sensors_may_be_placed_from_the_base(tmp_path):

@@ -413,7 +413,7 @@ def _find_noise_warnings(
         what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
         fix = "check its unit, mm; such data determine nothing"
         yield ResultWarning("noise", what, where(_name_larger_sd(noise)), fix)
-    else:
+    elif record.centerlines is not None:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         yield from find_scatter_warnings(insertions, noise, where, is_smoothed)
     yield from _find_number_warnings(record, listed, where)

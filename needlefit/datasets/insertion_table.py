@@ -248,7 +248,8 @@ def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> It
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
             expected = "a standard deviation, 0 or more"
-            fix = f"remove the sign, or leave the cell empty: {default:g}"
+            fix = "remove the sign, or leave the cell empty"
+            fix += "" if math.isnan(default) else f": {default:g}"
             yield Fault(where, f"{name} is negative", expected, fix)
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
         what = f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}"

@@ -110,9 +110,10 @@ def _project_turns(insertion: Insertion) -> Insertion:
 def measure_out_of_plane(dataset: Dataset) -> list[tuple[str, float, float]]:
     """Return how far each needle is from where its bevel leads it: mm, standard deviations; worst first.
 
-    See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks.
+    See `measure_aside`. The plane of a free shape is the one nearest to it. None of tip tracks, and of tips
+    that were not measured out of their planes.
     """
-    known = dataset.insertions if dataset.pose != "tracker" else ()
+    known = [one for one in dataset.insertions if dataset.pose != "tracker" and one.directions == 2]
     gaps = [(one.id, measure_aside(one), compute_deflection_sd(one, dataset.noise)) for one in known]
     return sorted(((name, gap, gap / (sd or math.nan)) for name, gap, sd in gaps), key=lambda one: -one[2])
 

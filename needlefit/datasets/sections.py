@@ -30,6 +30,12 @@ MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, 
 MAX_TIP_SDS, MAX_TIP_MM = 5.0, 0.05
 # Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
+# What was measured where it is no shape, by the name of its observation.
+MEASURED = {
+    "tip_track": "tips at depths, as tracked",
+    "tip": "tips alone, across the line of insertion",
+    "curvature": "curvatures alone; shapes that are shown are their integrals",
+}
 LENGTH_DIGITS, WEIGHT_DIGITS = 5, 6
 
 
@@ -112,8 +118,10 @@ def from_record(record: SectionsRecord) -> SplineSections:
 def describe_measurement(dataset: Dataset) -> str:
     """Return what the measurement of a dataset does to shapes, for people."""
     stated = dataset.measurement
-    if dataset.pose == "tracker":
-        return "tips at depths, as tracked"
+    if words := [
+        MEASURED[one] for one in {each.observed: 0 for each in dataset.insertions} if one in MEASURED
+    ]:
+        return "; ".join(words)
     if stated.operator == "gaussian":
         return f"points smoothed along the needle by a Gaussian of SD {stated.width_mm:g} mm"
     if stated.operator == "unknown":

@@ -25,12 +25,14 @@ def name_observed(row: InsertionRow, has_points: bool) -> str:
 
 def find_tip_faults(row: InsertionRow, where: str) -> Iterator[Fault]:
     """Yield what is wrong with an insertion of which no shape was measured."""
-    tip_y, tip_z, tip_sd = TIP_COLUMNS
+    tip_y, tip_z, _ = TIP_COLUMNS
     if row.pose_source == "first_point":
         expected = "stage, shaft or fitted: the place of first contact is known"
         fix = f"state where the tip first touched the tissue: {', '.join(POSE_COLUMNS[:3])}"
         yield Fault(where, "pose_source is 'first_point', and no shape was measured", expected, fix)
-    if row.tip_y is None and row.curvature is None:
+    if row.tip_z is not None and row.tip_y is None:
+        yield Fault(where, f"{tip_z} is stated without {tip_y}", "both, or the latter", f"fill {tip_y}")
+    elif row.tip_y is None and row.curvature is None:
         fix = f"fill {tip_y}, name a table of curvatures, or of centrelines under [centerlines]"
         yield Fault(where, f"nothing was measured of {row.id}", "a tip, curvatures or a shape", fix)
     across = np.hypot(row.tip_y or 0.0, row.tip_z or 0.0)
@@ -38,11 +40,6 @@ def find_tip_faults(row: InsertionRow, where: str) -> Iterator[Fault]:
         what = f"the tip of {row.id} is {across:g} mm off the entry line at a depth of {row.depth:g} mm"
         expected = "less than the inserted length"
         yield Fault(where, what, expected, f"give {tip_y} and depth_mm in mm: from the line of insertion")
-    if row.tip_sd is not None and row.tip_sd <= 0:
-        expected = "a standard deviation above 0, or an empty cell: noise.point_sd_mm"
-        yield Fault(where, f"{tip_sd} is {row.tip_sd:g}", expected, "correct the cell")
-    if row.tip_z is not None and row.tip_y is None:
-        yield Fault(where, f"{tip_z} is stated without {tip_y}", "both, or the latter", f"fill {tip_y}")
 
 
 def place_tip(row: InsertionRow, path: Path) -> tuple[InsertionRow, Points]:

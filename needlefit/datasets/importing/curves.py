@@ -45,6 +45,8 @@ class ImportedCurve:
     guide: Floats | None = None  # (N, 3); places of the guide at the readings
     # Places (N, 3) of what may be the guide, by its name in the file, in the unit of the coordinates.
     guides: dict[str, Floats] = field(default_factory=dict)
+    is_named: bool = True  # the file names it; else it has the name of the file
+    hole: str = ""  # the name that depths of one hole have together
     shaft: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (K, 3); points up to the entry
     turns: list[tuple[float, Stated]] = field(default_factory=list)  # depths, mm, and where bevels face then
     sensors: list[Floats] = field(default_factory=list)  # (4,) each: `SENSOR` in mm and 1/mm
@@ -67,8 +69,19 @@ class ImportedCurve:
 
     @property
     def reach(self) -> float:
-        """The greatest distance of a point from the first one, about the length: of unsorted points, too."""
-        return float(np.linalg.norm(self.line - self.line[0], axis=1).max())
+        """The greatest distance of a point from the first one, about the length: of unsorted points, too.
+
+        Of deflections it is that from the entry; 0 without points.
+        """
+        if not len(self.line):
+            return 0.0
+        start = 0.0 if self.is_tip else self.line[0]
+        return float(np.linalg.norm(self.line - start, axis=1).max())
+
+    @property
+    def is_tip(self) -> bool:
+        """Whether its points are depths and deflections."""
+        return self.readings is not None and self.readings.is_deflection
 
     @property
     def depth(self) -> float:

@@ -1,7 +1,7 @@
 """Read all curves and surfaces, and what is stated of them, in the files and folders that an import names."""
 
 import itertools
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,7 +11,7 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.importing.answers import Stated, add_stated
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent, ImportedCurve, parse_columns
-from needlefit.datasets.importing.joining import MAX_NAME_CHARS, join_needles
+from needlefit.datasets.importing.joining import MAX_NAME_CHARS, join_needles, make_unique
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import find_meaning, list_meanings, read_header, split_unit
 from needlefit.datasets.importing.table_reader import UNKNOWN_DOUBT, read_table
@@ -25,6 +25,7 @@ from needlefit.datasets.importing.tables import (
     read_sheets,
     read_text_cells,
 )
+from needlefit.datasets.importing.tips import add_needles_without_points
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import RAS_TO_LPS
@@ -75,21 +76,31 @@ def read_content(
         _read_file(path, content)
     if not content.curves and content.unclear:
         raise content.unclear[0]
-    _refuse_without_points(content, paths[0])
+    if not content.curves:
+        add_needles_without_points(content)
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
         raise DataError(
             what, where=str(paths[0]), expected=expected, fix="name the files of their points, too"
         )
-    if faults := [fault for one in content.curves for fault in one.points.find_faults(one.name)]:
+    shapes = [one for one in content.curves if len(one.line) and not one.is_tip]
+    if shapes and all(len(one.line) == 1 for one in shapes):
+        names = join_names([one.name for one in shapes], 3)
+        raise DataError(
+            f"holds one point of each of {len(shapes)} needles: {names}",
+            where=shapes[0].points.where(),
+            expected=f"at least {MIN_POINTS} points along each needle, or depth and deflection of each tip",
+            fix="name the columns of tips with --columns depth=HEADER,deflection=HEADER",
+        )
+    if faults := [fault for one in shapes for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for name in content.columns.keys() - content.columns_found:
         what = f"no table has a column {name!r}"
         raise DataError(what, where=str(paths[0]), expected="a header or a number", fix="correct --columns")
     curves: dict[str, ImportedCurve] = {}
     for one in content.curves:
-        name = _make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
+        name = make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
         curves[name] = replace(one, name=name)
     content.curves = [*curves.values()]
     join_needles(content)
@@ -132,32 +143,6 @@ def read_asking(
     return read_content(paths, named, layout)
 
 
-def _refuse_without_points(content: ImportContent, path: Path) -> None:
-    """DataError if the files hold tips alone, or curvatures alone, which are no shapes."""
-    tips = [one for one in content.curves if len(one.points.values) == 1]
-    if tips and len(tips) == len(content.curves):
-        names = join_names([one.name for one in tips], 3)
-        raise DataError(
-            f"holds one point of each of {len(tips)} needles, as of tips: {names}",
-            where=tips[0].points.where(),
-            expected=f"at least {MIN_POINTS} points along each needle, or readings of its tip on the way",
-            fix="export the shapes, or the tip at several depths; tips alone cannot be fitted yet",
-        )
-    if not content.curves and any(row.sensors for row in content.needles):
-        raise DataError(
-            "holds curvatures of needles, and no points of them",
-            where=str(path),
-            expected="points along each needle beside its curvatures; curvatures alone cannot be fitted yet",
-            fix="name the file of the reconstructed shapes, too",
-        )
-
-
-def _make_unique(name: str, taken: Container[str]) -> str:
-    """Return a name, numbered from 2 where it is taken."""
-    numbered = (f"{name}-{count}" for count in itertools.count(2))
-    return next(one for one in itertools.chain([name], numbered) if one not in taken)
-
-
 def list_import_suffixes() -> tuple[str, ...]:
     """Return the endings of all files that an import reads."""
     plugins = {end for one in FORMATS.values() for end in one.suffixes}
@@ -193,7 +178,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
     elif suffix in READ_SUFFIXES:
         surface, stated = read_surface(path, "sheet", 2), read_coordinate_system(path)
         surface = transform_surface(surface, RAS_TO_LPS) if stated == "RAS" else surface
-        name = _make_unique(surface.name[:MAX_NAME_CHARS], [one.name for one, *_ in content.surfaces])
+        name = make_unique(surface.name[:MAX_NAME_CHARS], [one.name for one, *_ in content.surfaces])
         content.surfaces.append((replace(surface, name=name), path, "LPS" if stated else None))
     elif not path_exists(path):
         raise DataError("there is no such file", where=str(path), fix="check the name and the path")

@@ -3,7 +3,7 @@
 import itertools
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Sequence
 
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.importing.answers import add_stated
@@ -41,6 +41,12 @@ def join_needles(content: ImportContent) -> None:
             _add_row(curves[name], row)
     content.renamed = {row: name for row, name in found.items() if _make_key(row) != _make_key(name)}
     _doubt_left_out(content, curves)
+
+
+def make_unique(name: str, taken: Container[str]) -> str:
+    """Return a name, numbered from 2 where it is taken."""
+    numbered = (f"{name}-{count}" for count in itertools.count(2))
+    return next(one for one in itertools.chain([name], numbered) if one not in taken)
 
 
 def _doubt_left_out(content: ImportContent, curves: Collection[str]) -> None:

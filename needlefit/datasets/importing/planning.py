@@ -16,6 +16,7 @@ from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.tips import MIN_TRACK_READINGS, is_track_like, make_tips, split_tips
 from needlefit.datasets.importing.tracks import make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
@@ -90,17 +91,30 @@ class Planner:
             self.keep("layout", self.content.layout, "", "option")
         for axes in dict.fromkeys(one.axes for one in self.curves):
             self.keep("axes", axes, "", "assumption" if "columns" in axes else "file")
-        is_track = self.settle_observable() == "tracks"
+        observable = self.settle_observable()
+        is_track = observable == "tracks"
         self.convert_units()
+        if observable in ("tips", "curvatures"):
+            split_tips(self)
         sds = self.each("point sd")
-        if other := next((one for one in sds if one.shown != sds[0].shown), None):
+        other = next((one for one in sds if one.shown != sds[0].shown), None)
+        if other is not None and observable != "tips":
             expected = f"{sds[0].shown}, as of the others, or a column sd beside the points"
             raise other.error("point sd", expected)
-        sd = sds[0].to_number("point sd", is_above=True)
+        own_sds = [one.to_number("point sd", is_above=True) for one in sds]
+        sd = min(own_sds)
         if is_track:
             pose, rows = "tracker", make_tracks(self)
             depths = self.settle_layers()
             needles = self.settle_needles([row.depth for row in rows])
+        elif observable != "shapes":
+            pose, rows = "known", make_tips(self, own_sds)
+            depths = self.settle_layers()
+            needles = self.settle_needles([row.depth for row in rows])
+            pairs = zip(rows, depths, strict=True)
+            rows = [
+                replace(row, layers=len(select_layers(np.array(own), row.depth)[1])) for row, own in pairs
+            ]
         else:
             self.settle_order()
             self.settle_frame()
@@ -150,13 +164,23 @@ class Planner:
 
     def settle_observable(self) -> str:
         """Return `shapes`, or `tracks` where each row of a table has a depth, a time or a direction."""
+        if all(not len(one.line) for one in self.curves):
+            self.keep("observable", "curvatures", "no points stand beside them")
+            return "curvatures"
         readings = [one.readings for one in self.curves if one.readings is not None]
         if not readings and "observable" not in self.answers.stated:
             return "shapes"
         bare = [one.name for one in self.curves if one.readings is None or not len(one.readings.depth)]
         guess = "tracks" if not bare and all(one.is_log or one.is_deflection for one in readings) else ""
         reason = "rows have a time, a direction or a depth of their own, as readings of a tip have"
-        answer = self.settle("observable", guess, reason, "guess", ("shapes", "tracks")).text
+        choices: tuple[str, ...] = ("shapes", "tracks")
+        if all(one.is_tip for one in self.curves):
+            choices = (*choices, "tips")
+            reason += "; --observable tips, if each row is an insertion"
+            if not all(map(is_track_like, self.curves)):
+                guess = "tips"
+                reason = f"depths of a needle are fewer than {MIN_TRACK_READINGS}, or in no order"
+        answer = self.settle("observable", guess, reason, "guess", choices).text
         for one in self.curves if answer == "tracks" else ():
             one.readings = one.readings or Readings(np.empty(0), "", is_log=False, is_deflection=False)
         return answer
@@ -191,7 +215,7 @@ class Planner:
             for what in DIAMETERS & one.stated.keys():
                 one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or "mm")
         low, high = STATED_MM
-        if not low <= (longest := max(one.reach for one in self.curves)) <= high:
+        if (longest := max(one.reach for one in self.curves)) and not low <= longest <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
             where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
@@ -520,7 +544,9 @@ class Planner:
         for what in ("medium", "specimen"):
             source: ImportSource = "guess" if what == "medium" else "assumption"
             cells = zip(self.curves, self.each(what, source=source), strict=True)
-            texts = {one.name: one.name if cell.text == "each" else cell.text for one, cell in cells}
+            texts = {
+                one.name: one.hole or one.name if cell.text == "each" else cell.text for one, cell in cells
+            }
             found[what] = {name: re.sub(r'[,"]', " ", text) for name, text in texts.items()}
         media, specimens = found["medium"], found["specimen"]
         if is_track and len({*specimens.values()}) > 1:

@@ -17,7 +17,10 @@ class Question(NamedTuple):
 
 QUESTIONS = MappingProxyType(
     {
-        "observable": Question("What the points are: `shapes` of needles, or `tracks` of a tip on its way"),
+        "observable": Question(
+            "What was measured: `shapes` of needles, `tracks` of tips on their way, `tips` alone, one a row, "
+            "or `curvatures` alone"
+        ),
         "units": Question(
             "Unit of coordinates that state none: mm, cm, dm, m, um, in, or the length of one step, as of a "
             "pixel (0.07 mm)",

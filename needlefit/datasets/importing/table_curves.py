@@ -14,6 +14,7 @@ from needlefit.datasets.importing.synonyms import INDEX
 from needlefit.datasets.importing.table_heads import ColumnGroup, find_pairs
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
 from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayoutError, is_number_like
+from needlefit.datasets.importing.tips import MIN_TRACK_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS, Points
 from needlefit.errors import DataError
@@ -127,8 +128,19 @@ class CurveReader:
                 stated = shared[k] | labels[k]
                 found.setdefault(key, CurveRows(group, own_names, stated)).rows.append(n)
         ones = [one for one in found.values() if self.list_filled(one)]
+        ones = [part for one in ones for part in self.split_tips(one)]
         is_unique = len({(one.group.name, *one.names[-1:]) for one in ones}) == len(ones)
         return [(one, "-".join(filter(None, one.names[-1:] if is_unique else one.names))) for one in ones]
+
+    def split_tips(self, one: CurveRows) -> list[CurveRows]:
+        """Return each row by itself where depths and deflections without a name are of no one tip."""
+        group, rows = one.group, self.list_filled(one)
+        if not group.is_deflection or any(one.names):
+            return [one]
+        depths = read_numbers(self.cells, rows, group.columns[:1])[:, 0]
+        if len(depths) >= MIN_TRACK_READINGS and (np.diff(depths) > 0).all():
+            return [one]
+        return [replace(one, rows=[n]) for n in rows]
 
     def split_labels(self, head: int) -> dict[int, dict[int, str]]:
         """Return the stem of each label, by column and row, where each point has its own: `N1-1`, `N2-1`.
@@ -142,8 +154,7 @@ class CurveReader:
                 for n in range(head + 1, len(self.cells.rows))
                 if self.cells.cell(n, m) and self.is_point(groups, n, is_open=False)
             }
-            is_tips = any(groups[0].headers[k].meaning == "deflection" for k in groups[0].columns)
-            if len(texts) <= MIN_POINTS or len({*texts.values()}) < len(texts) or is_tips:
+            if len(texts) <= MIN_POINTS or len({*texts.values()}) < len(texts) or groups[0].is_deflection:
                 continue
             rows, needles = [*texts], divide_labels([*texts.values()])
             if not needles:
@@ -154,7 +165,7 @@ class CurveReader:
                     where=self.cells.where(max(head, 0), m),
                     expected="in each row the name of its needle",
                     fix=f'if they are points of one needle: --columns "point number={column}"; '
-                    "tips alone, one of each needle, cannot be fitted yet",
+                    "if they are tips, name the columns depth and deflection",
                 )
             found[m] = {rows[k]: name for name, own in needles.items() for k in own}
         return found
@@ -268,7 +279,7 @@ class CurveReader:
 
     def read_readings(self, group: ColumnGroup, rows: Sequence[int]) -> Readings | None:
         """Return what makes a curve the track of a tip: depth, time or direction in each row."""
-        is_deflection = any(group.headers[m].meaning == "deflection" for m in group.columns)
+        is_deflection = group.is_deflection
         is_log = bool(group.find("time", "quaternion"))
         columns = group.columns[:1] if is_deflection else group.find("depth")
         if len({self.cells.cell(n, m) for n in rows for m in columns}) < 2 and not is_deflection:

@@ -29,6 +29,11 @@ class ColumnGroup:
     name: str = ""
     system: PatientSystem | None = None  # which the names of the axes state
 
+    @property
+    def is_deflection(self) -> bool:
+        """Whether the columns are depth and deflections."""
+        return bool(self.columns) and self.headers[self.columns[0]].meaning == "depth"
+
     def find(self, *meanings: str) -> list[int]:
         """Return the columns with one of some meanings that state something of the curve."""
         named = ((m, one.meaning or one.group) for m, one in enumerate(self.headers))
@@ -127,9 +132,14 @@ def _group_axes(cells: CellTable, headers: Sequence[Header], n: int) -> dict[tup
             axes["x"] = found[with_x[0]]["x"]
         if len(found[with_x[0]]) == 1:
             del found[with_x[0]]
-    tips = [m for what in ("depth", "deflection") for m, one in enumerate(headers) if one.meaning == what]
-    if not found and len(tips) == 2:
-        found[0, ""] = dict(zip("xy", tips, strict=True))
+    depths, tips = (
+        [m for m, one in enumerate(headers) if one.meaning == what] for what in ("depth", "deflection")
+    )
+    if len(depths) == len(tips) == 1 and not found:
+        found[0, ""] = {"x": depths[0], "y": tips[0]}
+    elif len(depths) == 1 and len(found) == 1 and not with_x:  # deflections along y and z
+        (axes,) = found.values()
+        axes["x"] = depths[0]
     alone = [headers[m].text for axes in found.values() if len(axes) == 1 for m in axes.values()]
     found = {key: axes for key, axes in found.items() if len(axes) > 1}
     named = [headers[m].text for axes in found.values() for m in axes.values()]

@@ -41,6 +41,7 @@ def read_table(cells: CellTable, content: ImportContent) -> None:
         return
     stem, unnamed = cells.sheet or cells.path.name.split(".")[0] or cells.path.stem, count(1)
     for one in curves:
+        one.is_named = bool(one.name)
         one.name = one.name or (f"{stem}-{next(unnamed)}" if len(curves) > 1 else stem)
     content.curves += curves
     _add_unused(cells, content, headers)

@@ -68,9 +68,11 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         if any(row.curvature is not None for row in plan.rows):
             beside["curvature"] = CURVATURE_FILE
         draft |= {"frame": {"pose": plan.pose}, "insertions": {"file": "insertions.csv", **beside}}
-        draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
+        has_shapes = all(row.tip_y is None and len(points[row.id].values) for row in plan.rows)
+        if has_shapes:
+            draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
         record = check_record(draft, DatasetRecord, str(content.files[0]))
-        curves = {name: one.to_columns() for name, one in points.items()}
+        curves = {name: one.to_columns() for name, one in points.items()} if has_shapes else {}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
     places = _list_places(content.curves)

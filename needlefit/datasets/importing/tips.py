@@ -1,0 +1,106 @@
+"""Make insertions of which the tip alone was measured, or curvatures alone: settle their names and bevels."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.importing.answers import Stated
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.directions import to_sides
+from needlefit.datasets.importing.joining import make_unique
+from needlefit.datasets.points import Points
+from needlefit.errors import DataError
+
+if TYPE_CHECKING:
+    from needlefit.datasets.importing.planning import Planner
+
+MIN_TRACK_READINGS = 5  # of a tip: fewer depths of one hole are insertions of their own
+X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
+
+def is_track_like(curve: ImportedCurve) -> bool:
+    """Whether depths and deflections may be the readings of one tip on its way."""
+    return len(curve.line) >= MIN_TRACK_READINGS
+
+
+def add_needles_without_points(content: ImportContent) -> None:
+    """Add a curve without points for each needle of which curvatures alone are stated."""
+    for row in content.needles:
+        if row.sensors and row.needle not in {one.name for one in content.curves}:
+            path = content.files[0]
+            content.curves.append(ImportedCurve(row.needle, Points(path, np.empty((0, 3))), "mm"))
+
+
+def split_tips(planner: "Planner") -> None:
+    """Make an insertion of each depth of a tip; those of a needle that is named are of one hole."""
+    found: dict[str, ImportedCurve] = {}
+    for one in planner.curves:
+        count = len(one.line)
+        for n in range(max(count, 1)):
+            name = one.name if count <= 1 else f"{one.name}-{n + 1}"
+            rows = np.arange(n, min(n + 1, count))
+            hole = one.name if count > 1 and one.is_named else ""
+            points, stated = one.points.part(rows), dict(one.stated)
+            if points.sd is not None and len(points.sd):
+                stated["point sd"] = Stated(f"{points.sd[0]:g}", "mm", points.where())
+            parted = replace(one, points=replace(points, sd=None), stated=stated, hole=hole)
+            parted.name = make_unique(name, found)
+            found[parted.name] = parted
+    planner.curves[:] = found.values()
+
+
+def make_tips(planner: "Planner", sds: Sequence[float]) -> list[InsertionRow]:
+    """Return the insertions: each began at the origin, along x; its tip is off toward y, and z.
+
+    `sds`: the standard deviation of each tip, mm; the least of them is that of the dataset.
+    """
+    point_sd = min(sds)
+    planner.keep("frame", "depth along x, deflection along y", "tips are known from the line of insertion")
+    angles = planner.settle_sides()
+    if angles is None:
+        planner.keep("bevel side", "1", "not stated", "assumption")
+    sides, turns = to_sides(angles or [0.0] * len(planner.curves))
+    if any(turns) or any(one.turns for one in planner.curves):
+        what, fix = "bevels of tips alone are at right angles, or turned", "import the tips of each plane"
+        raise DataError(what, where=planner.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
+    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in planner.curves])
+    signs = np.ones(len(tips))
+    if len({*sides}) > 1 and (tips[:, 1] >= 0).all() and tips[:, 1].any():
+        reason = "bevels face both sides, and no deflection is negative"
+        planner.keep("deflection", "toward the bevel", reason, "guess")
+        signs = np.array(sides, dtype=np.float64)
+    in_space = tips[:, 2].any()
+    shifts = planner.each("pose shift sd", guess=f"{point_sd:g}")
+    turned = planner.each("pose angle sd")
+    rows = []
+    for n, one in enumerate(planner.curves):
+        is_tip = len(one.line) > 0
+        y, z = (signs[n] * tips[n, 1:]).tolist()
+        further = math.sqrt(max(sds[n] ** 2 - point_sd**2, 0.0))
+        row = InsertionRow(
+            one.name, "", 1, find_depth(one), side=sides[n], entry=np.zeros(3), direction=X_AXIS,
+            bevel=Y_AXIS, pose_source="stage", pose_shift_sd=shifts[n].to_number("pose shift sd"),
+            pose_angle_sd=float(np.radians(turned[n].to_number("pose angle sd", "deg"))), hole=one.hole,
+            tip_y=y if is_tip else None, tip_z=z if is_tip and in_space else None, tip_sd=further or None,
+            curvature=np.array(one.sensors).reshape(-1, 4) if one.sensors else None,
+        )  # fmt: skip
+        rows.append(row)
+    return rows
+
+
+def find_depth(curve: ImportedCurve) -> float:
+    """Return the inserted length, mm: the depth of a tip, or what is stated beside curvatures."""
+    if len(curve.line):
+        return float(curve.line[0, 0])
+    if "depth" not in curve.stated:
+        raise DataError(
+            f"the inserted length of needle {curve.name} is not stated",
+            where=str(curve.points.path),
+            expected="a column `depth` in a table with a row for each needle",
+            fix="name a table with the columns needle and depth, or the file of the reconstructed shapes, too",
+        )
+    return curve.stated["depth"].to_number("depth")

@@ -1,0 +1,180 @@
+"""Tips alone, and curvatures alone: read, imported, and fitted to known truths."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, assert_one_density, dataset, insertion, medium
+from refusals import refusal
+
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.read import check, read
+from needlefit.errors import DataError
+from needlefit.geometry.curves import compare_curves
+from needlefit.inference.compared_points import align_points
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observations import (
+    SimulatedCurve,
+    make_observation,
+    read_points,
+    select_points,
+)
+from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import Problem, make_problem
+from needlefit.metrics import compute_metrics
+from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
+
+ONE_LAYER = medium(1)
+THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"]])
+NOISE = Noise(point_sd=0.05)
+
+
+def tip(depth: float, side: int = 1, error: float = 0.0) -> Insertion:
+    """An insertion of which the tip was measured, at the truth and an error, mm."""
+    planned = insertion(depth, side=side, angle_sd=0.0)
+    planned = replace(planned, id=f"at{depth:g}{side:+d}", observed="tip", directions=1)
+    (end,) = read_points(planned, predict(TRUTH, ONE_LAYER, planned), np.array([depth]))[:, 1] + error
+    return planned.with_planar(np.array([[0.0, 0.0], [depth, end]]))
+
+
+def tips(seed: int) -> list[Insertion]:
+    errors = iter(NOISE.point_sd * np.random.default_rng(seed).normal(size=40))
+    return [tip(depth, side, next(errors)) for depth in np.arange(20.0, 100.0, 5.0) for side in (1, -1)]
+
+
+def problem(made: list[Insertion]) -> Problem:
+    return make_problem(dataset(made, NOISE), made, ONE_LAYER, WeightsRecord())
+
+
+def test_tips_alone_tell_modulus_and_bevel() -> None:
+    """Over twins, the squares of the deviations from the truth are chi-squared."""
+    recipe, squares = RecipeRecord.model_validate({"schema": 1, "starts": 2}), []
+    for seed in range(4):
+        asked = problem(tips(seed))
+        fit = np.array(minimize(asked, recipe, np.random.default_rng(seed)).theta)
+        _, slope = asked.jacobian(fit)
+        covariance = np.linalg.inv(slope.T @ slope)
+        assert np.sqrt(np.diag(covariance)).max() < 0.5
+        squares.append(float((fit - THETA) @ np.linalg.solve(covariance, fit - THETA)))
+    assert max(squares) < 14.0 and 1.5 < sum(squares) < 21.0  # chi-squared of 2 and of 8: 0.1 and 99.9 %
+
+
+def test_density_and_objective_of_tips_have_exact_derivatives() -> None:
+    asked, at = problem(tips(1)[::8]), THETA + np.array([0.2, -0.1])
+    assert_one_density(asked, at, rtol=5e-4)
+    ends = [(asked.objective(at + d) - asked.objective(at - d)) / 2e-4 for d in 1e-4 * np.eye(2)]
+    assert asked.objective_gradient(at)[1] == pytest.approx(ends, rel=1e-3)
+
+
+def test_the_density_is_that_of_a_normal_deviation_across() -> None:
+    """Of one tip: (y_sim - y) / sd, with a shift and a turn of the pose in its variance."""
+    one = replace(tip(60.0, error=0.07), pose_shift_sd=0.1, pose_angle_sd=0.002)
+    known = make_observation(dataset([one], NOISE), one)
+    slope = 2 * one.planar[-1, 1] / 60.0
+    variance = 0.05**2 + 0.1**2 + (60.0 * 0.002) ** 2 + (0.1 * slope) ** 2
+    assert known.covariance()[0, 0] == pytest.approx(variance, rel=1e-9)
+    assert known.whitening[0, 0] == pytest.approx(1 / np.sqrt(variance), rel=1e-9)
+
+
+def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:
+    one = tip(60.0, error=0.3)
+    curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
+    found = compute_metrics(compare_curves(*align_points(select_points("known", 0.0, one), curve)))
+    assert found["te_mm"] == pytest.approx(0.3, abs=1e-6)
+    assert found["edp_percent"] == pytest.approx(100 * 0.3 / abs(one.planar[-1, 1]), rel=1e-4)
+    assert np.isnan(found["ipe_mean_mm"]) and np.isnan(found["median_err_mm"])
+
+
+def test_curvatures_alone_tell_modulus_and_bevel() -> None:
+    made = []
+    for depth in (40.0, 60.0, 80.0):
+        one = replace(insertion(depth, angle_sd=0.0), roll_sd=1e-3)
+        places = np.arange(5.0, depth - 2.0, 5.0)
+        shape, step = predict(TRUTH, ONE_LAYER, one), 1.0
+        y = SimulatedCurve(shape, one)((depth - places[:, None] + step * np.array([-1, 0, 1])).ravel())[:, 1]
+        kappa = y.reshape(-1, 3) @ [1.0, -2.0, 1.0] / step**2
+        read_out = np.column_stack([places, kappa, 0 * kappa, np.full(len(kappa), 2e-6)])
+        made.append(replace(one, curvature=read_out, observed="curvature"))
+    asked = make_problem(dataset(made, Noise()), made, ONE_LAYER, WeightsRecord())
+    fit = minimize(asked, RecipeRecord.model_validate({"schema": 1, "starts": 2}), np.random.default_rng(1))
+    assert np.array(fit.theta) == pytest.approx(THETA, abs=0.02)
+
+
+TOML = """
+schema = 1
+name = "tips"
+origin = "synthetic"
+license = "none"
+source = "made up"
+
+[needle]
+length_mm = 150.0
+flexural_rigidity_nmm2 = 2.5e4
+
+[noise]
+point_sd_mm = 0.1
+
+[insertions]
+file = "insertions.csv"
+
+[insertions.constants]
+medium = "gel"
+specimen = "block"
+layers = 1
+entry_x_mm = 0.0
+entry_y_mm = 0.0
+entry_z_mm = 0.0
+entry_dx = 1.0
+entry_dy = 0.0
+entry_dz = 0.0
+bevel_x = 0.0
+bevel_y = 1.0
+bevel_z = 0.0
+pose_source = "stage"
+pose_shift_sd_mm = 0.1
+pose_angle_sd_deg = 0.2
+
+[media.gel]
+"""
+
+
+def written(folder: Path, rows: str, toml: str = TOML) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "insertions.csv").write_text(rows)
+    (folder / "dataset.toml").write_text(toml)
+    return folder
+
+
+def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
+    rows = (
+        "id,hole,depth_mm,bevel_side,tip_y_mm,tip_sd_mm\na,h,40,1,2.5,\nb,h,60,1,5.5,0.2\nc,k,60,-1,-5.0,\n"
+    )
+    data = read(written(tmp_path, rows))
+    first, second, third = data.insertions
+    assert [one.deflection for one in data.insertions] == pytest.approx([2.5, 5.5, 5.0])
+    assert [one.observed for one in data.insertions] == ["tip"] * 3 == list(data.to_frame()["observed"])
+    assert (first.hole, second.hole, first.directions) == ("h", "h", 1)
+    assert second.sd is not None and second.sd[-1] == 0.2 and third.sd is None
+    assert data.planes == 1 and data.pose == "known"
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ("id,depth_mm,tip_y_mm\na,40,\n", "nothing was measured of a"),
+        ("id,depth_mm,tip_y_mm\na,40,41\n", "41 mm off the entry line"),
+        ("id,depth_mm,tip_y_mm,tip_z_mm\na,40,,1\n", "tip_z_mm"),
+        ("id,depth_mm,tip_y_mm,tip_sd_mm\na,40,1,-1\n", "tip_sd_mm is negative"),
+    ],
+)
+def test_what_is_wrong_with_a_tip_is_named(tmp_path: Path, rows: str, expected: str) -> None:
+    (fault, *_) = check(written(tmp_path, rows))
+    assert expected in fault.what and fault.where.endswith("insertions.csv:2")
+
+
+def test_tips_need_the_place_of_first_contact(tmp_path: Path) -> None:
+    rows = "id,depth_mm,tip_y_mm\na,40,2\n"
+    refusal(DataError, "first_point", read, written(tmp_path, rows, TOML.replace("stage", "first_point")))
+    free = TOML.replace("[insertions]\n", '[frame]\npose = "free"\n[insertions]\n')
+    assert check(written(tmp_path / "free", rows, free))
