@@ -101,6 +101,6 @@ def find_depth(curve: ImportedCurve) -> float:
             f"the inserted length of needle {curve.name} is not stated",
             where=str(curve.points.path),
             expected="a column `depth` in a table with a row for each needle",
-            fix="name a table with the columns needle and depth, or the file of the reconstructed shapes, too",
+            fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
         )
     return curve.stated["depth"].to_number("depth")
