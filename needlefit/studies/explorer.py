@@ -165,6 +165,7 @@ def collect_explorer(results: Run) -> PageData | None:
     order = {name: n for n, name in enumerate(list_methods())}
     errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
+    status = results.verdicts[0].status
     for row in rows:
         where = row["fold"], row["role"], row["insertion"]
         needle = _encode_needle(data, results, row, curves[*where, "fitted"])
@@ -174,7 +175,7 @@ def collect_explorer(results: Run) -> PageData | None:
         ]
         about = {
             "group": labels.group_name(row["medium"], row["layers"]),
-            "status": results.verdicts[0].status,
+            "status": status,
         }
         data.needles.append(needle | about | {"methods": methods})
     return data

@@ -22,7 +22,7 @@ from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
-from needlefit.studies.run import Run, once_per_run
+from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
 #: tip error over the measurement noise, up to which one fit predicts, and beyond which it does not
@@ -171,7 +171,6 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 # ---- checks
 
 
-@once_per_run
 def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to.
 

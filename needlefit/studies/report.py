@@ -38,7 +38,7 @@ from needlefit.studies.answer import (
 from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
-from needlefit.studies.run import Run, mark_faults, once_per_run
+from needlefit.studies.run import Run, mark_faults
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
@@ -113,7 +113,6 @@ class StudyReport:
         )
 
 
-@once_per_run
 def _lay_out_tables(result: Run) -> list[TableLayout]:
     page = find_kind(result.kind).report
     values, every = page.values(result), page.tables(result)

@@ -1,10 +1,10 @@
 """The result of a study: tables, draws, verdicts, and what a reader needs to repeat it."""
 
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import update_wrapper
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import pandas as pd
 
@@ -16,28 +16,7 @@ from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
 from needlefit.studies.kind import find_kind
 
-Given = ParamSpec("Given")
-Value = TypeVar("Value")
 Known = TypeVar("Known", bound=RunMetadata)
-
-
-def once_per_run(
-    derive: Callable[Concatenate["Run", Given], Value],
-) -> Callable[Concatenate["Run", Given], Value]:
-    """Return `derive`, computed once for each run and (hashable) arguments; nobody may change its value.
-
-    Tables, figures, sentences and verdicts of a report ask for the same.
-    """
-
-    def find(result: "Run", /, *args: Given.args, **kwargs: Given.kwargs) -> Value:
-        key = (derive.__module__, derive.__qualname__, args, *kwargs.items())
-        if key not in result.derived:
-            result.derived[key] = derive(result, *args, **kwargs)
-        found: Value = result.derived[key]
-        return found
-
-    update_wrapper(find, derive)
-    return find
 
 
 def mark_faults(faults: Sequence[RunFault]) -> str:
@@ -103,8 +82,6 @@ class Run:
     faults: tuple[RunFault, ...] = ()
     posteriors: Mapping[str, Posterior] = field(default_factory=dict, repr=False)
     data: DatasetFiles | None = field(default=None, repr=False, compare=False)
-    #: what `once_per_run` keeps
-    derived: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def run_json(self) -> dict[str, Any]:
@@ -164,14 +141,15 @@ class Run:
             fix=f"name one: run.posteriors[...] with {several}" if several else "use: needlefit.sample(run)",
         )
 
-    @property
+    @cached_property
     def answer(self) -> Answer:
         """The parts of the first page, from the stored tables alone.
 
         A run that was interrupted, or that has faults, passes nowhere; the headlines of its faults come
         first. Those of a preliminary recipe are marked.
         """
-        return _find_answer(self)
+        found = find_kind(self.kind).report.answer(self)
+        return replace(found, verdicts=tuple(_mark(self, one) for one in found.verdicts))
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
@@ -190,9 +168,3 @@ class Run:
 
     def _repr_html_(self) -> str:
         return find_kind(self.kind).report.format_notebook_html(self)
-
-
-@once_per_run
-def _find_answer(result: Run) -> Answer:
-    found = find_kind(result.kind).report.answer(result)
-    return replace(found, verdicts=tuple(_mark(result, one) for one in found.verdicts))

@@ -14,7 +14,7 @@ from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.studies.fit_frames import list_methods
-from needlefit.studies.run import Run, once_per_run
+from needlefit.studies.run import Run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
 
@@ -97,7 +97,6 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-@once_per_run
 def find_bevel_sides(results: Run) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
 
@@ -188,7 +187,6 @@ def list_held_out_groups(*results: Run) -> list[ScoredGroup]:
     return [group for one in results for group in _held_out_groups(one)]
 
 
-@once_per_run
 def _held_out_groups(results: Run) -> list[ScoredGroup]:
     return list_groups(tabulate_validation(results))
 
@@ -210,7 +208,6 @@ def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
     return members
 
 
-@once_per_run
 def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
     """Return all insertions of a role as one group; None without a fit to them."""
     errors = results.frames["errors"]
@@ -231,7 +228,6 @@ def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
-@once_per_run
 def _list_rows(results: Run, grouping: str) -> list[Row]:
     errors = results.frames["errors"]
     errors = errors[errors["role"] == ("validate" if grouping == HELD_OUT else "tune")]

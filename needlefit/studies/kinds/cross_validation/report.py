@@ -37,14 +37,13 @@ from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, limit_status, list_checks
 from needlefit.studies.report import StudyReport, list_data_notes
-from needlefit.studies.run import Run, once_per_run
+from needlefit.studies.run import Run
 
 __all__ = ["FRAMES", "REPORT"]
 
 # ---- what the text prints
 
 
-@once_per_run
 def collect_values(results: Run) -> dict[str, Any]:
     """Return what the text prints."""
     frames, stated = results.frames, results.knows(FitMetadata)
