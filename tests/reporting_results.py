@@ -14,8 +14,8 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.kinds.cross_validation import report
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import find_faults
 from needlefit.studies.run import Run
 from needlefit.studies.validity import tabulate_validity
@@ -169,7 +169,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
 def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
     words = ["mu1_pa and bevel_mm only as mu1_pa * bevel_mm^1.9", "bevel_mm with mu2_pa", "mu1_pa / mu2_pa"]
     sds = [0.008, 0.17, 0.91]
-    empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in COLUMNS.items()}
+    empty = {name: pd.DataFrame(columns=list(columns)) for name, columns in FRAMES.items()}
     return empty | {
         "errors": pd.DataFrame(errors),
         "shapes": pd.concat(shapes, ignore_index=True),
@@ -317,7 +317,7 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
         band = {"fold": one["fold"], "insertion": one["insertion"], "x_mm": along["measured_x_mm"]}
         band |= {"measured_mm": y, "median_mm": y, "low_50_mm": y - 0.1, "high_50_mm": y + 0.1}
         bands.append(pd.DataFrame(band | {"low_95_mm": y - half, "high_95_mm": y + half}))
-    predictive = pd.DataFrame(rows)[list(COLUMNS["predictive"])]
+    predictive = pd.DataFrame(rows)[list(FRAMES["predictive"])]
     return results.with_frames(predictive=predictive, bands=pd.concat(bands, ignore_index=True))
 
 

@@ -12,7 +12,7 @@ from reporting_results import study
 
 from needlefit.errors import ConfigError
 from needlefit.metrics import METRICS, Metric
-from needlefit.studies.fit_frames import COLUMNS
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.paper_folder import write_paper_folder
 from needlefit.studies.report import rebuild, write_run
 
@@ -70,7 +70,7 @@ def test_every_table_is_marked_synthetic(folder):
 
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     names = ("errors", "shapes", "parameters", "directions", "starts")
-    nothing = {name: pd.DataFrame(columns=list(COLUMNS[name])) for name in names}
+    nothing = {name: pd.DataFrame(columns=list(FRAMES[name])) for name in names}
     files = write_run(study(1).with_frames(**nothing), tmp_path / "stopped")
     assert "report.pdf" in {path.name for path in files.iterdir()}
     assert "validation.csv" not in {path.name for path in files.iterdir()}

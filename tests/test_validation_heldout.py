@@ -24,11 +24,11 @@ from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.planned_draws import PlannedInsertion, draw_depth_errors
 from needlefit.studies.prediction_scores import find_end_error
 
@@ -87,7 +87,7 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
-    assert tuple(row) == COLUMNS["predictive"] and row["draw_source"] == "importance" and row["certified"]
+    assert tuple(row) == FRAMES["predictive"] and row["draw_source"] == "importance" and row["certified"]
     # of an entry that is the first point, a shift across leaves about half of the turn, whatever its size
     errors = []
     for shift in (0.0, 1.0):
@@ -112,7 +112,7 @@ def test_readings_of_curvature_are_predicted_with_the_error_of_their_sensor(job,
     fold = of(job, insertion)
     (one,) = predict_held_out(Specimens(replace(job, record=record), fold, sure(known)))
     found = pd.DataFrame(one.sensors)
-    assert tuple(found) == COLUMNS["curvature"] and list(found["kappa_in_95"]) == [True, False]
+    assert tuple(found) == FRAMES["curvature"] and list(found["kappa_in_95"]) == [True, False]
     np.testing.assert_allclose(found["kappa_predicted_1_per_mm"], kappa, atol=1e-6)
     np.testing.assert_allclose(found["kappa_sd_1_per_mm"], sd, rtol=1e-3)
 

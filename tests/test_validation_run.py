@@ -26,8 +26,8 @@ from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.folds import make_folds
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
@@ -82,7 +82,7 @@ def study(**changes: object) -> StudyRecord:
 
 
 def frames(results: Run) -> dict[str, pd.DataFrame]:
-    return {name: results.frames[name] for name in COLUMNS}
+    return {name: results.frames[name] for name in FRAMES}
 
 
 def fitted(results: Run) -> dict[str, float]:

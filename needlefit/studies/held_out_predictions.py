@@ -40,7 +40,6 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.fit_frames import COLUMNS
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.planned_draws import (
@@ -66,11 +65,22 @@ DRAW_STRIDES, MAX_END_ERROR = (8, 2), 0.1
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
+#: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
+#: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape nearer,
+#: at its worst point, than the measured one.
+PREDICTIVE_COLUMNS = (
+    *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),
+    *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
+    *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
+    *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
+    *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
+    *("shape_in_95", "shape_crps_mm"),
+)
 
 
 @dataclass(frozen=True)
 class HeldOutPrediction:
-    """The prediction of one needle: its rows of the tables "predictive", "bands", "curvature" (`fit_frames`).
+    """The prediction of one needle: its rows of the tables "predictive", "bands", "curvature".
 
     `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
     """
@@ -218,7 +228,7 @@ class _Predictor:
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         row |= score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         across: Floats = quantile(mixture, (0.5,)).T
-        columns: tuple[str, ...] = COLUMNS["predictive"]
+        columns: tuple[str, ...] = PREDICTIVE_COLUMNS
         if planes == 2:
             across = find_geometric_median(aligned[..., 1:])
             tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z

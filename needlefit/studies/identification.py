@@ -24,6 +24,19 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.number_format import interval_width
 from needlefit.reporting.table_files import Row
 
+#: Of the table "identification": per fold and free parameter the information (`sd`), the profile likelihood
+#: (the 95 % interval, how its ends came about, how far the deviance rises at most), and posterior SD over
+#: prior SD.
+IDENTIFICATION_COLUMNS = (
+    *("fold", "parameter", "determined", "note", "value", "prior_sd"),
+    *("sd", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
+    *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
+    "rise",
+)
+#: Of the table "profiles": deviances and their derivatives by ln (by alpha itself); then a column per
+#: parameter.
+PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "threshold")
+
 
 @dataclass(frozen=True)
 class IdentificationRows:

@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.studies.fit_frames import COLUMNS
+
+#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan;
+#: the single point of the curve "toward" is a direction.
+NEEDLE_COLUMNS = (
+    *("fold", "role", "insertion", "diameter_mm", "band_source"),
+    *("curve", "j", "x_mm", "y_mm", "z_mm"),
+)
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,7 @@ class NeedleInScan:
 
 
 def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
-    """Return needles point by point: columns `fit_frames.COLUMNS["needles"]`."""
+    """Return needles point by point: columns `NEEDLE_COLUMNS`."""
     rows = []
     for one in needles:
         band = one.band
@@ -49,7 +55,7 @@ def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
             for curve, points in curves.items()
             for j, point in enumerate(points.tolist())
         ]
-    return pd.DataFrame(rows, columns=list(COLUMNS["needles"]))
+    return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))
 
 
 def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:

@@ -31,6 +31,23 @@ from needlefit.studies.job import Job
 
 Row = dict[str, Any]
 
+#: Of the table "errors": a row per fold, role ("tune", "validate"), insertion, method and boundaries
+#: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. `estimate` is
+#: "median" for the predictive median of insertions held out, else "point". `layers` is by the study's rule.
+#: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
+#: for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise floor.
+ERROR_COLUMNS = (
+    *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "depth_mm"),
+    *("method", "estimate", "boundaries", "comparison"),
+    *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
+)
+SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
+#: of the table "shapes": the curves that "errors" compares, j = 0 the entry (or the first scored point)
+SHAPE_COLUMNS = (
+    *(*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "measured_z_mm"),
+    *("simulated_x_mm", "simulated_y_mm", "simulated_z_mm"),
+)
+
 #: an insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
 

@@ -22,8 +22,7 @@ from needlefit.schemas.run_metadata import IdentificationMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
-from needlefit.studies.fit_frames import COLUMNS
-from needlefit.studies.identification import identify_parameters
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
@@ -43,7 +42,7 @@ class IdentificationRecord(TargetRecord):
 KIND = StudyKind("identification", IdentificationRecord, __name__, IdentificationMetadata)
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    "identify": COLUMNS["identification"],
+    "identify": IDENTIFICATION_COLUMNS,
     "candidates": CANDIDATE_COLUMNS,
 }
 
@@ -95,7 +94,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
         "profiles": pd.DataFrame(
-            [{"fold": fold.name, **row} for row in found.points], columns=[*COLUMNS["profiles"], *parameters]
+            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *parameters]
         ),
         "candidates": rank_candidates(job, fold, problem, theta, settings),
     }

@@ -43,6 +43,8 @@ from needlefit.studies.identification import (
 from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kinds.cross_validation.progress import SEARCH_PHASES, StudyProgress
 from needlefit.studies.kinds.cross_validation.rows import (
+    describe_error_fit,
+    list_directions,
     list_error_fit,
     list_fitted,
     list_published,
@@ -149,7 +151,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
             *list_error_fit(job, fold, usable.get("fitted_metric")),
             *list_published(job, fold, usable.get("hand_tuned_b")),
         ),
-        error_fit=() if least is None else (_describe_error_fit(fold, least),),
+        error_fit=() if least is None else (describe_error_fit(fold, least),),
         directions=about_fit.directions,
         identification=about_fit.identification,
         profiles=about_fit.profiles,
@@ -375,19 +377,6 @@ def _list_draws(job: Job, fold: Fold, drawn: FoldDrawn) -> Iterator[Row]:
         yield from ({**where, **job.parameters.values(theta)} for theta in thetas)
 
 
-def _describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
-    """Return the objective of the fit that minimises the errors, and its tolerance."""
-    return {
-        "fold": fold.name,
-        "objective_mm": found.objective,
-        "least_objective_mm": found.least,
-        "tolerance_mm": found.tolerance.value,
-        "tolerance_by_noise_mm": found.tolerance.by_noise,
-        "tolerance_by_insertions_mm": found.tolerance.by_insertions,
-        "evaluations": found.evaluations,
-    }
-
-
 def _examine_depths(job: Job, fold: Fold, fit: Fit) -> list[DepthMetadata]:
     """Return what leans on stated depths, by the first fold; without stated noise that cannot be known."""
     if fit.minimized != "posterior" or fold is not job.folds[0]:
@@ -431,10 +420,7 @@ def _describe_fit(
         population = drawn.specimens.tabulate_population()
         posterior = None  # the sampler's has one set of parameters, specimens several
     verdict = identify(problem, fit, draws.certified if draws else None, further)
-    directions = [
-        {**place, "parameters": one.parameters, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
-        for one in (verdict.directions if fit.minimized == "posterior" else ())
-    ]
+    directions = tuple(list_directions(fold, fit, verdict))
     # without stated noise nothing says how far the data can be trusted, outside its validity the model
     invalid = drawn is not None and drawn.count.outside > MOSTLY_OUTSIDE * drawn.count.simulations
     if fit.minimized != "posterior" or invalid:
@@ -451,7 +437,7 @@ def _describe_fit(
     fitted = list_fitted(job, fold, fit, verdict)
     sampled = intervals_of_draws(job.parameters, draws, posterior)
     add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error)
-    return _FitRows(tuple(fitted), tuple(directions), tuple(judged), tuple(points), tuple(population))
+    return _FitRows(tuple(fitted), directions, tuple(judged), tuple(points), tuple(population))
 
 
 # ---- scores

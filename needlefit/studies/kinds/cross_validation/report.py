@@ -31,11 +31,11 @@ from needlefit.studies.advice import (
     name_doubt,
 )
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
-from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_frames import find_scored_role, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, limit_status, list_checks
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from needlefit.inference.error_fit import ErrorMinimisingFit
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.directions import name_determined
 from needlefit.inference.identifiability.identify import (
@@ -19,6 +20,33 @@ from needlefit.inference.problem import Problem
 from needlefit.studies.identification import NO_SOURCE
 from needlefit.studies.job import Fold, Job
 from needlefit.studies.score import Row
+
+#: Of the table "starts": every start of every search, then a column per parameter. `objective` is what was
+#: `minimized`: the negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best
+#: of its search, in units of the tolerance (0.1; 1 % or 0.002 mm); `joined` is the start that it met and went
+#: on with.
+START_COLUMNS = (
+    *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
+    *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
+)
+#: Of the table "parameters": values per fold and method. `sd` is of ln for moduli and lengths, of the value
+#: for alpha; `low`, `high` is the range among starts within tolerance of the best; `interval_low`,
+#: `interval_high` is the 95 % interval that is printed, `draw_source` what it is from, `median` that of the
+#: same draws. `determined` is "yes", "only together" (with the others held it is), or "no".
+PARAMETER_COLUMNS = (
+    *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
+    *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
+    "median",
+    *("determined", "condition", "note"),
+)
+#: Of the table "error_fit": per fold the objective of the error-minimising fit, at the reported point, at the
+#: least one, and the tolerance within which it is not significantly larger, with its two estimates.
+ERROR_FIT_COLUMNS = (
+    *("fold", "objective_mm", "least_objective_mm", "tolerance_mm"),
+    *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
+)
+#: of the table "directions": combinations of parameters, and the SD to which each is known
+DIRECTION_COLUMNS = ("fold", "parameters", "sd", "sd_ratio", "note")
 
 
 def make_start_row(problem: Problem, start: Start, fit: Fit) -> Row:
@@ -85,6 +113,26 @@ def list_error_fit(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
             ends = (factor * bound for bound in parameters.bounds[source])
             row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
         yield row
+
+
+def describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
+    """Return the objective of the fit that minimises the errors, and its tolerance."""
+    return {
+        "fold": fold.name,
+        "objective_mm": found.objective,
+        "least_objective_mm": found.least,
+        "tolerance_mm": found.tolerance.value,
+        "tolerance_by_noise_mm": found.tolerance.by_noise,
+        "tolerance_by_insertions_mm": found.tolerance.by_insertions,
+        "evaluations": found.evaluations,
+    }
+
+
+def list_directions(fold: Fold, fit: Fit, verdict: Identifiability) -> Iterator[Row]:
+    """Yield the combinations of parameters that the posterior determines best; others have no SD."""
+    for one in verdict.directions if fit.minimized == "posterior" else ():
+        row = {"parameters": one.parameters, "sd": one.sd, "sd_ratio": one.sd_ratio, "note": one.words}
+        yield {"fold": fold.name, **row}
 
 
 def list_published(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:

@@ -17,11 +17,11 @@ from needlefit.schemas.run_metadata import AdvanceMetadata, FitMetadata, JobMeta
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
-from needlefit.studies.fit_frames import COLUMNS as FRAMES
 from needlefit.studies.fit_warnings import add_warnings
 from needlefit.studies.folds import plan_folds, print_notes
 from needlefit.studies.job import Job, Settings, load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
+from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.needles_in_scan import tabulate_needles
 from needlefit.studies.other_advance import find_better_advance

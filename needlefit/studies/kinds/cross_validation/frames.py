@@ -1,0 +1,36 @@
+"""The tables of a fit or cross-validation: each has at least the columns that its maker declares."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
+from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
+from needlefit.studies.kinds.cross_validation.rows import (
+    DIRECTION_COLUMNS,
+    ERROR_FIT_COLUMNS,
+    PARAMETER_COLUMNS,
+    START_COLUMNS,
+)
+from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
+from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
+from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
+
+FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "errors": ERROR_COLUMNS,
+        "shapes": SHAPE_COLUMNS,
+        "starts": START_COLUMNS,
+        "parameters": PARAMETER_COLUMNS,
+        "error_fit": ERROR_FIT_COLUMNS,
+        "directions": DIRECTION_COLUMNS,
+        "identification": IDENTIFICATION_COLUMNS,
+        "profiles": PROFILE_COLUMNS,
+        "predictive": PREDICTIVE_COLUMNS,
+        "bands": BAND_COLUMNS,
+        "curvature": SENSOR_COLUMNS,
+        "draws": DRAW_COLUMNS,
+        "population": POPULATION_COLUMNS,
+        "needles": NEEDLE_COLUMNS,
+    }
+)
