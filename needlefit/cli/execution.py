@@ -113,22 +113,22 @@ class Execution:
         """
         from needlefit.studies.kind import find_kind
 
-        result = self.run(name, find_kind(kind).make_record(**options))
-        if result.interrupted:
+        run = self.run(name, find_kind(kind).make_record(**options))
+        if run.interrupted:
             raise self.interrupted()
-        self.write(result)
+        self.write(run)
         self.remove_checkpoint(name)
-        return result
+        return run
 
-    def write(self, result: "Run") -> Path:
+    def write(self, run: "Run") -> Path:
         from needlefit.studies.report import write_run
         from needlefit.studies.result_sources import store_sources
 
         with show_progress(self.invocation.quiet) as report:
-            report(f"{result.name}: tables, figures and report", 0, 1)
-            folder = self.folder(result.name)
-            sources = store_sources(self.sources.get(result.name, ()), folder)
-            return write_run(replace(result, timing={**result.timing, **sources}), folder)
+            report(f"{run.name}: tables, figures and report", 0, 1)
+            folder = self.folder(run.name)
+            sources = store_sources(self.sources.get(run.name, ()), folder)
+            return write_run(replace(run, timing={**run.timing, **sources}), folder)
 
     def write_reference(self, runs: "Iterable[Run]") -> None:
         """Write the reference results of runs, if wanted: their tables, rounded."""
@@ -213,21 +213,21 @@ def run_studies(execution: Execution, todo: Sequence[StudyTask]) -> "list[Run]":
             if isinstance(work.record, FitRecord | StudyRecord):
                 dataset = read_once(find_named("dataset", work.record.dataset))
                 execution = replace(execution, inputs=Inputs(dataset=dataset))
-            result = execution.run(work.name, work.record, sample, work.file)
-            if result.interrupted:
+            run = execution.run(work.name, work.record, sample, work.file)
+            if run.interrupted:
                 raise execution.interrupted()
-            execution.write(result)
+            execution.write(run)
         if execution.invocation.json:
-            show_warnings(execution.invocation, result)
+            show_warnings(execution.invocation, run)
         else:
-            show_run(execution.invocation, result, execution.folder(result.name), len(todo) > 1)
+            show_run(execution.invocation, run, execution.folder(run.name), len(todo) > 1)
             if len(todo) > 1:
                 screen.print_line()
-        done.append(result)
+        done.append(run)
     return done
 
 
-def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = False) -> None:
+def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = False) -> None:
     """Print the result of a study: what its first page has, in that order; with `--explain` all tables.
 
     `named`: before the answer stands the name of the run.
@@ -236,12 +236,12 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
     from needlefit.studies.kind import find_kind
     from needlefit.studies.report import DETERMINED, lay_out_checks, subtitle
 
-    answer, checks = result.answer, lay_out_checks(result.answer)
-    screen.print_text(f"{f'{result.name}: ' if named else ''}{subtitle(result)}")
-    marked = "SYNTHETIC data. " if result.synthetic else ""  # which a reader cannot miss
+    answer, checks = run.answer, lay_out_checks(run.answer)
+    screen.print_text(f"{f'{run.name}: ' if named else ''}{subtitle(run)}")
+    marked = "SYNTHETIC data. " if run.synthetic else ""  # which a reader cannot miss
     for verdict in answer.verdicts[:1]:
         screen.print_text(f"{marked}{verdict.sentence}.")
-    show_warnings(invocation, result)
+    show_warnings(invocation, run)
     shown = [*answer.tables, *([checks] if checks else [])]
     screen.print_line()
     for table in shown:
@@ -252,9 +252,7 @@ def show_run(invocation: Invocation, result: "Run", folder: Path, named: bool = 
         screen.print_text(f"{DETERMINED} {answer.determined}")
     if invocation.explain:
         named_tables = {table.name for table in shown}
-        further = [
-            one for one in find_kind(result.kind).report.lay_out(result) if one.name not in named_tables
-        ]
+        further = [one for one in find_kind(run.kind).report.lay_out(run) if one.name not in named_tables]
         for table in drop_repeated(further):
             screen.print_line()
             screen.show_display(table)
@@ -307,10 +305,10 @@ def show_json_of(runs: "Sequence[Run]", more: dict[str, object] | None = None) -
     screen.show_json(next(iter(every.values())) if len(every) == 1 else every)
 
 
-def show_warnings(invocation: Invocation, result: "Run") -> None:
+def show_warnings(invocation: Invocation, run: "Run") -> None:
     """Print the warnings of a run to stderr, with the paths of the files that they are about."""
-    data, located = Path(result.timing.get("dataset", "")).parent, []
-    for one in result.warnings:
+    data, located = Path(run.timing.get("dataset", "")).parent, []
+    for one in run.warnings:
         if one.kind == "data_changed":  # its file is none of those that the run used
             if any(one.what in line for line in invocation.noted):
                 invocation.warned = True

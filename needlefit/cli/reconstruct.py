@@ -204,7 +204,7 @@ def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
 
 def _show(
     out: Path,
-    found: "Run | None",
+    run: "Run | None",
     failed: "Sequence[ReconstructionFailure]",
     as_json: "Sequence[ResultWarning] | None",
 ) -> None:
@@ -212,25 +212,25 @@ def _show(
     from needlefit.studies.kinds.reconstruction.report import REPORT
 
     if as_json is not None:
-        rows = found.frames["reconstruction"].to_dict(orient="records") if found else []
+        rows = run.frames["reconstruction"].to_dict(orient="records") if run else []
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        about: dict[str, Any] = {"dataset": str(out) if found else None, WARNINGS_KEY: to_rows(as_json)}
+        about: dict[str, Any] = {"dataset": str(out) if run else None, WARNINGS_KEY: to_rows(as_json)}
         screen.show_json({**about, "scans": rows, "failed": errors})
-    elif found:
+    elif run:
         screen.print_line()
-        for table in found.answer.tables:
+        for table in run.answer.tables:
             screen.show_display(table, notes=False)
-        for remark in REPORT.summarize(found)[1:]:
+        for remark in REPORT.summarize(run)[1:]:
             screen.print_text(remark)
-        if found.answer.advice is not None:
-            show_advice(found.answer.advice, out.parent)
+        if run.answer.advice is not None:
+            show_advice(run.answer.advice, out.parent)
         pictures = join_names([str(path) for path in sorted(out.glob("quality/*.pdf"))], 2)
         screen.print_written(out, f" (pictures: {pictures})")
 
 
-def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
+def _print_failures(run: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
     """Print the error of each scan, and what to do about it."""
     from needlefit.imaging.scans import scan_id
 
@@ -243,8 +243,8 @@ def _print_failures(found: "Run | None", failed: "Sequence[ReconstructionFailure
             screen.print_note(f"needlefit: {ids}: {warning}")
     if any(one.points for one in failed):
         screen.print_note(f"needlefit: move what was found in 3D Slicer: {out}/slicer/, then --corrections")
-    if failed and not found:
+    if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
-    elif failed and found:
-        count = len(failed) + len(found.frames["reconstruction"])
+    elif failed and run:
+        count = len(failed) + len(run.frames["reconstruction"])
         screen.print_note(f"needlefit: {len(failed)} of {count} scans failed; the others are written")

@@ -27,15 +27,15 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
 
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    studies = [one for one in runs if one.kind == "cross_validation"]
-    tunings = [one for one in runs if one.kind == "fit"] or studies
+    studies = [run for run in runs if run.kind == "cross_validation"]
+    tunings = [run for run in runs if run.kind == "fit"] or studies
     frames = {"validation": tabulate_validation(*studies), "tuning": tabulate_tuning(*tunings)}
     layouts = [
         fit_tables.lay_out_matrix(studies),
         fit_tables.lay_out_validation(*studies),
         fit_tables.lay_out_tuning(*tunings),
     ]
-    synthetic = any(one.synthetic for one in studies)
+    synthetic = any(run.synthetic for run in studies)
     with replace_folder(folder) as new:
         for name, frame in frames.items():
             if len(frame):
@@ -46,8 +46,8 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         drawn = {"groups": draw_groups(studies).save(new / "groups.pdf")} if len(frames["validation"]) else {}
         write_report(compose_overview(runs, layouts, drawn), new)
         label_figures(drawn, synthetic)
-        write_json(new / "run.json", {one.name: one.run_json for one in runs})
-        write_json(new / "timing.json", {one.name: one.timing for one in runs})
+        write_json(new / "run.json", {run.name: run.run_json for run in runs})
+        write_json(new / "timing.json", {run.name: run.timing for run in runs})
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
@@ -55,31 +55,31 @@ def compose_overview(
     runs: Sequence[Run], tables: Sequence[TableLayout], figures: Mapping[str, Path]
 ) -> Document:
     """Return one report over all studies: the table of verdicts, one figure, the verdicts; then the rest."""
-    studies = [one for one in runs if one.kind == "cross_validation"]
+    studies = [run for run in runs if run.kind == "cross_validation"]
     warned = [
         block
-        for one in studies
+        for run in studies
         for block in (
-            *(document.warning(f"{one.name}: {fault.kind}: {fault}.") for fault in one.faults),
-            *compose_warnings(one.warnings, head=f"{one.name}: "),
+            *(document.warning(f"{run.name}: {fault.kind}: {fault}.") for fault in run.faults),
+            *compose_warnings(run.warnings, head=f"{run.name}: "),
         )
     ]
     blocks = {
         "verdicts": [
-            document.verdict(f"{one.title.partition(':')[0]}. {verdict.sentence}.", verdict.status)
-            for one in studies
-            for verdict in one.verdicts[:1]
+            document.verdict(f"{run.title.partition(':')[0]}. {verdict.sentence}.", verdict.status)
+            for run in studies
+            for verdict in run.verdicts[:1]
         ],
         "warnings": [document.heading("Warnings"), *warned] if warned else [],
     }
-    questions = [f"{one.title}: {one.question}".rstrip(": ") for one in studies]
+    questions = [f"{run.title}: {run.question}".rstrip(": ") for run in studies]
     body = TEXT.compose("report", {"questions": questions}, tables, figures, blocks)
-    states = [block for one in studies for block in state_blocks(one)]
+    states = [block for run in studies for block in state_blocks(run)]
     states = [block for n, block in enumerate(states) if block not in states[:n]]
-    data = "; ".join(dict.fromkeys(one.name if one.synthetic else one.dataset_title for one in studies))
+    data = "; ".join(dict.fromkeys(run.name if run.synthetic else run.dataset_title for run in studies))
     return Document(
         "Validation studies",
         data,
-        any(one.synthetic for one in studies),
+        any(run.synthetic for run in studies),
         (*states, *body),
     )

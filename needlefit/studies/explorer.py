@@ -111,18 +111,18 @@ def find_bevel_sd(job: "Job", fold: "Fold") -> float:
     return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
 
 
-def choose_specimen(results: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
+def choose_specimen(run: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
     """Return in which specimen the draws for an insertion are, by its name in the table of draws.
 
     `specimen` is that of the insertion, `tuned` are those that were fitted to; `chosen`: of a `ViewTarget`.
     ConfigError if there is no specimen of that name.
     """
-    names = {*results.frames["draws"]["specimen"]} - {NEW_SPECIMEN, TUNED_SPECIMENS}
+    names = {*run.frames["draws"]["specimen"]} - {NEW_SPECIMEN, TUNED_SPECIMENS}
     if chosen not in ("shown", "planned", "new", "same"):
         if chosen not in names & tuned:
             raise unknown_name_error("specimen", chosen, ["new", "same", *(names & tuned)], "")
         return chosen
-    differ = results.record.specimens == "others"
+    differ = run.record.specimens == "others"
     if chosen == "new" or (differ and (chosen == "planned" or specimen not in tuned)):
         return NEW_SPECIMEN if chosen != "same" else TUNED_SPECIMENS
     return specimen if specimen in names else TUNED_SPECIMENS
@@ -138,23 +138,23 @@ def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, 
     return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
 
 
-def collect_explorer(results: Run) -> PageData | None:
+def collect_explorer(run: Run) -> PageData | None:
     """Return the data of the page of a fit or cross-validation; None where nothing can be computed.
 
     Nothing can be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs
     of earlier versions, which did not store how each insertion was made.
     """
-    if results.kind not in FIT_KINDS or not kernel_exists():
+    if run.kind not in FIT_KINDS or not kernel_exists():
         return None
-    errors = results.frames["errors"]
+    errors = run.frames["errors"]
     scored = select_fitted(errors, find_scored_role(errors))
-    metadata = results.knows(FitMetadata)
+    metadata = run.knows(FitMetadata)
     stored = metadata.insertions
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
-    data = PageData({"needlefit": metadata.versions["needlefit"], "title": results.title})
-    shapes = results.frames["shapes"]
+    data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
+    shapes = run.frames["shapes"]
     shapes = shapes[shapes["boundaries"] == "measured"]
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
@@ -165,12 +165,12 @@ def collect_explorer(results: Run) -> PageData | None:
     order = {name: n for n, name in enumerate(list_methods())}
     errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
-    status = results.verdicts[0].status
+    status = run.verdicts[0].status
     for row in rows:
         where = row["fold"], row["role"], row["insertion"]
-        needle = _encode_needle(data, results, row, curves[*where, "fitted"])
+        needle = _encode_needle(data, run, row, curves[*where, "fitted"])
         methods = [
-            _encode_method(one, curves.get((*where, one["method"])), results.origin)
+            _encode_method(one, curves.get((*where, one["method"])), run.origin)
             for one in to_records(scores[where])
         ]
         about = {
@@ -181,13 +181,13 @@ def collect_explorer(results: Run) -> PageData | None:
     return data
 
 
-def _encode_needle(data: PageData, results: Run, row: Row, curve: Floats) -> dict[str, Any]:
+def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[str, Any]:
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
     from needlefit.inference.forward_model import make_simulation_inputs
 
-    metadata, name = results.knows(FitMetadata), row["insertion"]
+    metadata, name = run.knows(FitMetadata), row["insertion"]
     medium, stored = metadata.medium, StoredInsertion.read(metadata, name)
-    known = results.frames["parameters"]
+    known = run.frames["parameters"]
     known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
     needle, tissue, steps, rules = make_simulation_inputs(values, medium, stored)
@@ -196,17 +196,17 @@ def _encode_needle(data: PageData, results: Run, row: Row, curve: Floats) -> dic
     lattice = make_lattice(steps, rules)
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.planes == 2)
     encoded = encode_scene(scene, lattice.first_cell) | {
-        "title": f"{name} · {results.dataset_title}",
+        "title": f"{name} · {run.dataset_title}",
         "target": name,
-        "synthetic": results.synthetic,
+        "synthetic": run.synthetic,
         "diameter_mm": needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": measured,
         "draws": None,
     }
     fold = next(one for one in metadata.folds if one.name == row["fold"])
     tuned = {metadata.insertions[one].specimen for one in fold.tune}
-    specimen = choose_specimen(results, stored.specimen, tuned)
-    draws = select_draws(results.frames["draws"], row["fold"], specimen)
+    specimen = choose_specimen(run, stored.specimen, tuned)
+    draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():
         varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])
         encoded["draws"] = _encode_draws(data, varied, medium, stored, tissue)

@@ -27,14 +27,14 @@ _OVERLAY_POINT_STEP = 5  # of the points compared, one in so many is drawn
 
 
 def collect_curves(
-    results: Run, role: str, shown: Iterable[str], every: int = 1, *, from_above: bool = False
+    run: Run, role: str, shown: Iterable[str], every: int = 1, *, from_above: bool = False
 ) -> pd.DataFrame:
     """Return one row per drawn point of a role's insertions; y is toward the bevel, mm, `from_above` it is z.
 
     `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
-    shapes, bands = results.frames["shapes"], results.frames["bands"]
+    shapes, bands = run.frames["shapes"], run.frames["bands"]
     here = (shapes["role"] == role) & (shapes["boundaries"] == "measured")
     shapes = shapes[here & shapes["method"].isin(list(shown))]
     if from_above:
@@ -55,9 +55,9 @@ def collect_curves(
     found = pd.concat(
         [part.reindex(columns=_POINT_COLUMNS) for part in parts if len(part)], ignore_index=True
     )
-    sides = found["insertion"].map(scores.find_bevel_sides(results))
+    sides = found["insertion"].map(scores.find_bevel_sides(run))
     found[forms.HEIGHT_COLUMNS] = found[forms.HEIGHT_COLUMNS].mul(sides, axis=0)
-    return found.assign(origin=results.origin)
+    return found.assign(origin=run.origin)
 
 
 def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
@@ -85,24 +85,24 @@ def _title_panels(errors: pd.DataFrame, metric: str) -> dict[forms.InsertionKey,
     return titles
 
 
-def draw_first_page(results: Run, role: str) -> Drawing:
+def draw_first_page(run: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
-    method, metric = choose_method(results), scores.name_tip_error(results)
-    fitted = select_fitted(results.frames["errors"], role, method)
+    method, metric = choose_method(run), scores.name_tip_error(run)
+    fitted = select_fitted(run.frames["errors"], role, method)
     ranked = fitted[fitted["converged"].astype(bool)].sort_values(metric, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
-    curves = collect_curves(results, role, (method,), _OVERLAY_POINT_STEP)
+    curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
-    frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(results, role))], ignore_index=True)
+    frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
     options = {"heads": _title_panels(chosen, metric), "method": method}
-    return Drawing(forms.first_page, frame.assign(origin=results.origin), options)
+    return Drawing(forms.first_page, frame.assign(origin=run.origin), options)
 
 
-def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
+def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
     """Yield the tip errors of our method, the closest curve and the paper's parameters; the paper's means."""
-    group, method = scores.pool_insertions(results, role), choose_method(results)
+    group, method = scores.pool_insertions(run, role), choose_method(run)
     assert group is not None
-    curve, errors = find_closest_curve(group), results.frames["errors"]
+    curve, errors = find_closest_curve(group), run.frames["errors"]
     here = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
     names = {method: "our prediction" if role == "validate" else "our fit"}
     names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
@@ -110,7 +110,7 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
         rows = here[(here["method"] == key) & here["converged"].astype(bool)]
         for row in to_records(rows.assign(**{scores.TE: rows[group.tip]})[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
-    for one in scores.list_held_out_groups(results):
+    for one in scores.list_held_out_groups(run):
         if (printed := one.get(scores.TE, "paper")) is not None:
             yield {
                 "curve": forms.TIP_ERROR,
@@ -122,13 +122,13 @@ def _list_tip_errors(results: Run, role: str) -> Iterator[Row]:
         yield {"curve": forms.TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
-def draw_overlays(results: Run, role: str, *, from_above: bool = False) -> Drawing:
+def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     """Return all insertions, seen from the side or from above."""
-    ours, metric = choose_method(results), scores.name_tip_error(results)
-    titles = _title_panels(select_fitted(results.frames["errors"], role, ours), metric)
+    ours, metric = choose_method(run), scores.name_tip_error(run)
+    titles = _title_panels(select_fitted(run.frames["errors"], role, ours), metric)
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
-    curves = collect_curves(results, role, names, every, from_above=from_above)
+    curves = collect_curves(run, role, names, every, from_above=from_above)
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing(forms.insertions, curves, options)
@@ -137,21 +137,21 @@ def draw_overlays(results: Run, role: str, *, from_above: bool = False) -> Drawi
 # ---- errors on held-out groups
 
 
-def draw_groups(results: Sequence[Run]) -> Drawing:
+def draw_groups(runs: Sequence[Run]) -> Drawing:
     """Return the tip errors on held-out insertions by group, of several studies."""
-    rows = [row for one in results for row in _list_group_errors(one)]
+    rows = [row for run in runs for row in _list_group_errors(run)]
     columns = ("group", "mark", "insertion", scores.TE, "origin")
     return Drawing(forms.errors_by_group, pd.DataFrame(rows, columns=columns))
 
 
-def _list_group_errors(results: Run) -> Iterator[Row]:
+def _list_group_errors(run: Run) -> Iterator[Row]:
     """Yield every tip error of a group, the mean of the closest curve and of the paper, and the noise."""
-    method = choose_method(results)
-    errors = select_fitted(results.frames["errors"], "validate", method)
-    for group in scores.list_held_out_groups(results):
+    method = choose_method(run)
+    errors = select_fitted(run.frames["errors"], "validate", method)
+    for group in scores.list_held_out_groups(run):
         layers, study = labels.group_name(group.head["medium"], group.head["layers"]), group.head["study"]
         name = f"study {study}" if isinstance(study, int) else study  # of the paper's five the number
-        about = {"group": f"{name}, {layers}", "origin": results.origin}
+        about = {"group": f"{name}, {layers}", "origin": run.origin}
         for tip in to_records(scores.select_group(errors, group)[["insertion", group.tip]]):
             yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[group.tip]}
         curve = find_closest_curve(group)
@@ -166,7 +166,7 @@ BAND_POINTS = 100  #: number of probabilities at which the band is computed, plu
 BAND_ERROR_PROBABILITY = 0.05  #: probability that uniform PIT values leave the band somewhere
 
 
-def draw_predictive_check(results: Run) -> Drawing:
+def draw_predictive_check(run: Run) -> Drawing:
     """Return steps of the ECDFs of PIT values, and their band.
 
     The PIT value of a measurement is the probability that was predicted of less: of a tip less far toward
@@ -174,11 +174,11 @@ def draw_predictive_check(results: Run) -> Drawing:
     one trial; depths of one hole are one, and so are all in one specimen where there are specimens enough
     (`group_independent`).
     """
-    predictions, rows = results.frames["predictive"], list[Row]()
+    predictions, rows = run.frames["predictive"], list[Row]()
     groups = pd.Series(group_rows(predictions))
     trials = groups.nunique()
     size = groups.map(groups.value_counts()).to_numpy(dtype=np.float64)
-    for quantity, pits in _orient_pits(results).items():
+    for quantity, pits in _orient_pits(run).items():
         order = np.argsort(pits, kind="stable")
         below = np.cumsum(1 / size[order]) / trials  # every group weighs the same
         rows += [
@@ -189,16 +189,16 @@ def draw_predictive_check(results: Run) -> Drawing:
     for number, (least, most) in enumerate(zip(low, high, strict=True), start=1):
         ends = {"low": float(least), "high": float(most)}
         rows.append({"mark": "band", "probability": number / BAND_POINTS, **ends})
-    counts = {"insertions": len(predictions), "replicates": trials, "origin": results.origin}
+    counts = {"insertions": len(predictions), "replicates": trials, "origin": run.origin}
     return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))
 
 
-def _orient_pits(results: Run) -> dict[str, Floats]:
+def _orient_pits(run: Run) -> dict[str, Floats]:
     """Return the levels of tips and shapes; those of tips are stored toward +y."""
-    predictions = results.frames["predictive"]
-    sides = predictions["insertion"].map(scores.find_bevel_sides(results)).to_numpy(dtype=np.float64)
+    predictions = run.frames["predictive"]
+    sides = predictions["insertion"].map(scores.find_bevel_sides(run)).to_numpy(dtype=np.float64)
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
-    if scores.is_in_space(results):  # those of tips are by the distance from the predicted one
+    if scores.is_in_space(run):  # those of tips are by the distance from the predicted one
         return {"tip": tips, "shape": shapes}
     # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}

@@ -74,32 +74,32 @@ _HELD_OUT_KINDS = (
 )
 
 
-def lay_out_validation(*results: Run) -> TableLayout:
+def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, with planned depths, noise floor, paper."""
-    groups = scores.list_held_out_groups(*results)
-    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    groups = scores.list_held_out_groups(*runs)
+    heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
     return _lay_out_groups("validation", [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups], heads)
 
 
-def lay_out_tuning(*results: Run) -> TableLayout:
+def lay_out_tuning(*runs: Run) -> TableLayout:
     """Return the in-sample errors by medium and number of layers."""
-    groups = scores.list_groups(scores.tabulate_tuning(*results))
-    heads = ("study", "medium", "layers", "insertions")[len(results) == 1 :]
+    groups = scores.list_groups(scores.tabulate_tuning(*runs))
+    heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
     return _lay_out_groups("tuning", [(one, (_FITTED, _FLOOR, _PAPER)) for one in groups], heads)
 
 
-def lay_out_summary(results: Run) -> TableLayout:
+def lay_out_summary(run: Run) -> TableLayout:
     """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
 
     Groups are those held out, or of a run without any those fitted to; before several stand all together, of
     which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
     """
-    groups = scores.list_held_out_groups(results) or scores.list_groups(scores.tabulate_tuning(results))
-    method, several = choose_method(results), len(groups) > 1
+    groups = scores.list_held_out_groups(run) or scores.list_groups(scores.tabulate_tuning(run))
+    method, several = choose_method(run), len(groups) > 1
     ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
-    fitted_to, media = str(results.record.medium), {str(one.head["medium"]) for one in groups}
+    fitted_to, media = str(run.record.medium), {str(one.head["medium"]) for one in groups}
     of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
-    together = scores.pool_insertions(results, find_scored_role(results.frames["errors"]))
+    together = scores.pool_insertions(run, find_scored_role(run.frames["errors"]))
     if several and together is not None:
         groups = [together, *groups]
     paper = (
@@ -185,23 +185,23 @@ def _head(group: scores.ScoredGroup) -> Row:
     return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
-def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
+def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
     """Return one row per study and held-out group: our tip error, and what it compares with.
 
     The verdict is the study's: before several groups stands a row of all together, which alone has it.
     """
     rows: list[Row] = []
-    for one in results:
-        together, groups = scores.pool_insertions(one), scores.list_held_out_groups(one)
-        verdict = together and judge(one, together)
+    for run in runs:
+        together, groups = scores.pool_insertions(run), scores.list_held_out_groups(run)
+        verdict = together and judge(run, together)
         if together is not None and len(groups) > 1:
             groups = [together, *groups]
         for number, group in enumerate(groups):
-            judged = judge(one, group)
+            judged = judge(run, group)
             rows.append(
                 {
                     **_head(group),
-                    "study": scores.study_label(one),
+                    "study": scores.study_label(run),
                     "te_mm": judged and judged.error_mm,
                     "noise_of_te": group.get(group.tip, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
@@ -216,9 +216,9 @@ def lay_out_matrix(results: Sequence[Run]) -> TableLayout:
     return _lay_out(Table("matrix", rows, columns), drop_empty=True)
 
 
-def lay_out_coverage(results: Run) -> TableLayout:
+def lay_out_coverage(run: Run) -> TableLayout:
     """Return one row per medium, number of layers and specimen, over all folds."""
-    predicted, keys = results.frames["predictive"], ["medium", "layers", "specimen_treatment"]
+    predicted, keys = run.frames["predictive"], ["medium", "layers", "specimen_treatment"]
     rows = [
         {
             **{"medium": medium, "layers": layers, "specimen_treatment": SPECIMEN_NAMES[str(treatment)]},
@@ -230,36 +230,36 @@ def lay_out_coverage(results: Run) -> TableLayout:
     spread = {
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
-        "recipe": results.record.recipe,
+        "recipe": run.record.recipe,
     }
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
-    read = results.frames["curvature"]["kappa_in_95"].astype(float)
+    read = run.frames["curvature"]["kappa_in_95"].astype(float)
     return _lay_out(table, sources=sources, spread=spread if len(other) else None, readings=read)
 
 
-def lay_out_baselines(results: Run, role: str) -> TableLayout:
+def lay_out_baselines(run: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
-    digits = 3 if (results.frames["errors"]["comparison"] == "aligned").any() else 2
-    compared = scores.compare_methods(results, role)
+    digits = 3 if (run.frames["errors"]["comparison"] == "aligned").any() else 2
+    compared = scores.compare_methods(run, role)
     rows = [
         {
-            **{**row, DIGITS: digits, "method": method_name(row["method"], results.origin)},
+            **{**row, DIGITS: digits, "method": method_name(row["method"], run.origin)},
             **({"difference_mm": None, "better": ""} if row["method"] == "fitted" else {}),
         }
         for row in to_records(compared)
     ]
-    metrics = headline_metrics(in_space=scores.is_in_space(results))
+    metrics = headline_metrics(in_space=scores.is_in_space(run))
     errors = (one.name for one in metrics if compared[one.name].notna().any())
     columns = ("method", "insertions", *errors, "te_difference", "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
 
-def lay_out_insertions(results: Run, role: str) -> TableLayout:
+def lay_out_insertions(run: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
-    method = choose_method(results) if role == "validate" else "fitted"
+    method = choose_method(run) if role == "validate" else "fitted"
     # beside the errors in the plane those in space; the paper's EDP is of the plane alone
-    chosen = select_fitted(results.frames["errors"], role, method)
+    chosen = select_fitted(run.frames["errors"], role, method)
     metrics = [one for one in list_metrics() if not (one.spread_of or (one.in_space and one.relative))]
     metrics = [one for one in metrics if chosen[one.name].notna().any()]
     columns = (
@@ -268,7 +268,7 @@ def lay_out_insertions(results: Run, role: str) -> TableLayout:
     )
     rows = [
         {
-            **{**dict.fromkeys(columns), **row, "origin": results.origin},
+            **{**dict.fromkeys(columns), **row, "origin": run.origin},
             DIGITS: 3 if row["comparison"] == "aligned" else 2,
             "insertion": str(row["insertion"]) + ("" if row["converged"] else " (did not converge)"),
             **{
@@ -335,12 +335,12 @@ def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: 
 SOURCES = {"posterior": "emcee", "importance": "importance sampling", "profile": "profile likelihood"}
 
 
-def lay_out_parameters(results: Run) -> TableLayout:
+def lay_out_parameters(run: Run) -> TableLayout:
     """Return posterior and error-minimising fit beside the paper's parameters, of several folds their range.
 
     Parameters with the same cells have one row.
     """
-    frames, truth = results.frames, results.knows(FitMetadata).truth
+    frames, truth = run.frames, run.knows(FitMetadata).truth
     merged: dict[tuple[object, ...], Row] = {}
     for name, members in frames["parameters"].groupby("parameter", sort=False):
         if "fitted" not in set(members["method"]):
@@ -354,50 +354,50 @@ def lay_out_parameters(results: Run) -> TableLayout:
     values = {
         "folds": int(frames["parameters"]["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] for row in rows),
-        "together": find_known_combination(results),
-        "population": list_spreads(results),
+        "together": find_known_combination(run),
+        "population": list_spreads(run),
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
-        "leaning": [one for one in results.knows(FitMetadata).stated_depths if one.sd_mm > one.stated_sd_mm],
+        "leaning": [one for one in run.knows(FitMetadata).stated_depths if one.sd_mm > one.stated_sd_mm],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
 
 
-def list_spreads(results: Run) -> list[tuple[str, float, int]]:
+def list_spreads(run: Run) -> list[tuple[str, float, int]]:
     """Return the factor between specimens that is one SD, by parameter, and the number of specimens."""
-    rows = to_records(results.frames["population"].drop_duplicates("parameter"))
+    rows = to_records(run.frames["population"].drop_duplicates("parameter"))
     return [(row["parameter"], math.exp(row["between_sd"]), int(row["other_specimens"])) for row in rows]
 
 
-def find_known_combination(results: Run) -> str:
+def find_known_combination(run: Run) -> str:
     """Return the best known combination of several parameters, with its precision.
 
     "" if none is known, or if every parameter is determined by itself.
     """
-    free = select_free(results.frames["parameters"])
+    free = select_free(run.frames["parameters"])
     if (free["determined"][~free["parameter"].isin(HYPERPARAMETERS)] == "yes").all():
         return ""
-    rows = to_records(results.frames["directions"])
+    rows = to_records(run.frames["directions"])
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
     return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
 
 
-def tabulate_percentiles(results: Run) -> pd.DataFrame:
+def tabulate_percentiles(run: Run) -> pd.DataFrame:
     """Return one row per fold and free parameter: percentiles (Pa, mm), R-hat, effective sample size.
 
     `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
     parameters, are not met: percentiles are then not final.
     """
     names, found = [f"p{percentile:g}" for percentile in PERCENTILES], list[Row]()
-    for fold, posterior in results.posteriors.items():
+    for fold, posterior in run.posteriors.items():
         about: Row = {
             "acceptance": float(np.mean(posterior.acceptance_fraction)),
             "converged": not posterior.faults,
         }
-        about |= {"fold": fold, "origin": results.origin}
+        about |= {"fold": fold, "origin": run.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
             of_chain = {"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])}
             found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})

@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 TEXT = KindText("warnings")
 
 
-def add_warnings(results: Run, job: "Job") -> Run:
+def add_warnings(run: Run, job: "Job") -> Run:
     """Return results whose `run` also has the warnings about data, study, fit and predictions."""
-    found = [*results.warnings, *job.warnings, *list_warnings(results)]
-    return results.with_metadata(warnings=to_stored_rows(found))
+    found = [*run.warnings, *job.warnings, *list_warnings(run)]
+    return run.with_metadata(warnings=to_stored_rows(found))
 
 
-def list_warnings(results: Run) -> list[ResultWarning]:
+def list_warnings(run: Run) -> list[ResultWarning]:
     """Return the warnings about a finished fit; of one that was interrupted those about its validity."""
-    rules = {"validity": RULES["validity"]} if results.interrupted else RULES
-    return [write_warning(kind, values) for kind, find in rules.items() for values in find(results)]
+    rules = {"validity": RULES["validity"]} if run.interrupted else RULES
+    return [write_warning(kind, values) for kind, find in rules.items() for values in find(run)]
 
 
 def write_warning(kind: str, values: Mapping[str, Any]) -> ResultWarning:
@@ -54,14 +54,14 @@ def write_warning(kind: str, values: Mapping[str, Any]) -> ResultWarning:
 # ---- parameters at their bounds
 
 
-def _find_bounds(results: Run) -> list[Row]:
+def _find_bounds(run: Run) -> list[Row]:
     """Return the parameters that a fit left at a bound, and in how many folds; then intervals that end there.
 
     A shape parameter to which the data add nothing lies anywhere within its bounds, which are its prior.
     """
     keys = ["fold", "parameter"]
-    known = results.frames["identification"].reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
-    fits = select_free(results.frames["parameters"]).merge(known, on=keys, how="left")
+    known = run.frames["identification"].reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
+    fits = select_free(run.frames["parameters"]).merge(known, on=keys, how="left")
     shape = fits["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
     fits = fits[~(shape & (fits["sd_ratio"] >= UNINFORMED_SD_RATIO).to_numpy(dtype=bool))]
     for side in ("low", "high"):  # one whose profile is open reaches the bound
@@ -114,14 +114,14 @@ SHIFT_SD = 3.0  #: standard deviations beyond which a boundary lies elsewhere th
 CHANCE = 1e-3  #: probability of such a factor by chance, below which it is one
 
 
-def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
+def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
     """Yield the media in which in-sample errors lie far below (above) their noise floor: it is `too_large`.
 
     The floor f is the mean error that the stated noise gives. If one error of the pose made up all of it,
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
     chi-square with n degrees of freedom. Noise of the points varies less, so that the test is conservative.
     """
-    errors = select_fitted(results.frames["errors"], "tune")
+    errors = select_fitted(run.frames["errors"], "tune")
     errors = errors[errors["floor_ipe_mean_mm"] > 0]
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()
@@ -132,16 +132,16 @@ def _find_wrong_noise(results: Run, too_large: bool) -> Iterator[Row]:
             yield {"medium": str(medium), "count": count, "rms": rms}
 
 
-def _find_shared_residual(results: Run) -> Iterator[Row]:
+def _find_shared_residual(run: Run) -> Iterator[Row]:
     """Yield the residual that all insertions fitted to have in common, beyond the noise and beyond chance.
 
     The mean square of n independent residual curves would fall to 1/n in their mean; what part is left of it
     gives a t of n - 1 degrees of freedom. Depths of one hole are one curve.
     """
-    errors, shapes = (select_fitted(results.frames[name], "tune") for name in ("errors", "shapes"))
+    errors, shapes = (select_fitted(run.frames[name], "tune") for name in ("errors", "shapes"))
     residuals = shapes["measured_y_mm"] - shapes["simulated_y_mm"]
     holes = shapes["insertion"].map(errors.drop_duplicates("insertion").set_index("insertion")["hole"])
-    sides = shapes["insertion"].map(find_bevel_sides(results))
+    sides = shapes["insertion"].map(find_bevel_sides(run))
     for toward, signs in (("bevels", sides), ("axis", 1)) if len(shapes) else ():
         table = shapes.assign(hole=holes, residual=residuals * signs)
         curves = table.pivot_table(index="j", columns="hole", values="residual").to_numpy()
@@ -153,31 +153,31 @@ def _find_shared_residual(results: Run) -> Iterator[Row]:
             return
 
 
-def _find_shifted_boundaries(results: Run) -> Iterator[Row]:
+def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
     """Yield the boundaries at stated depths that the data put elsewhere, beyond their errors."""
-    for one in results.knows(FitMetadata).stated_depths:
+    for one in run.knows(FitMetadata).stated_depths:
         sd = math.hypot(one.sd_mm, one.stated_sd_mm)
         if abs(one.shift_mm) > SHIFT_SD * sd:
             yield {**vars(one), "sd": sd}
 
 
-def _find_implausible_moduli(results: Run) -> Iterator[Row]:
+def _find_implausible_moduli(run: Run) -> Iterator[Row]:
     """Yield the moduli that no tissue has."""
-    fits = select_free(results.frames["parameters"])
+    fits = select_free(run.frames["parameters"])
     for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
         if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
             yield {"parameter": str(name), "value": value, "text": "modulus"}
 
 
-def _find_outside(results: Run) -> Iterator[Row]:
+def _find_outside(run: Run) -> Iterator[Row]:
     """Yield the parts of the run that are outside what the model assumes."""
-    if parts := list_outside(results.knows(FitMetadata).validity):
+    if parts := list_outside(run.knows(FitMetadata).validity):
         yield {"parts": parts}
 
 
-def _find_other_advance(results: Run) -> Iterator[Row]:
+def _find_other_advance(run: Run) -> Iterator[Row]:
     """Yield the other rule of advance, if it fits better."""
-    if (found := results.knows(FitMetadata).other_advance) is not None:
+    if (found := run.knows(FitMetadata).other_advance) is not None:
         yield vars(found)
 
 

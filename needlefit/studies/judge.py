@@ -61,25 +61,25 @@ class Judgement:
     fits: int | None = None  #: of how many fits, if of several
 
 
-def choose_method(results: Run) -> str:
+def choose_method(run: Run) -> str:
     """Return the method whose errors are judged: the predictive median, of a run without any the fit."""
-    return MEDIAN_METHOD if (results.frames["errors"]["method"] == MEDIAN_METHOD).any() else "fitted"
+    return MEDIAN_METHOD if (run.frames["errors"]["method"] == MEDIAN_METHOD).any() else "fitted"
 
 
-def judge(results: Run, group: ScoredGroup) -> Judgement | None:
+def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
-    method = choose_method(results)
+    method = choose_method(run)
     error = group.get(group.tip, method=method)
     if error is None:
         return None
     ratio, curve = group.over_floor(group.tip, method=method), find_closest_curve(group)
     nearest = None if curve is None else group.get(group.tip, method=curve)
-    fits = results.frames["errors"]["fold"].nunique()
+    fits = run.frames["errors"]["fold"].nunique()
     if fits > 1:
-        errors = select_group(results.frames["errors"], group)
+        errors = select_group(run.frames["errors"], group)
         held = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
         if method == MEDIAN_METHOD:
-            scores = results.frames["predictive"][["fold", "insertion", CRPS]]
+            scores = run.frames["predictive"][["fold", "insertion", CRPS]]
             held = held.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
         outcome = judge_fits(held, method, group.tip)
     else:
@@ -171,13 +171,13 @@ def find_closest_curve(group: ScoredGroup) -> str | None:
 # ---- checks
 
 
-def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
+def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
     """Return the checks of all insertions that are scored together; of a fit of those fitted to.
 
     Of a fit within the noise a closer curve decides nothing: curves were fitted to the same needles.
     """
-    group, found = pool_insertions(results, role), list[Finding]()
-    judged = None if group is None else judge(results, group)
+    group, found = pool_insertions(run, role), list[Finding]()
+    judged = None if group is None else judge(run, group)
     if role == "tune":
         found.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
@@ -191,11 +191,11 @@ def list_checks(results: Run, role: str = "validate") -> tuple[Finding, ...]:
         found.append(one)
         within = None if ratio is None else ratio <= MAX_NOISE_RATIO
         found.append(Finding(Check.NOISE, within, ratio, MAX_NOISE_RATIO))
-    predictive = results.frames["predictive"]
+    predictive = run.frames["predictive"]
     if len(predictive) and role == "validate":
         held_out = int(group.head["insertions"]) if group else 0
-        found += check_intervals(predictive, results.metadata.recipe, held_out)
-    return (*found, check_data(results))
+        found += check_intervals(predictive, run.metadata.recipe, held_out)
+    return (*found, check_data(run))
 
 
 def check_intervals(
@@ -231,12 +231,12 @@ def _count_beyond(predictive: pd.DataFrame) -> int:
     return int(((measured - median) * np.sign(median) > 0).sum())
 
 
-def check_data(results: Run) -> Finding:
+def check_data(run: Run) -> Finding:
     """Return whether any warning casts doubt on the data or on a parameter."""
-    named = [one.kind for one in list_doubts(results.warnings)]
+    named = [one.kind for one in list_doubts(run.warnings)]
     return Finding(Check.DATA, not named, len(named), 0, ", ".join(named))
 
 
-def limit_status(results: Run, status: Status) -> Status:
+def limit_status(run: Run, status: Status) -> Status:
     """Return the status of a verdict; data that contradict themselves let nothing pass."""
-    return "warn" if status == "pass" and list_contradictions(results.warnings) else status
+    return "warn" if status == "pass" and list_contradictions(run.warnings) else status

@@ -55,23 +55,23 @@ class StudyKind:
 
         The same record, data, seed and versions give the same frames for any number of jobs, and after an
         interruption with `resume`. A run that is complete still has the lock of its checkpoint: the caller
-        writes the result, then removes or releases it.
+        writes the run, then removes or releases it.
 
         Raises ConfigError or DataError if anything the record names is missing or wrong.
         """
         begin, complete = time.time(), False
         try:
             with add_study_context(name):
-                result = self.compute(name, record, settings)
-            complete = not result.interrupted
+                run = self.compute(name, record, settings)
+            complete = not run.interrupted
         finally:
             if settings.checkpoint is not None and not complete:
                 release_checkpoint(settings.checkpoint)
         timing = {"seconds": time.time() - begin, "jobs": settings.jobs, **describe_surroundings(begin)}
-        state: dict[str, Any] = {"interrupted": result.interrupted, "faults": list(map(str, result.faults))}
+        state: dict[str, Any] = {"interrupted": run.interrupted, "faults": list(map(str, run.faults))}
         if revision := find_source_revision():
             state["source_revision"] = revision
-        return replace(result.with_metadata(**state), timing=timing | result.timing)
+        return replace(run.with_metadata(**state), timing=timing | run.timing)
 
     def compute(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""

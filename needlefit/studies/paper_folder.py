@@ -14,7 +14,7 @@ WIDTHS_IN = {"single": COLUMN_WIDTH_IN, "double": TEXT_WIDTH_IN}
 """Width of a figure in inches, by the word at the end of its name."""
 
 
-def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path]:
+def write_paper_folder(run: Run, run_folder: Path, folder: Path) -> list[Path]:
     """Write to a new folder all figures of a run in both widths, and its LaTeX files.
 
     A figure that cannot be drawn in one column is there in its own width alone.
@@ -29,15 +29,15 @@ def write_paper_folder(result: Run, run_folder: Path, folder: Path) -> list[Path
             shutil.copyfile(path, folder / path.name)
     for word, width in WIDTHS_IN.items():
         with fix_width(width), draw_together():
-            drawn = find_kind(result.kind).report.draw(result, folder)
+            drawn = find_kind(run.kind).report.draw(run, folder)
         figures = {}
         for name, path in drawn.items():
             path.with_suffix(".csv").unlink(missing_ok=True)  # the run's folder has it
             figures[name] = path.rename(path.with_stem(f"{path.stem}-{word}"))
-        report = compose_run_report(result, figures)
+        report = compose_run_report(run, figures)
         found = [block for block in report.blocks if block["kind"] == "figure"]
         kept = [block for block in found if is_half_width(block["path"]) == (word == "single")]
-        label_figures({str(n): block["path"] for n, block in enumerate(kept)}, result.synthetic)
+        label_figures({str(n): block["path"] for n, block in enumerate(kept)}, run.synthetic)
         for path in set(figures.values()) - {block["path"] for block in kept}:
             path.unlink()
     return sorted(folder.iterdir())

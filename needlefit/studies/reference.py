@@ -19,18 +19,18 @@ SIGNIFICANT_DIGITS = 5  #: significant digits of all other numbers
 MAX_ROWS = 500  #: longest table that is kept: longer ones are intermediate results that nobody reviews
 
 
-def write_reference(one: Run, folder: Path) -> Path:
+def write_reference(run: Run, folder: Path) -> Path:
     """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
 
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
-        tables = {name: file for name, file in list_files(one).items() if not isinstance(file, str)}
-        for name in REVIEWED_TABLES.get(one.kind, tables):
+        tables = {name: file for name, file in list_files(run).items() if not isinstance(file, str)}
+        for name in REVIEWED_TABLES.get(run.kind, tables):
             frame = to_tidy(tables.get(name, pd.DataFrame()))
             if 0 < len(frame) <= MAX_ROWS:
-                write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
-        table = dict(one.run_json)
+                write_csv(round_frame(frame).assign(origin=run.origin), new / f"{name}.csv")
+        table = dict(run.run_json)
         for name in ("source_revision", "validity"):  # they differ from machine to machine
             table.pop(name, None)
         write_json(new / "run.json", table)

@@ -45,18 +45,18 @@ from needlefit.studies.store import restore_run, store_run
 CHECKS = KindText("checks")
 
 
-def run_to_json(result: Run) -> dict[str, Any]:
+def run_to_json(run: Run) -> dict[str, Any]:
     """Return what `--json` prints of a run."""
     return {
-        "kind": result.kind,
-        "name": result.name,
-        "origin": result.origin,
-        "dataset": result.dataset_title,
-        "interrupted": result.interrupted,
-        "faults": list(map(str, result.faults)),
-        **answer_to_json(result.answer),
-        WARNINGS_KEY: to_rows(result.warnings),
-        **find_kind(result.kind).report.to_json(result),
+        "kind": run.kind,
+        "name": run.name,
+        "origin": run.origin,
+        "dataset": run.dataset_title,
+        "interrupted": run.interrupted,
+        "faults": list(map(str, run.faults)),
+        **answer_to_json(run.answer),
+        WARNINGS_KEY: to_rows(run.warnings),
+        **find_kind(run.kind).report.to_json(run),
     }
 
 
@@ -67,64 +67,62 @@ class StudyReport:
     #: its block `verdict` is the answer; `summary` holds further sentences, `report` the body of the report,
     #: `table_<name>` the caption and the notes of a table, `figure_<name>` the caption of a figure
     text: KindText
-    values: Callable[[Run], Mapping[str, Any]]  #: result -> the numbers and names that the text prints
-    #: result -> its tables, which are also written as LaTeX
+    values: Callable[[Run], Mapping[str, Any]]  #: run -> the numbers and names that the text prints
+    #: run -> its tables, which are also written as LaTeX
     tables: Callable[[Run], Sequence[Table | TableLayout]]
-    #: result -> its figures by name, that of the first page first: forms with their frames, which are
+    #: run -> its figures by name, that of the first page first: forms with their frames, which are
     #: written as CSV beside them
-    figures: Callable[[Run], Mapping[str, Drawing]] = lambda result: {}
-    #: result -> the parts of its first page; `Run.answer` is what others call
-    answer: Callable[[Run], Answer] = lambda result: answer_in_words(result, "none")
-    #: result -> its files: tables, which are written as CSV, by name; texts by the names of their files
-    files: Callable[[Run], Mapping[str, pd.DataFrame | str]] = lambda result: result.frames
-    #: result -> what `--json` prints besides the answer
-    to_json: Callable[[Run], dict[str, Any]] = lambda result: {
-        name: to_records(to_tidy(frame)) for name, frame in result.frames.items()
+    figures: Callable[[Run], Mapping[str, Drawing]] = lambda run: {}
+    #: run -> the parts of its first page; `Run.answer` is what others call
+    answer: Callable[[Run], Answer] = lambda run: answer_in_words(run, "none")
+    #: run -> its files: tables, which are written as CSV, by name; texts by the names of their files
+    files: Callable[[Run], Mapping[str, pd.DataFrame | str]] = lambda run: run.frames
+    #: run -> what `--json` prints besides the answer
+    to_json: Callable[[Run], dict[str, Any]] = lambda run: {
+        name: to_records(to_tidy(frame)) for name, frame in run.frames.items()
     }
     #: whether other files that needlefit wrote to the folder stay when the result is written again
     keeps_files: bool = False
 
-    def summarize(self, result: Run) -> list[str]:
+    def summarize(self, run: Run) -> list[str]:
         """Return the sentences about a run, the most important first."""
-        values = self.values(result)
+        values = self.values(run)
         return [*self.text.sentences("verdict", values), *self.text.sentences("summary", values)]
 
-    def lay_out(self, result: Run) -> list[TableLayout]:
+    def lay_out(self, run: Run) -> list[TableLayout]:
         """Return the tables of a run."""
-        return _lay_out_tables(result)
+        return _lay_out_tables(run)
 
-    def draw(self, result: Run, folder: Path) -> dict[str, Path]:
+    def draw(self, run: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
-        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(result).items()}
+        return {name: one.save(folder / f"{name}.pdf") for name, one in self.figures(run).items()}
 
-    def write(self, result: Run, folder: Path) -> Path:
+    def write(self, run: Run, folder: Path) -> Path:
         """Write a result, as `write_run`; called by `Run.save`, which cannot import this module."""
-        return write_run(result, folder)
+        return write_run(run, folder)
 
-    def format_notebook_html(self, result: Run) -> str:
+    def format_notebook_html(self, run: Run) -> str:
         """Return what a notebook shows of a run: its first page, then its tables and warnings."""
-        shown = [table.name for table in result.answer.tables]
-        blocks = compose_first_page(result)
-        if not result.interrupted:  # of an interrupted one only what is finished is laid out
-            blocks += [document.table(one) for one in self.lay_out(result) if one.name not in shown]
-        blocks += compose_warnings(result.warnings, linked=False)
-        return document.format_html_part(
-            Document(result.title, subtitle(result), result.synthetic, tuple(blocks))
-        )
+        shown = [table.name for table in run.answer.tables]
+        blocks = compose_first_page(run)
+        if not run.interrupted:  # of an interrupted one only what is finished is laid out
+            blocks += [document.table(one) for one in self.lay_out(run) if one.name not in shown]
+        blocks += compose_warnings(run.warnings, linked=False)
+        return document.format_html_part(Document(run.title, subtitle(run), run.synthetic, tuple(blocks)))
 
 
-def _lay_out_tables(result: Run) -> list[TableLayout]:
-    page = find_kind(result.kind).report
-    values, every = page.values(result), page.tables(result)
+def _lay_out_tables(run: Run) -> list[TableLayout]:
+    page = find_kind(run.kind).report
+    values, every = page.values(run), page.tables(run)
     return [one if isinstance(one, TableLayout) else page.text.lay_out(one, values) for one in every]
 
 
-def answer_in_words(result: Run, status: Status, **numbers: float | str | None) -> Answer:
+def answer_in_words(run: Run, status: Status, **numbers: float | str | None) -> Answer:
     """Return the answer of a kind without groups: the first sentence of its summary, and its first table."""
-    report = find_kind(result.kind).report
-    sentences = report.summarize(result)[:1]
+    report = find_kind(run.kind).report
+    sentences = report.summarize(run)[:1]
     verdicts = [Verdict(one.rstrip("."), status, "", numbers) for one in sentences]
-    return Answer(verdicts, report.lay_out(result)[:1])
+    return Answer(verdicts, report.lay_out(run)[:1])
 
 
 def lay_out_checks(answer: Answer) -> TableLayout | None:
@@ -149,37 +147,37 @@ def _word_check(one: Finding, part: str = "") -> str:
     return CHECKS.sentence(f"{one.check}{part}", {**vars(one), "is_below": one.is_below, "doubts": doubts})
 
 
-def recall(result: Run) -> str:
+def recall(run: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
-    answer = find_kind(result.kind).report.answer(result)
+    answer = find_kind(run.kind).report.answer(run)
     opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
     failed = [_word_check(one) for one in answer.checks if one.passed is False]
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
-    return f"{result.name}: {mark_faults(result.faults)}{opening.rstrip('.')}.{words}"
+    return f"{run.name}: {mark_faults(run.faults)}{opening.rstrip('.')}.{words}"
 
 
-def subtitle(result: Run) -> str:
+def subtitle(run: Run) -> str:
     """Return what stands under the title: what was fitted and predicted; else the name and the question."""
-    named = dict.fromkeys((result.name, result.question or result.dataset_title))
-    return result.answer.about or ". ".join(named)
+    named = dict.fromkeys((run.name, run.question or run.dataset_title))
+    return run.answer.about or ". ".join(named)
 
 
-def compose_first_page(result: Run, pictures: Sequence[Block] = ()) -> list[Block]:
+def compose_first_page(run: Run, pictures: Sequence[Block] = ()) -> list[Block]:
     """Return the first page: the answer, its table, its figure, the checks, what to do, what was determined.
 
     What must be read before any number stands first.
     """
-    answer, checks = result.answer, lay_out_checks(result.answer)
+    answer, checks = run.answer, lay_out_checks(run.answer)
     verdict = [document.verdict(f"{one.sentence}.", one.status) for one in answer.verdicts[:1]]
     return [
-        *state_blocks(result),
+        *state_blocks(run),
         *verdict,
         *(document.table(replace(one, notes=())) for one in answer.tables),
         *pictures,
         *([document.table(checks)] if checks else []),
         *([] if answer.advice is None else [_compose_advice(answer.advice)]),
         *([document.paragraph(DETERMINED, answer.determined)] if answer.determined else []),
-        *(document.warning(f"{one.kind}: {one}.") for one in result.faults),
+        *(document.warning(f"{one.kind}: {one}.") for one in run.faults),
     ]
 
 
@@ -191,7 +189,7 @@ def _compose_advice(advice: Advice) -> Block:
     return document.paragraph(WHAT_TO_DO, advice.sentence, advice.format_command())
 
 
-def write_run(result: Run, folder: Path) -> Path:
+def write_run(run: Run, folder: Path) -> Path:
     """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
     Every frame as CSV, tables as LaTeX, figures as PDF,
@@ -201,59 +199,59 @@ def write_run(result: Run, folder: Path) -> Path:
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with threadpool_limits(1, user_api="blas"), replace_folder(folder) as new:
-        for name in listed_files(folder) if find_kind(result.kind).report.keeps_files else ():
+        for name in listed_files(folder) if find_kind(run.kind).report.keeps_files else ():
             (new / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(folder / name, new / name)
-        write_files(result, new)
+        write_files(run, new)
     return folder
 
 
-def rebuild(run: Path, folder: Path) -> Run:
+def rebuild(stored: Path, folder: Path) -> Run:
     """Write tables, figures and report of a stored run to `folder` again, without any computation.
 
     Raises DataError if the run stored no results, or they do not agree with their manifest; ConfigError if
     `folder` holds something that is no result.
     """
-    with convert_stored_errors(run):
-        result = restore_run(run)
-        if folder.resolve() != run.resolve():
-            sources = store_sources(read_sources(result.timing, run), folder)
-            result = replace(result, timing={**result.timing, **sources})
-        write_run(result, folder)
-        return result
+    with convert_stored_errors(stored):
+        run = restore_run(stored)
+        if folder.resolve() != stored.resolve():
+            sources = store_sources(read_sources(run.timing, stored), folder)
+            run = replace(run, timing={**run.timing, **sources})
+        write_run(run, folder)
+        return run
 
 
-def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
+def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
     """Return the checks and the files of a result, as `StudyReport.files`."""
-    return {"checks": tabulate_checks(result.answer.checks), **find_kind(result.kind).report.files(result)}
+    return {"checks": tabulate_checks(run.answer.checks), **find_kind(run.kind).report.files(run)}
 
 
-def write_files(result: Run, folder: Path) -> None:
+def write_files(run: Run, folder: Path) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
     from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
 
-    page = find_kind(result.kind).report
+    page = find_kind(run.kind).report
     with draw_together() as begin_drawing:
-        figures = page.draw(result, folder)
+        figures = page.draw(run, folder)
         begin_drawing()
-        for name, file in list_files(result).items():
+        for name, file in list_files(run).items():
             if isinstance(file, str):
                 (folder / name).write_text(file, encoding="utf-8")
             elif name not in figures and len(file.columns):
                 # of a frame that a figure shows, the figure's is the file
-                rows = file if "origin" in file else file.assign(origin=result.origin)
+                rows = file if "origin" in file else file.assign(origin=run.origin)
                 write_csv(rows, folder / f"{name}.csv")
-        for table in page.lay_out(result):
+        for table in page.lay_out(run):
             path = folder / f"{table.name}.tex"
-            path.write_text(format_latex(table, result.synthetic), encoding="utf-8")
-        if "needles" in result.frames and len(result.frames["needles"]):
-            write_needles(result.frames["needles"], result.synthetic, folder / "slicer")
-        store_run(result, folder)
-        report = compose_run_report(result, figures)
+            path.write_text(format_latex(table, run.synthetic), encoding="utf-8")
+        if "needles" in run.frames and len(run.frames["needles"]):
+            write_needles(run.frames["needles"], run.synthetic, folder / "slicer")
+        store_run(run, folder)
+        report = compose_run_report(run, figures)
     write_report(report, folder)
-    label_figures(figures, result.synthetic)
-    write_json(folder / "run.json", result.run_json)
-    write_json(folder / "timing.json", result.timing)
+    label_figures(figures, run.synthetic)
+    write_json(folder / "run.json", run.run_json)
+    write_json(folder / "timing.json", run.timing)
 
 
 def label_figures(figures: Mapping[str, Path], synthetic: bool) -> None:
@@ -270,29 +268,29 @@ def write_report(report: Document, folder: Path) -> None:
     (folder / "report.html").write_bytes(document.compile_html(report))
 
 
-def compose_run_report(result: Run, figures: Mapping[str, Path]) -> Document:
+def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     """Return the report: the first page, then everything else once."""
-    page = find_kind(result.kind).report
-    shown = {one.name for one in result.answer.tables}
-    tables = [one for one in page.lay_out(result) if one.name not in shown]
-    values, names = page.values(result), list(figures)
+    page = find_kind(run.kind).report
+    shown = {one.name for one in run.answer.tables}
+    tables = [one for one in page.lay_out(run) if one.name not in shown]
+    values, names = page.values(run), list(figures)
     pictures = [
         document.figure(figures[name], page.text.sentence(f"figure_{name}", values)) for name in names[:1]
     ]
     further = {name: figures[name] for name in names[1:]}
     blocks = [
-        *compose_first_page(result, pictures),
+        *compose_first_page(run, pictures),
         document.page_break(),
         *page.text.compose("report", values, tables, further),
-        *compose_warnings(result.warnings),
-        *_run_blocks(result),
+        *compose_warnings(run.warnings),
+        *_run_blocks(run),
     ]
     return Document(
-        result.title,
-        subtitle(result),
-        result.synthetic,
+        run.title,
+        subtitle(run),
+        run.synthetic,
         tuple(blocks),
-        collect_explorer(result),
+        collect_explorer(run),
     )
 
 
@@ -320,26 +318,26 @@ def _help_blocks(blocks: Iterable[Block]) -> Iterator[Block]:
                 yield from map(document.text, texts)
 
 
-def state_blocks(result: Run) -> list[Block]:
+def state_blocks(run: Run) -> list[Block]:
     """Return what must be read before any number: synthetic, interrupted."""
-    blocks = [document.origin(SYNTHETIC_NOTE)] if result.synthetic else []
-    if result.interrupted:
+    blocks = [document.origin(SYNTHETIC_NOTE)] if run.synthetic else []
+    if run.interrupted:
         part = "Some of the work was left undone; what is here is part."
         blocks.append(document.warning(f"INTERRUPTED. {part}"))
     return blocks
 
 
-def _run_blocks(result: Run) -> list[Block]:
+def _run_blocks(run: Run) -> list[Block]:
     """Return the note of a study and its settings; what the report shows elsewhere is left to run.json."""
     stated = ("dataset", "datasets", "recipe", "rules", "versions")
-    known = result.run_json
+    known = run.run_json
     settings = {key: _format_value(known[key]) for key in stated if key in known}
     rows = [{"setting": key, "setting_value": line} for key, line in settings.items() if line]
     if not rows:
         return []
-    caption = f"Settings of {result.name}. The file run.json holds all of them."
+    caption = f"Settings of {run.name}. The file run.json holds all of them."
     table = Table("run", rows, ("setting", "setting_value"), caption=caption).lay_out()
-    words = filter(None, (result.question, result.note))
+    words = filter(None, (run.question, run.note))
     return [*map(document.text, words), document.table(table)]
 
 

@@ -25,13 +25,13 @@ def mark_faults(faults: Sequence[RunFault]) -> str:
     return "".join(f"{kind}. " for kind in kinds)
 
 
-def _mark(result: "Run", verdict: Verdict) -> Verdict:
+def _mark(run: "Run", verdict: Verdict) -> Verdict:
     """Return a verdict with what must be read before it; then it does not pass: "warn" at best."""
-    head = "INTERRUPTED: the best found so far. " if result.interrupted else mark_faults(result.faults)
-    if result.metadata.recipe is not None and result.metadata.recipe.preliminary:
-        recipe = Path(str(getattr(result.record, "recipe", ""))).stem
+    head = "INTERRUPTED: the best found so far. " if run.interrupted else mark_faults(run.faults)
+    if run.metadata.recipe is not None and run.metadata.recipe.preliminary:
+        recipe = Path(str(getattr(run.record, "recipe", ""))).stem
         head += f"Preliminary (recipe {recipe}). " if recipe else "Preliminary. "
-    status = verdict.status if result.reliable else worst_status([verdict, Verdict("", "warn")])
+    status = verdict.status if run.reliable else worst_status([verdict, Verdict("", "warn")])
     return replace(verdict, sentence=f"{head}{verdict.sentence}", status=status)
 
 

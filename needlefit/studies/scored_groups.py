@@ -55,17 +55,17 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
-def is_in_space(results: Run) -> bool:
+def is_in_space(run: Run) -> bool:
     """Whether needles were simulated and compared in space."""
-    return results.knows(JobMetadata).planes == 2
+    return run.knows(JobMetadata).planes == 2
 
 
-def name_tip_error(results: Run) -> str:
+def name_tip_error(run: Run) -> str:
     """Return the metric of the tip error that a run is judged by."""
-    return TE_IN_SPACE if is_in_space(results) else TE
+    return TE_IN_SPACE if is_in_space(run) else TE
 
 
-def compare_methods(results: Run, role: str) -> pd.DataFrame:
+def compare_methods(run: Run, role: str) -> pd.DataFrame:
     """Compare the tip errors of every method with the fit's on the same insertions and folds of a role.
 
     Errors of one group are first averaged (`group_independent`): the four depths of one hole are no four
@@ -78,10 +78,10 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
         (mean over them of the method's tip error minus the fit's; positive: the method is worse),
         `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
     """
-    errors = results.frames["errors"]
+    errors = run.frames["errors"]
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
-    names = [metric.name for metric in headline_metrics(in_space=is_in_space(results))]
-    tip = name_tip_error(results)
+    names = [metric.name for metric in headline_metrics(in_space=is_in_space(run))]
+    tip = name_tip_error(run)
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
@@ -97,14 +97,14 @@ def compare_methods(results: Run, role: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def find_bevel_sides(results: Run) -> dict[str, int]:
+def find_bevel_sides(run: Run) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1; deflections point there.
 
     A needle that did not bend at all is taken to face +1.
     """
-    shapes = results.frames["shapes"].sort_values("j").groupby("insertion", sort=False)["measured_y_mm"]
+    shapes = run.frames["shapes"].sort_values("j").groupby("insertion", sort=False)["measured_y_mm"]
     across = shapes.last() - shapes.first()
-    toward = results.frames["errors"].drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
+    toward = run.frames["errors"].drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
@@ -154,7 +154,7 @@ class ScoredGroup:
         return None if error is None or not floor else error / floor
 
 
-def tabulate_validation(*results: Run) -> pd.DataFrame:
+def tabulate_validation(*runs: Run) -> pd.DataFrame:
     """Return the errors on held-out insertions: one row per study, group, method, boundaries and metric.
 
     `value` is the mean over insertions of each one's own error, as in the paper, `floor` what perfect
@@ -162,15 +162,15 @@ def tabulate_validation(*results: Run) -> pd.DataFrame:
     none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
     crossings of a held-out insertion leak its outcome.
     """
-    return _make_frame(results, HELD_OUT)
+    return _make_frame(runs, HELD_OUT)
 
 
-def tabulate_tuning(*results: Run) -> pd.DataFrame:
+def tabulate_tuning(*runs: Run) -> pd.DataFrame:
     """Return the in-sample errors of every fit by medium and number of layers, beside the paper's.
 
     Columns as in `tabulate_validation`.
     """
-    return _make_frame(results, BY_LAYERS)
+    return _make_frame(runs, BY_LAYERS)
 
 
 def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
@@ -183,18 +183,18 @@ def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
     return found
 
 
-def list_held_out_groups(*results: Run) -> list[ScoredGroup]:
-    return [group for one in results for group in _held_out_groups(one)]
+def list_held_out_groups(*runs: Run) -> list[ScoredGroup]:
+    return [group for run in runs for group in _held_out_groups(run)]
 
 
-def _held_out_groups(results: Run) -> list[ScoredGroup]:
-    return list_groups(tabulate_validation(results))
+def _held_out_groups(run: Run) -> list[ScoredGroup]:
+    return list_groups(tabulate_validation(run))
 
 
-def study_label(results: Run) -> str | int:
+def study_label(run: Run) -> str | int:
     """Return the paper's number of the study, or its name where the paper has none."""
-    number = getattr(results.record, "paper_study", None)
-    return results.name if number is None else int(number)
+    number = getattr(run.record, "paper_study", None)
+    return run.name if number is None else int(number)
 
 
 def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
@@ -208,9 +208,9 @@ def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
     return members
 
 
-def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
+def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
     """Return all insertions of a role as one group; None without a fit to them."""
-    errors = results.frames["errors"]
+    errors = run.frames["errors"]
     here = errors[errors["role"] == role]
     rows = [{**row, "paper": None} for row in to_records(aggregate(here, ("method", "boundaries")))]
     by_place = {(row["method"], row["boundaries"], row["metric"]): row for row in rows}
@@ -219,17 +219,17 @@ def pool_insertions(results: Run, role: str = "validate") -> ScoredGroup | None:
         return None
     grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
-    return ScoredGroup({**fitted, **head, "planes": results.knows(JobMetadata).planes}, by_place)
+    return ScoredGroup({**fitted, **head, "planes": run.knows(JobMetadata).planes}, by_place)
 
 
-def _make_frame(results: Iterable[Run], grouping: str) -> pd.DataFrame:
+def _make_frame(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [row for one in results for row in _list_rows(one, grouping)]
+    rows = [row for run in runs for row in _list_rows(run, grouping)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
-def _list_rows(results: Run, grouping: str) -> list[Row]:
-    errors = results.frames["errors"]
+def _list_rows(run: Run, grouping: str) -> list[Row]:
+    errors = run.frames["errors"]
     errors = errors[errors["role"] == ("validate" if grouping == HELD_OUT else "tune")]
     table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
     for _, group in table.groupby(["medium", "layers"], sort=False):
@@ -237,14 +237,14 @@ def _list_rows(results: Run, grouping: str) -> list[Row]:
         medium, layers = rows[0]["medium"], rows[0]["layers"]
         if not any((row["method"], row["boundaries"]) == ("fitted", "measured") for row in rows):
             continue
-        about = {"study": study_label(results), "grouping": grouping, "medium": medium, "layers": layers}
+        about = {"study": study_label(run), "grouping": grouping, "medium": medium, "layers": layers}
         printed, insertions = _find_paper_row(about)
         beside = {
             "paper_insertions": insertions,
-            "layer_count_rule": results.record.layer_count_rule,
-            "origin": results.origin,
+            "layer_count_rule": run.record.layer_count_rule,
+            "origin": run.origin,
             "comparison": str(errors["comparison"].iloc[0]),
-            "planes": results.knows(JobMetadata).planes,
+            "planes": run.knows(JobMetadata).planes,
         }
         found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found

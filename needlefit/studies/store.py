@@ -46,22 +46,22 @@ MAX_RUN_BYTES = 32 * 2**20  #: size of a `run.json`; those of several studies to
 _PLAIN = ("kind", "name", "origin", "dataset_title", "interrupted")
 
 
-def store_run(result: Run, folder: Path) -> Path:
+def store_run(run: Run, folder: Path) -> Path:
     """Write a result without its times to `folder`, and a copy of its data; return the file of results."""
-    files = posterior_file_names(len(result.posteriors))
-    for posterior, file in zip(result.posteriors.values(), files, strict=True):
+    files = posterior_file_names(len(run.posteriors))
+    for posterior, file in zip(run.posteriors.values(), files, strict=True):
         save(posterior, folder / file)
     table = {
-        "posteriors": list(result.posteriors),
-        "record": result.record.model_dump(mode="json", by_alias=True),
-        **{key: getattr(result, key) for key in _PLAIN},
-        "run": to_json_values(result.metadata.to_json()),
-        "faults": [{"kind": one.kind.name, "what": one.what} for one in result.faults],
-        "frames": {name: _pack_frame(frame) for name, frame in result.frames.items()},
+        "posteriors": list(run.posteriors),
+        "record": run.record.model_dump(mode="json", by_alias=True),
+        **{key: getattr(run, key) for key in _PLAIN},
+        "run": to_json_values(run.metadata.to_json()),
+        "faults": [{"kind": one.kind.name, "what": one.what} for one in run.faults],
+        "frames": {name: _pack_frame(frame) for name, frame in run.frames.items()},
     }
-    stated = result.metadata.dataset
-    if result.data is not None and stated is not None and _can_be_kept(result.data, stated.sha256):
-        result.data.copy_to(folder / DATA_FOLDER)
+    stated = run.metadata.dataset
+    if run.data is not None and stated is not None and _can_be_kept(run.data, stated.sha256):
+        run.data.copy_to(folder / DATA_FOLDER)
     return pack(table, folder)
 
 

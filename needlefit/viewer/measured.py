@@ -155,9 +155,9 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
             expected="a run of tune or validate that fits the shapes of needles",
             fix="name such a run, or a scene or an insertion of a dataset",
         )
-    results = restore_run(view_target.path)
-    dataset = require_shapes(read_data(results, str(view_target.path)))
-    stated = results.knows(FitMetadata)
+    run = restore_run(view_target.path)
+    dataset = require_shapes(read_data(run, str(view_target.path)))
+    stated = run.knows(FitMetadata)
     dataset = set_planes(dataset, (), stated.planes)
     folds = stated.folds  # held-out insertions come first
     held = {id_: (fold.name, "without this insertion") for fold in folds for id_ in fold.held_out}
@@ -167,7 +167,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     members = tuple(by_id[id_] for id_ in roles)
     insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
     fold, role = roles[insertion.id]
-    rows = results.frames["parameters"]
+    rows = run.frames["parameters"]
     rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
     if rows.empty:
         raise DataError(
@@ -181,17 +181,17 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     (names,) = (set(one.tune) for one in folds if one.name == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
     specimen = choose_specimen(
-        results, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
+        run, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
     )
-    draws = select_draws(results.frames["draws"], fold, specimen)
+    draws = select_draws(run.frames["draws"], fold, specimen)
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
-    description = f"Parameters: fitted by {results.name} {role}. {crossed}{_describe_band(draws, specimen)}"
+    description = f"Parameters: fitted by {run.name} {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
-    warnings = [one for one in results.warnings if (one.kind, one.what) not in known]
+    warnings = [one for one in run.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings
     viewed_scene = replace(
-        viewed_scene, verdict=recall(results), faults=results.faults, warnings=tuple(warnings),
+        viewed_scene, verdict=recall(run), faults=run.faults, warnings=tuple(warnings),
         fitted_depths=tuple(one.depth for one in fitted), fitted_planes=stated.planes,
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():

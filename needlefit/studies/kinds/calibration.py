@@ -434,11 +434,11 @@ def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
 TEXT = KindText("calibration")
 
 
-def describe(found: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    coverage = to_records(found.frames["coverage"])
-    quantities = found.frames["coverage"]["quantity"].nunique()
-    stated, study = found.knows(CalibrationMetadata), found.record
+    coverage = to_records(run.frames["coverage"])
+    quantities = run.frames["coverage"]["quantity"].nunique()
+    stated, study = run.knows(CalibrationMetadata), run.record
     return {
         "replicates": stated.replicates,
         "conclusive": stated.conclusive,
@@ -453,10 +453,10 @@ def describe(found: Run) -> dict[str, Any]:
     }
 
 
-def tabulate(found: Run) -> list[Table]:
+def tabulate(run: Run) -> list[Table]:
     """Return a row per quantity: the share of true values in central intervals, and ranks beyond chance."""
-    outside = found.frames["ranks"].query("not passes").groupby("quantity").size()
-    stated = found.knows(CalibrationMetadata)
+    outside = run.frames["ranks"].query("not passes").groupby("quantity").size()
+    stated = run.knows(CalibrationMetadata)
     calibrated = "yes" if stated.conclusive else "undecided"
     rows = [
         {
@@ -465,14 +465,14 @@ def tabulate(found: Run) -> list[Table]:
             "calibrated": "NO" if row["quantity"] in stated.not_calibrated else calibrated,
             "quantity": name_quantity(row["quantity"]),
         }
-        for row in to_records(found.frames["coverage"])
+        for row in to_records(run.frames["coverage"])
     ]
     levels = (part("covered_share", level=one) for one in PRINTED_LEVELS)
     columns = ("quantity", *levels, "ranks", "calibrated")
     return [Table("calibration", pivot(rows, ["quantity"], ["level"]), columns)]
 
 
-def draw(found: Run) -> dict[str, Drawing]:
+def draw(run: Run) -> dict[str, Drawing]:
     """Return, for each quantity, the ECDF of the ranks minus that of uniform ranks, on the band by chance.
 
     A curve that is first above and then below: posteriors too narrow; the other way round: too wide.
@@ -486,26 +486,26 @@ def draw(found: Run) -> dict[str, Drawing]:
         about = {"x": x, "y": ranks["below"] / count - x, "inside": ranks["passes"]}
         return ranks.assign(panel=names, **ends, **about, passes=ranks["calibrated"])
 
-    frame = found.frames["ranks"].assign(origin=found.origin)
+    frame = run.frames["ranks"].assign(origin=run.origin)
     options = {"x_label": "rank of the truth", "y_label": "ECDF − uniform"}
     return {"ranks": Drawing("steps_in_bands", frame, options, center_ecdfs)}
 
 
-def find_answer(found: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return whether the uncertainties are correct."""
-    stated = found.knows(CalibrationMetadata)
+    stated = run.knows(CalibrationMetadata)
     status: Status = "pass" if stated.passes else "fail"
     numbers: dict[str, float | str | None] = {
         "replicates": stated.replicates,
         "not_calibrated": ", ".join(stated.not_calibrated),
     }
-    answer = answer_in_words(found, status if stated.conclusive else "warn", **numbers)
-    return replace(answer, advice=_find_advice(found))
+    answer = answer_in_words(run, status if stated.conclusive else "warn", **numbers)
+    return replace(answer, advice=_find_advice(run))
 
 
-def _find_advice(found: Run) -> Advice | None:
+def _find_advice(run: Run) -> Advice | None:
     """Return what to do: more truths, or a test of the model, which the synthetic dataset allows."""
-    stated, synthetic = found.knows(CalibrationMetadata), found.record.truth == "synthetic"
+    stated, synthetic = run.knows(CalibrationMetadata), run.record.truth == "synthetic"
     if not stated.conclusive:
         finding = ["synthetic_truths_too_few" if synthetic else "truths_too_few"]
     elif not stated.passes:
@@ -513,7 +513,7 @@ def _find_advice(found: Run) -> Advice | None:
     else:
         has_synthetic = stated.dataset.name == SYNTHETIC_DATASET and len(stated.folds) == 1
         finding = [] if synthetic else ["computation_calibrated" if has_synthetic else "prior_calibrated"]
-    return advise(finding, {"target": found.record.target, "replicates": DEFAULT_REPLICATES})
+    return advise(finding, {"target": run.record.target, "replicates": DEFAULT_REPLICATES})
 
 
 REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)

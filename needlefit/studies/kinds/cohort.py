@@ -269,10 +269,10 @@ MAX_NAMED = 3  #: failures that the first sentence names
 MAX_BINS = 40  #: bins of a histogram
 
 
-def describe(result: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     metrics = [metric.name for metric in headline_metrics()]
-    errors, failures = result.frames["errors"], result.frames["failures"]
+    errors, failures = run.frames["errors"], run.frames["failures"]
     pairs = failures[["dataset", "specimen"]].itertuples(index=False)
     names = [f"{dataset} ({specimen})" if specimen else str(dataset) for dataset, specimen in pairs]
     return {
@@ -284,27 +284,27 @@ def describe(result: Run) -> dict[str, Any]:
         "listed": min(len(names), MAX_LISTED),
         "medians": [
             f"{format_bare_symbol(name)} {format_quantity(name, float(rows['value'].median()))}"
-            for name, rows in _by_parameter(result)
+            for name, rows in _by_parameter(run)
         ],
         "errors": join_metrics({name: float(errors[name].median()) for name in metrics}),
     }
 
 
-def find_answer(result: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return the first sentence and the parameters; failures make it a warning."""
-    failures = len(result.frames["failures"])
-    return answer_in_words(result, "warn" if failures else "pass", failures=failures)
+    failures = len(run.frames["failures"])
+    return answer_in_words(run, "warn" if failures else "pass", failures=failures)
 
 
-def _by_parameter(result: Run) -> Iterator[tuple[str, pd.DataFrame]]:
-    for name, rows in result.frames["fits"].groupby("parameter", sort=False):
+def _by_parameter(run: Run) -> Iterator[tuple[str, pd.DataFrame]]:
+    for name, rows in run.frames["fits"].groupby("parameter", sort=False):
         yield str(name), rows
 
 
-def tabulate(result: Run) -> list[Table]:
+def tabulate(run: Run) -> list[Table]:
     """Return the parameters over specimens, and what could not be fitted."""
     rows = []
-    for name, found in _by_parameter(result):
+    for name, found in _by_parameter(run):
         low, high = np.quantile(found["value"], [0.05, 0.95]).tolist()
         rows.append(
             {
@@ -317,22 +317,22 @@ def tabulate(result: Run) -> list[Table]:
             }
         )
     columns = ("parameter", "specimens", "specimen_median", "specimen_range", "sd", "specimens_at_bound")
-    failures = result.frames["failures"][list(FRAMES["failures"])].head(MAX_LISTED)
+    failures = run.frames["failures"][list(FRAMES["failures"])].head(MAX_LISTED)
     failed = [Table("failures", to_records(failures), FRAMES["failures"])] if len(failures) else []
     return [Table("parameters", rows, columns), *failed]
 
 
-def draw(result: Run) -> dict[str, Drawing]:
+def draw(run: Run) -> dict[str, Drawing]:
     """Return a histogram of each parameter over specimens: edges of bins in units of files, and counts."""
     found = []
-    for name, rows in _by_parameter(result):
+    for name, rows in _by_parameter(run):
         values = rows["value"].to_numpy(dtype=np.float64)
         scale, back = (np.log, np.exp) if is_logarithmic(name) else (np.asarray, np.asarray)
         edges = np.histogram_bin_edges(scale(values), bins=min(MAX_BINS, 5 + len(values) // 5))
         counts, _ = np.histogram(scale(values), edges)
         low, high = back(edges[:-1]), back(edges[1:])
         found.append(pd.DataFrame({"parameter": name, "low": low, "high": high, "specimens": counts}))
-    bins = pd.concat(found, ignore_index=True).assign(origin=result.origin)
+    bins = pd.concat(found, ignore_index=True).assign(origin=run.origin)
     return {"distributions": Drawing("histograms", bins, {"counts": "specimens"})}
 
 

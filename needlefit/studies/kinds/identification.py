@@ -106,10 +106,10 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
 TEXT = KindText("identification")
 
 
-def describe(found: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints: the free parameters by what the design determines of them."""
-    design, candidates = found.frames["identify"], found.frames["candidates"]
-    stated = found.knows(IdentificationMetadata)
+    design, candidates = run.frames["identify"], run.frames["candidates"]
+    stated = run.knows(IdentificationMetadata)
     free = design.groupby("determined")["parameter"].agg(list)
     words = {"known": "yes", "together": "only together", "loose": "no"}
     ranked = to_records(candidates[candidates["nats"].notna()])
@@ -123,26 +123,26 @@ def describe(found: Run) -> dict[str, Any]:
     }
 
 
-def find_answer(found: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return which parameters are identifiable from the design."""
-    values = describe(found)
+    values = describe(run)
     count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
     verdict = Verdict(TEXT.sentence("answer", values), "pass" if count == total else "warn", numbers=numbers)
     best = values["best"]
     ranked = [] if best is None else ["repeat_best" if best["role"] == "repeat" else "insertion_best"]
     about, advice = TEXT.sentence("about", values), advise(ranked, values)
-    return Answer([verdict], REPORT.lay_out(found)[:1], about, advice=advice)
+    return Answer([verdict], REPORT.lay_out(run)[:1], about, advice=advice)
 
 
-def lay_out_tables(found: Run) -> list[Table | TableLayout]:
+def lay_out_tables(run: Run) -> list[Table | TableLayout]:
     """Return the parameters, and the candidates for a further insertion."""
-    parameters = lay_out_identification(found.frames["identify"], expected=True)
-    return [parameters, *lay_out_candidates(found.frames["candidates"])]
+    parameters = lay_out_identification(run.frames["identify"], expected=True)
+    return [parameters, *lay_out_candidates(run.frames["candidates"])]
 
 
-def draw(found: Run) -> dict[str, Drawing]:
-    return {"profiles": draw_profiles(found.frames["identify"], found.frames["profiles"], found.origin)}
+def draw(run: Run) -> dict[str, Drawing]:
+    return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"], run.origin)}
 
 
 REPORT = StudyReport(TEXT, describe, lay_out_tables, draw, find_answer)

@@ -400,9 +400,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 TEXT = KindText("prediction")
 
 
-def describe(found: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    stated, study = found.knows(PredictionMetadata), found.record
+    stated, study = run.knows(PredictionMetadata), run.record
     return {
         "draws": stated.draws,
         "draw_source": stated.draw_source,
@@ -410,36 +410,36 @@ def describe(found: Run) -> dict[str, Any]:
         "specimen": stated.specimen,
         "fit_verdict": stated.fit_verdict,
         "fit_changed": stated.fit_changed,
-        **find_tip(found),
+        **find_tip(run),
         "title": study.scene.title or study.scene_name,
         "scene": study.scene_name,
         "target": study.target,
-        "faults": ", ".join(dict.fromkeys(one.kind for one in found.faults)),
+        "faults": ", ".join(dict.fromkeys(one.kind for one in run.faults)),
     }
 
 
-def find_tip(found: Run) -> Row:
+def find_tip(run: Run) -> Row:
     """Return the tip's row, mm; None for the ends of bands that were left out."""
-    return to_records(found.frames["forecast"])[-1]
+    return to_records(run.frames["forecast"])[-1]
 
 
-def find_answer(found: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
-    values = describe(found)
+    values = describe(run)
     keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(median|95_low|95_high)_mm", name)]
     verdict = Verdict(
         TEXT.sentence("answer", values),
-        "fail" if found.faults else "none",
-        numbers={key: values[key] for key in (keys[:1] if found.faults else keys)},
+        "fail" if run.faults else "none",
+        numbers={key: values[key] for key in (keys[:1] if run.faults else keys)},
     )
-    about, advice = TEXT.sentence("about", values), _find_advice(found)
-    return Answer([verdict], REPORT.lay_out(found), about, advice=advice)
+    about, advice = TEXT.sentence("about", values), _find_advice(run)
+    return Answer([verdict], REPORT.lay_out(run), about, advice=advice)
 
 
-def _find_advice(found: Run) -> Advice | None:
+def _find_advice(run: Run) -> Advice | None:
     """Return what to do: settle what the fit needs first, test it, narrow the interval, or plan a path."""
-    stated, tip = found.knows(PredictionMetadata), find_tip(found)
-    if found.faults:
+    stated, tip = run.knows(PredictionMetadata), find_tip(run)
+    if run.faults:
         finding = "not_converged"
     elif (recalled := stated.fit_advice) is not None:
         return Advice(**{**recalled, "command": tuple(recalled["command"])})
@@ -451,7 +451,7 @@ def _find_advice(found: Run) -> Advice | None:
         finding = "tip_predicted"
     axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
-    values = {"target": (target := found.record.target), "tip": place}
+    values = {"target": (target := run.record.target), "tip": place}
     if target.endswith("/") or ("/" in target and not target.endswith(".toml")):
         values["run"] = target  # the folder of a run, wherever it is
     return advise([finding], values, stated.fit_run or "")
@@ -465,9 +465,9 @@ def _recall_advice(judged: Run) -> dict[str, Any] | None:
     return None if advice is None else asdict(advice)
 
 
-def tabulate(found: Run) -> list[Table]:
+def tabulate(run: Run) -> list[Table]:
     """Return the bands at some depths, the tip the last."""
-    frame = found.frames["forecast"]
+    frame = run.frames["forecast"]
     places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
     rows = [
         {key.removeprefix("needle_"): value for key, value in row.items()}
@@ -478,15 +478,15 @@ def tabulate(found: Run) -> list[Table]:
     return [Table("forecast", rows, columns)]
 
 
-def draw(found: Run) -> dict[str, Drawing]:
+def draw(run: Run) -> dict[str, Drawing]:
     """Return median, 50 and 95 % bands of the needle, mm."""
-    facts = describe(found)
-    title = f"{facts['title']} ({facts['faults']})" if found.faults else facts["title"]
-    table = found.frames["forecast"].assign(origin=found.origin, scene=title)
+    facts = describe(run)
+    title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
+    table = run.frames["forecast"].assign(origin=run.origin, scene=title)
     bands = {"needle_95": ("95 % of needles", "#BFDBEC"), "needle_50": ("50 % of needles", "#7FB8D8")}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
     names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
-    if found.faults:  # whose bands are left out
+    if run.faults:  # whose bands are left out
         names = {"median": names["median"]}
     options: dict[str, Any] = {
         **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},

@@ -347,56 +347,56 @@ def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
 TEXT = KindText("tracks")
 
 
-def describe(results: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    errors = results.frames["runs"].groupby("method")["rms_mm"].mean()
+    errors = run.frames["runs"].groupby("method")["rms_mm"].mean()
     curve = str(errors.drop("fitted").idxmin())
     return {
         **{"rms_mm": errors["fitted"], "curve": curve, "curve_mm": errors[curve]},
-        "fits": results.frames["runs"]["fit"].nunique(),
-        "outcome": judge_tracks(results.frames["runs"], errors["fitted"], errors[curve]),
-        "runs": results.frames["runs"]["run"].nunique(),
-        "notes": list_data_notes(results),
-        "placed_by": results.record.registration_depth_mm,
-        "faults": bool(results.faults),
-        "name": results.name,
+        "fits": run.frames["runs"]["fit"].nunique(),
+        "outcome": judge_tracks(run.frames["runs"], errors["fitted"], errors[curve]),
+        "runs": run.frames["runs"]["run"].nunique(),
+        "notes": list_data_notes(run),
+        "placed_by": run.record.registration_depth_mm,
+        "faults": bool(run.faults),
+        "name": run.name,
     }
 
 
-def find_answer(results: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
-    about = describe(results)
+    about = describe(run)
     status = STATUS[about["outcome"]]
     numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
     errors = about["rms_mm"], about["curve_mm"]
     closer = CLOSER.get(about["outcome"], errors[0] < errors[1])
     checks = [Finding(Check.CURVES, closer, *errors, about["curve"], fits=about["fits"])]
-    ends = results.frames["runs"].query("method == 'fitted'").dropna(subset="tip_95_low_mm")
+    ends = run.frames["runs"].query("method == 'fitted'").dropna(subset="tip_95_low_mm")
     if len(ends):
         named = ends.rename(columns={"fit": "fold", "run": "hole"})
-        checks += check_intervals(named, results.metadata.recipe)
+        checks += check_intervals(named, run.metadata.recipe)
     return Answer(
         [Verdict(TEXT.sentence("answer", about), status, numbers=numbers)],
-        REPORT.lay_out(results)[:1],
-        TEXT.sentence("about", about | {"title": results.dataset_title}),
-        [*checks, check_data(results)],
+        REPORT.lay_out(run)[:1],
+        TEXT.sentence("about", about | {"title": run.dataset_title}),
+        [*checks, check_data(run)],
         None if status == "pass" else advise(["tracks_missed"], about),
     )
 
 
-def tabulate(results: Run) -> list[Table]:
+def tabulate(run: Run) -> list[Table]:
     """Return the errors of every method on the same runs."""
     named = {"fitted": MEDIAN_METHOD}  # the model predicts by all its draws
-    rows = to_records(results.frames["methods"].replace({"method": named}))
-    in_space = results.frames["methods"]["direction"].nunique() > 1
+    rows = to_records(run.frames["methods"].replace({"method": named}))
+    in_space = run.frames["methods"]["direction"].nunique() > 1
     keys = ["medium", "direction"] if in_space else ["medium"]
     columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
     return [Table("scores", rows, columns, groups=tuple(keys), heads=1 + len(keys), strong="groups")]
 
 
-def draw(results: Run) -> dict[str, Drawing]:
+def draw(run: Run) -> dict[str, Drawing]:
     """Return every predicted run: the tip at each reading, and the guide below it."""
-    return {"readings": Drawing("tracks", results.frames["readings"].assign(origin=results.origin))}
+    return {"readings": Drawing("tracks", run.frames["readings"].assign(origin=run.origin))}
 
 
 REPORT: StudyReport = StudyReport(
@@ -405,5 +405,5 @@ REPORT: StudyReport = StudyReport(
     tabulate,
     draw,
     find_answer,
-    to_json=lambda results: {"methods": to_records(results.frames["methods"])},
+    to_json=lambda run: {"methods": to_records(run.frames["methods"])},
 )

@@ -44,19 +44,19 @@ __all__ = ["FRAMES", "REPORT"]
 # ---- what the text prints
 
 
-def collect_values(results: Run) -> dict[str, Any]:
+def collect_values(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    frames, stated = results.frames, results.knows(FitMetadata)
+    frames, stated = run.frames, run.knows(FitMetadata)
     role = find_scored_role(frames["errors"])
     folds, starts, errors = stated.folds, frames["starts"], frames["errors"]
     counts = sorted(len(fold.tune) for fold in folds)
-    group = scores.pool_insertions(results, role)
+    group = scores.pool_insertions(run, role)
     floors = {one: group.get(one.name, "floor") for one in list_metrics() if group is not None}
     return {
-        "results": results,
+        "run": run,
         "frames": frames,
         "role": role,
-        "in_space": scores.is_in_space(results),
+        "in_space": scores.is_in_space(run),
         "dataset": stated.dataset.name,
         "media": {
             name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
@@ -80,26 +80,26 @@ def collect_values(results: Run) -> dict[str, Any]:
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
-        "population": fit_tables.list_spreads(results),
-        "chains": fit_tables.tabulate_percentiles(results),
-        "notes": list_data_notes(results),
+        "population": fit_tables.list_spreads(run),
+        "chains": fit_tables.tabulate_percentiles(run),
+        "notes": list_data_notes(run),
         "rigidity": stated.dataset.rigidity,
-        "contradictions": [name_doubt(kind) for kind in list_contradictions(results.warnings)],
+        "contradictions": [name_doubt(kind) for kind in list_contradictions(run.warnings)],
     }
 
 
 # ---- the answer
 
 
-def find_answer(results: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return the parts of the first page."""
-    role, values = find_scored_role(results.frames["errors"]), collect_values(results)
-    checks, group = list_checks(results, role), scores.pool_insertions(results, role)
-    judged = None if group is None else judge(results, group)
+    role, values = find_scored_role(run.frames["errors"]), collect_values(run)
+    checks, group = list_checks(run, role), scores.pool_insertions(run, role)
+    judged = None if group is None else judge(run, group)
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
-    determined, intervals = _list_determined(results)
-    flat, space = (group.get(one, method=choose_method(results)) for one in (scores.TE, scores.TE_IN_SPACE))
+    determined, intervals = _list_determined(run)
+    flat, space = (group.get(one, method=choose_method(run)) for one in (scores.TE, scores.TE_IN_SPACE))
     noise = group.get(scores.TE_IN_SPACE, "floor") or 0.0
     if values["in_space"] or flat is None or space is None or space - flat <= noise:
         space = None  # beside the error in the plane it states nothing more
@@ -110,7 +110,7 @@ def find_answer(results: Run) -> Answer:
         "insertions": group.head["insertions"],
         "determined": determined,
         "intervals": intervals,
-        "bevel": _name_free_bevel(results),
+        "bevel": _name_free_bevel(run),
         "opening": "",
     }
     numbers: dict[str, float | str | None] = {
@@ -124,40 +124,40 @@ def find_answer(results: Run) -> Answer:
         **({} if space is None else {scores.TE_IN_SPACE: space}),
     }
     if role == "tune":
-        words["opening"], status = _open_fit(results, [word for word, _ in determined])
-        status = limit_status(results, status)
+        words["opening"], status = _open_fit(run, [word for word, _ in determined])
+        status = limit_status(run, status)
         rest = (name for word, names in determined if word != "yes" for name in names)
         numbers["not_determined"] = ", ".join(rest)
-        sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(results)
+        sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(run)
     else:
-        groups = scores.list_held_out_groups(results)
+        groups = scores.list_held_out_groups(run)
         # where there is one group, all insertions are those of the paper's row
-        crps = results.frames["predictive"][CRPS].mean()
+        crps = run.frames["predictive"][CRPS].mean()
         numbers[CRPS] = None if pd.isna(crps) else float(crps)
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
-        sentence, status = TEXT.sentence("predicted", words), limit_status(results, STATUS[judged.outcome])
-        table = fit_tables.lay_out_summary(results)
+        sentence, status = TEXT.sentence("predicted", words), limit_status(run, STATUS[judged.outcome])
+        table = fit_tables.lay_out_summary(run)
     about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
-    advice = find_advice(results, checks, [word for word, _ in determined])
+    advice = find_advice(run, checks, [word for word, _ in determined])
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
 
 
-def find_advice(results: Run, checks: Sequence[Finding], determined: Sequence[str]) -> Advice | None:
+def find_advice(run: Run, checks: Sequence[Finding], determined: Sequence[str]) -> Advice | None:
     """Return what to do: it follows from faults, checks and what the fit determined."""
-    role, media = find_scored_role(results.frames["errors"]), collect_values(results)["media"]
+    role, media = find_scored_role(run.frames["errors"]), collect_values(run)["media"]
     by_check = {one.check: one for one in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
-    gain = results.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
+    gain = run.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
     width, curves = by_check.get(Check.WIDTH), by_check.get(Check.CURVES)
-    doubts = list_doubts(results.warnings)[:1]
+    doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
-    if results.faults or results.interrupted:
+    if run.faults or run.interrupted:
         found.append("not_converged")
     found += map(classify_doubt, doubts)
     if role == "tune" and set(determined) - {"yes"}:
         found.append("parameters_undetermined")
     values = {
-        "dataset": str(results.record.dataset),
+        "dataset": str(run.record.dataset),
         "doubt": "".join(one.help_key for one in doubts),
         "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
         "other_medium": other[0] if other else "",
@@ -165,17 +165,17 @@ def find_advice(results: Run, checks: Sequence[Finding], determined: Sequence[st
         "width": None if width is None else width.value,
         "gain": None if pd.isna(gain) or width is None else float(gain),
     }
-    return advise(found, values, results.name)
+    return advise(found, values, run.name)
 
 
-def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
+def _open_fit(run: Run, determined: Sequence[str]) -> tuple[str, Status]:
     """Return how the verdict on a fit begins, and its status."""
-    checks = {one.check: one for one in list_checks(results, "tune")}
+    checks = {one.check: one for one in list_checks(run, "tune")}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
         return "Does not fit", "fail"
     if "parameter_at_bound" in checks[Check.DATA].named.split(", "):
         return "Fitted, but at a bound", "warn"
-    if not results.reliable:
+    if not run.reliable:
         return "Fitted, but not reliable", "warn"
     return (
         ("Fitted, but not all parameters are determined", "warn")
@@ -187,9 +187,9 @@ def _open_fit(results: Run, determined: Sequence[str]) -> tuple[str, Status]:
 MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals
 
 
-def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
+def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     """Return the free parameters by whether the data determine them, and whether those have intervals."""
-    rows = results.frames["parameters"]
+    rows = run.frames["parameters"]
     rows = rows[(rows["method"] == "fitted") & (rows["status"] != "fixed")]
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     words = {
@@ -205,73 +205,73 @@ def _list_determined(results: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     return list(group_values((words[name], label) for name, label in names.items()).items()), shown
 
 
-def _name_free_bevel(results: Run) -> str:
+def _name_free_bevel(run: Run) -> str:
     """Return the symbol of the bevel's parameter where it is free, else ""."""
-    free = set(select_free(results.frames["parameters"])["parameter"])
+    free = set(select_free(run.frames["parameters"])["parameter"])
     return next((format_bare_symbol(one) for one in ("bevel_mm", "cut_angle_deg") if one in free), "")
 
 
 # ---- tables and figures
 
 
-def lay_out_tables(results: Run) -> list[TableLayout]:
+def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
-    role, frames = find_scored_role(results.frames["errors"]), results.frames
+    role, frames = find_scored_role(run.frames["errors"]), run.frames
     # the parameters of which more is to say than their interval
     explained = frames["identification"][frames["identification"]["note"] != ""]
     found = [
-        fit_tables.lay_out_summary(results),
-        fit_tables.lay_out_validation(results),
-        *([fit_tables.lay_out_coverage(results)] if len(frames["predictive"]) else []),
-        fit_tables.lay_out_baselines(results, role),
-        fit_tables.lay_out_insertions(results, role),
-        fit_tables.lay_out_parameters(results),
+        fit_tables.lay_out_summary(run),
+        fit_tables.lay_out_validation(run),
+        *([fit_tables.lay_out_coverage(run)] if len(frames["predictive"]) else []),
+        fit_tables.lay_out_baselines(run, role),
+        fit_tables.lay_out_insertions(run, role),
+        fit_tables.lay_out_parameters(run),
         *([lay_out_identification(explained)] if len(explained) else []),
-        fit_tables.lay_out_tuning(results),
+        fit_tables.lay_out_tuning(run),
     ]
     return [table for table in found if table.rows]
 
 
-def list_figures(results: Run) -> dict[str, Drawing]:
+def list_figures(run: Run) -> dict[str, Drawing]:
     """Return what the tables allow to be drawn."""
-    role, frames = find_scored_role(results.frames["errors"]), results.frames
+    role, frames = find_scored_role(run.frames["errors"]), run.frames
     found: dict[str, Drawing] = {}
     both = [frames[name] for name in ("errors", "shapes")]
     if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
-        found["insertions"] = fit_figures.draw_first_page(results, role)
-        found["overlays"] = fit_figures.draw_overlays(results, role)
-        if scores.is_in_space(results):
-            found["overlays_above"] = fit_figures.draw_overlays(results, role, from_above=True)
+        found["insertions"] = fit_figures.draw_first_page(run, role)
+        found["overlays"] = fit_figures.draw_overlays(run, role)
+        if scores.is_in_space(run):
+            found["overlays_above"] = fit_figures.draw_overlays(run, role, from_above=True)
     if len(frames["predictive"]):
-        found["predicted"] = fit_figures.draw_predictive_check(results)
+        found["predicted"] = fit_figures.draw_predictive_check(run)
     if len(frames["profiles"]):
-        found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], results.origin)
+        found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], run.origin)
     return found
 
 
 # ---- files
 
 
-def list_files(result: Run) -> dict[str, pd.DataFrame | str]:
+def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
     """Return the tables that are written as CSV, by name."""
     written: dict[str, pd.DataFrame] = {
-        "validation": scores.tabulate_validation(result),
-        "tuning": scores.tabulate_tuning(result),
-        "parameters": result.frames["parameters"].assign(origin=result.origin),
-        "identify": result.frames["identification"],
-        "posterior": fit_tables.tabulate_percentiles(result),
+        "validation": scores.tabulate_validation(run),
+        "tuning": scores.tabulate_tuning(run),
+        "parameters": run.frames["parameters"].assign(origin=run.origin),
+        "identify": run.frames["identification"],
+        "posterior": fit_tables.tabulate_percentiles(run),
     }
     names = ("predictive", "curvature", "error_fit", "population", "draws")
-    written |= {name: result.frames[name] for name in names}
+    written |= {name: run.frames[name] for name in names}
     found: dict[str, pd.DataFrame | str] = {
-        name: result.frames[name] for name in ("errors", "shapes", "starts", "directions")
+        name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
     }
     return found | {name: frame for name, frame in written.items() if len(frame)}
 
 
-def fit_to_json(result: Run) -> dict[str, Any]:
+def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
-    frames = {name: frame for name, frame in list_files(result).items() if name not in ("shapes", "draws")}
+    frames = {name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws")}
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 

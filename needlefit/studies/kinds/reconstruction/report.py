@@ -196,29 +196,29 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
 # ---- the report
 
 
-def describe(found: Run) -> dict[str, Any]:
+def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    rows, remarks = to_records(found.frames["reconstruction"]), to_records(found.frames["remarks"])
+    rows, remarks = to_records(run.frames["reconstruction"]), to_records(run.frames["remarks"])
     poor = [{"id": row["id"], "sd_mm": row["depth_sd_mm"]} for row in rows]
-    assert isinstance(found.record, ReconstructionBatchRecord)
+    assert isinstance(run.record, ReconstructionBatchRecord)
     return {
         "unregistered": [row for row in rows if row["markers_known"] is None],
-        "needle": found.record.recipe.needle,
+        "needle": run.record.recipe.needle,
         "scans": len(rows),
         "remarked": len({row["id"] for row in remarks}),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
-        "synthetic": found.synthetic,
+        "synthetic": run.synthetic,
     }
 
 
-def lay_out_reconstructions(found: Run) -> TableLayout:
+def lay_out_reconstructions(run: Run) -> TableLayout:
     """Return the main results of each scan."""
     rows = []
-    for row in to_records(found.frames["reconstruction"]):
+    for row in to_records(run.frames["reconstruction"]):
         crossings, remarks = (
-            frame[frame["id"] == row["id"]] for frame in (found.frames["crossings"], found.frames["remarks"])
+            frame[frame["id"] == row["id"]] for frame in (run.frames["crossings"], run.frames["remarks"])
         )
         depths = (f"{one['depth_mm']:.2f} ± {one['depth_sd_mm']:.2f}" for one in to_records(crossings))
         about = {"scan": row["id"], "remark_count": len(remarks) or ""}
@@ -226,36 +226,34 @@ def lay_out_reconstructions(found: Run) -> TableLayout:
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
     table = Table("reconstruction", rows, _COLUMNS)
-    return _TEXT.lay_out(table, describe(found), drop_empty=True)
+    return _TEXT.lay_out(table, describe(run), drop_empty=True)
 
 
-def _lay_out_refused(found: Run) -> list[TableLayout]:
+def _lay_out_refused(run: Run) -> list[TableLayout]:
     """Return the scans that were refused, if any were."""
-    refused = found.frames.get("refused")
+    refused = run.frames.get("refused")
     if refused is None:
         return []
     rows = [{**row, "scan": row["id"]} for row in to_records(refused)]
     return [_TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
-def find_answer(found: Run) -> Answer:
+def find_answer(run: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
-    answer = answer_in_words(found, "warn" if len(found.frames["remarks"]) else "pass")
-    tables = [replace(lay_out_reconstructions(found), name="scans")]
-    values = describe(found)
+    answer = answer_in_words(run, "warn" if len(run.frames["remarks"]) else "pass")
+    tables = [replace(lay_out_reconstructions(run), name="scans")]
+    values = describe(run)
     lost = values["unregistered"]
     finding, scan = ("scan_unregistered", lost[0]["id"]) if lost else ("scans_reconstructed", "")
-    advice = advise([finding], {"scan": scan}, found.name, results=".")
+    advice = advise([finding], {"scan": scan}, run.name, results=".")
     return replace(answer, tables=tables, about=_TEXT.sentence("about", values), advice=advice)
 
 
-def draw(found: Run) -> dict[str, Drawing]:
+def draw(run: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its 95 % band."""
     panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
-    return {
-        "deflections": Drawing("curves", found.frames["deflections"].assign(origin=found.origin), options)
-    }
+    return {"deflections": Drawing("curves", run.frames["deflections"].assign(origin=run.origin), options)}
 
 
 REPORT = StudyReport(
