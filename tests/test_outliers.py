@@ -35,17 +35,22 @@ def measure_needles(seed, sides=SIDES, sd=POINT_SD, bend=1.0):
     return found
 
 
-def find_warnings(folder: Path, curves, sides=SIDES, step=0.0, sd=POINT_SD) -> list[ResultWarning]:
-    """Return the warnings about needles into one medium, each into another specimen, rounded to a step."""
+def write_needles(folder: Path, curves, sides=SIDES, step=0.0, sd=POINT_SD, depths=None) -> Path:
+    """Write needles into one medium, each into another specimen, rounded to a step; return the file."""
     rows = []
     for (name, curve), side in zip(curves.items(), sides, strict=True):
         curves = curves | {name: np.round(curve / step) * step if step else curve}
         depth = float(np.linalg.norm(np.diff(curves[name], axis=0), axis=1).sum())
+        depth = depth if depths is None else depths[name]
         pose = {"entry": np.zeros(3), "pose_shift_sd": SHIFT_SD, "pose_angle_sd": np.radians(ANGLE_SD_DEG)}
         rows.append(row(name, "gel", layers=1, bevel=UP, side=side, depth=depth, specimen=name, **pose))
     tables = record(media={"gel": {}}, noise={"point_sd_mm": sd})
-    file = write_dataset(folder, tables, rows, curves, {}, checksums=False)
-    found = inspect(file)
+    return write_dataset(folder, tables, rows, curves, {}, checksums=False)
+
+
+def find_warnings(folder: Path, curves, *options, **named) -> list[ResultWarning]:
+    """Return the warnings about needles that are written with these options."""
+    found = inspect(write_needles(folder, curves, *options, **named))
     assert not found.faults
     return list(found.warnings)
 
@@ -256,3 +261,30 @@ def test_a_needle_with_one_value_where_others_vary_is_named(tmp_path, value, ste
     curves["n4"][:, 1] = value
     found = [one.what for one in find_warnings(tmp_path, curves, step=step) if "at all points" in one.what]
     assert [what.partition(":")[0] for what in found] == ["n4"] * named
+
+
+def swap(first, second):
+    return lambda curves: curves | {first: curves[second], second: curves[first]}
+
+
+@pytest.mark.parametrize(
+    ("change", "named", "cause"),
+    [
+        (lambda curves: {name: 1.1 * one for name, one in curves.items()}, 8, "1.1 times as long"),
+        (lambda curves: {name: 1.03 * one for name, one in curves.items()}, 8, "1.03 times as long"),
+        (swap("n3", "n6"), 2, "n3 is as long as n6 is deep"),
+        (lambda curves: curves | {"n4": curves["n4"][1:]}, 1, "along the entry direction"),
+        (lambda curves: curves | {"n4": 1.1 * curves["n4"]}, 1, "1.10 times as far apart"),
+        (lambda curves: curves | {"n4": 1.03 * curves["n4"]}, 1, "1.03 times as far apart"),
+        (lambda curves: curves | {"n4": curves["n4"][:-3]}, 1, "last points may be missing"),
+    ],
+)
+def test_a_length_that_differs_from_its_depth_is_named_with_what_explains_it(tmp_path, change, named, cause):
+    curves = measure_needles(5, sd=0.02)
+    depths = {name: float(np.linalg.norm(np.diff(one, axis=0), axis=1).sum()) for name, one in curves.items()}
+    found = inspect(write_needles(tmp_path, change(curves), depths=depths, sd=0.02))
+    texts = [one.what for one in found.faults]
+    if not texts:
+        texts = [one.what for one in found.warnings if one.kind == "length"]
+        assert len(re.findall(r"n\d", texts[0].partition(":")[0])) == named
+    assert cause in texts[0] and len(texts) in (1, named)

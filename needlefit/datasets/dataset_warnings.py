@@ -10,6 +10,7 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
+from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
 from needlefit.datasets.outlying_needles import find_needle_warnings
@@ -67,10 +68,6 @@ MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a ne
 SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
 # Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
 MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
-
-# Standard deviations by which the length of a curve and its depth differ at least to be named, and the same
-# in mm: depths are stated with a digit or two
-LENGTH_SD, SAME_LENGTH_MM = 5.0, 0.1
 
 # Curves of which the first points spread along the needles by more than this, mm, and the last ones by less
 # than this part of it, begin at the tips.
@@ -319,7 +316,7 @@ def _find_shape_warnings(
     yield from find_curvature_warnings(listed, noise)
     yield from _find_reversed_warnings(listed, noise)
     measured = [one for one in listed if one.insertion.id not in outlying]  # their ends are points
-    yield from _find_length_warnings(record, measured, noise)
+    yield from find_length_warnings(measured, noise, record.insertions.columns.get("depth_mm", "depth_mm"))
     yield from _find_copy_warnings(listed, noise)
 
 
@@ -369,33 +366,6 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
         what = f"curves seem to run from the tip to the entry: they {why}"
         fix = "reverse the points and the entry direction; at an import state --entry last"
         yield ResultWarning("reversed", what, listed[0].where, fix)
-
-
-def _find_length_warnings(
-    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise
-) -> Iterator[ResultWarning]:
-    """Yield a warning that names the insertions whose curves are longer or shorter than their depths.
-
-    A depth is taken as it is stated. Free shapes need not begin at the entry.
-    """
-    found = []
-    point_sd = math.sqrt(2) * math.hypot(noise.point_sd, noise.correlated_sd)  # of both ends
-    for one in (each for each in listed if each.insertion.pose_source != "none"):
-        insertion, curve = one.insertion, one.insertion.curve_in_space
-        gap = curve.length - insertion.depth
-        sd = math.hypot(point_sd, curve.length_sd, insertion.depth_sd, insertion.pose_shift_sd)
-        if abs(gap) > max(LENGTH_SD * sd, SAME_LENGTH_MM):
-            found.append((abs(gap), gap, one))
-    if found:
-        _, gap, one = max(found, key=lambda each: each[0])
-        names = join_names([each.insertion.id for *_, each in found], MAX_NAMED_INSERTIONS)
-        depth_mm = f"`{record.insertions.columns.get('depth_mm', 'depth_mm')}`"
-        what = (
-            f"{names}: the curve is longer or shorter than {depth_mm} by more than noise explains, that of "
-            f"{one.insertion.id} by {gap:+.2f} mm; the stated depth is used"
-        )
-        fix = f"keep exactly the points from the entry to the tip, or correct {depth_mm}"
-        yield ResultWarning("length", what, one.where, fix)
 
 
 def _find_noise_warnings(

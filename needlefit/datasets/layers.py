@@ -225,6 +225,7 @@ LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
 LENGTH_TOLERANCE_MM = 2.0  # the same in mm, whichever is more
 MIN_DEEPEST_MM = 10.0  # depth of the deepest insertion of a needle; a smaller one was written in another unit
 MAX_START_DISTANCE_MM = 5.0  # greatest distance of a centreline's first point from the entry pose, mm
+AHEAD_COSINE = 0.98  # least cosine between the entry direction and that from the entry to points ahead of it
 MAX_HEADING_DEG = 45.0  # greatest angle between the entry direction and the chord of the centreline
 # Relative difference of a curve's span from the depth at which another unit explains their ratio.
 UNIT_TOLERANCE = 0.25
@@ -271,12 +272,6 @@ def find_curve_faults(
         what = f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}"
         fix = "sort the points along the needle, and remove branches and loops"
         yield Fault(points.where(int(back[0])), what, "points in order from the entry to the tip", fix)
-    length, tolerance = points.curve.length, find_length_tolerance(row.depth, record.frame.pose)
-    if abs(length - row.depth) > tolerance:
-        where = points.where()
-        expected = f"the inserted length, within {tolerance:.1f} mm"
-        fix = f"keep exactly the points from the entry to the tip, or correct {depth_mm}"
-        yield Fault(where, f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}", expected, fix)
     if row.entry is not None and row.direction is not None:
         yield from _find_entry_faults(points, row.entry, row.direction)
 
@@ -315,9 +310,11 @@ def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iter
     first, last = points.values[0], points.values[-1]
     off = float(np.linalg.norm(first - entry))
     if off > MAX_START_DISTANCE_MM:
-        flipped = np.linalg.norm(last - entry) < off
-        how = ": it seems to run from tip to entry" if flipped else ""
-        fix = "reverse the points" if flipped else "bring pose and centreline into one frame (LPS, RAS?)"
+        how, fix = "", "bring pose and centreline into one frame (LPS, RAS?)"
+        if np.linalg.norm(last - entry) < off:
+            how, fix = ": it seems to run from tip to entry", "reverse the points"
+        elif (first - entry) @ direction > AHEAD_COSINE * off:
+            how, fix = ", along the entry direction", "add the points from the entry on, or correct the entry"
         what = f"begins {off:.2f} mm from the entry pose{how}"
         yield Fault(points.where(), what, f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of it", fix)
         return

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.columns import BEVEL_FIX, InsertionRow
+from needlefit.datasets.curve_lengths import find_length_faults
 from needlefit.datasets.dataset_warnings import (
     find_boundary_warnings,
     find_insertion_warnings,
@@ -161,6 +162,8 @@ def _read_shapes(reading: _Reading) -> tuple[list[Insertion], set[Path], dict[st
     record, file, root, found = reading.record, reading.file, reading.root, reading.faults
     shared = read_shared_surfaces(record, root, found)
     listed = list(_iterate_insertions(reading, shared))
+    depth_column = record.insertions.columns.get("depth_mm", "depth_mm")
+    found += find_length_faults(listed, record.frame.pose, depth_column)
     found += [*find_layer_faults(listed, record, file), *_find_use_faults(record, listed, file)]
     if not found:  # of points that have no other fault
         found += find_operator_faults(record, listed, file)
