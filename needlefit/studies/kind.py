@@ -4,13 +4,13 @@ import platform
 import shlex
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Protocol
 
 from needlefit.project.checkpoint import release_checkpoint
 from needlefit.project.processes import one_thread
@@ -21,15 +21,24 @@ from needlefit.schemas.base import FileRecord
 from needlefit.schemas.run_metadata import RunMetadata
 
 
+class KindModule(Protocol):
+    """What the module of a kind, or the module `run` of its package, has; they cannot be imported here."""
+
+    FRAMES: Mapping[str, Sequence[str]]  #: the columns that every frame of its runs has
+
+    #: run a study by its name, its file and its `Settings`; return the `Run`
+    run: Callable[[str, Any, Any], Any]
+
+
 @dataclass(frozen=True)
 class StudyKind:
     """One kind of study."""
 
     name: str  #: the value of `kind` in the study file
     record: type[FileRecord]  #: the keys of the study file
-    #: the module with a function `run(name, record, settings)`, the columns of its frames in `FRAMES`, and a
-    #: `StudyReport` named `REPORT`; or a package whose modules `run` and `report` have these (either one the
-    #: columns). They are imported on first use: to report a run, `report` alone
+    #: the module that is a `KindModule` and has a `StudyReport` named `REPORT`; or a package whose modules
+    #: `run` and `report` do (either one the columns). They are imported on first use: to report a run,
+    #: `report` alone
     package: str
     metadata: type[RunMetadata] = RunMetadata  #: what its runs know besides their frames
 
@@ -75,7 +84,8 @@ class StudyKind:
 
     def compute(self, name: str, record: FileRecord, settings: Any) -> Any:  # noqa: ANN401 - see `report`
         """Run a study as a part of another one, which has the checkpoint and states the surroundings."""
-        return self._import("run").run(name, record, settings)
+        module: KindModule = self._import("run")
+        return module.run(name, record, settings)
 
     def make_record(self, **options: object) -> FileRecord:
         """Return the study file that the options of a command stand for."""
