@@ -92,6 +92,25 @@ class Finding:
         """Whether the value is below the threshold."""
         return self.value is not None and self.threshold is not None and self.value < self.threshold
 
+    @property
+    def equals_noise(self) -> bool:
+        """Whether an error over that of the noise is one, as far as it is printed."""
+        return self.value is not None and is_printed_as_one(self.value)
+
+    @property
+    def pattern(self) -> str:
+        """How predicted tips lie about their intervals: a key of the words in `checks.md.j2`."""
+        if self.passed is False and not self.is_below:
+            return "too_wide"
+        if self.trials and self.trials > 1 and self.beyond in (0, self.trials):
+            return "all_more" if self.beyond else "all_less"
+        return "too_narrow" if self.passed is False else ""
+
+
+def is_printed_as_one(ratio: float) -> bool:
+    """Return whether a ratio is 1 in the digits that are printed."""
+    return f"{ratio:.2g}" == "1"
+
 
 RESULTS = "reports"  #: the folder that holds the folders of results, unless a command states another
 

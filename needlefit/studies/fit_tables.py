@@ -216,6 +216,10 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
     return _lay_out(Table("matrix", rows, columns), drop_empty=True)
 
 
+#: by recipe that of the same fit whose specimens are of one batch
+BATCH_RECIPES = {"default": "one_batch"}
+
+
 def lay_out_coverage(run: Run) -> TableLayout:
     """Return one row per medium, number of layers and specimen, over all folds."""
     predicted, keys = run.frames["predictive"], ["medium", "layers", "specimen_treatment"]
@@ -230,7 +234,7 @@ def lay_out_coverage(run: Run) -> TableLayout:
     spread = {
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
-        "recipe": run.record.recipe,
+        "batch_recipe": BATCH_RECIPES.get(run.record.recipe, ""),
     }
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))

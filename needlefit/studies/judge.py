@@ -19,7 +19,7 @@ import scipy
 from needlefit.inference.baselines import BASELINES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.studies.advice import list_contradictions, list_doubts
-from needlefit.studies.answer import Check, Finding, Status
+from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM, count_covered, measure_tips, median_width
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.run import Run
@@ -59,6 +59,15 @@ class Judgement:
     curve: str  #: the curve without mechanics that is closest, by its name; "" without any
     curve_mm: float | None
     fits: int | None = None  #: of how many fits, if of several
+
+    @property
+    def equals_noise(self) -> bool:
+        """Whether the error is that of the measurement noise, as far as it is printed."""
+        return self.noise_ratio is not None and is_printed_as_one(self.noise_ratio)
+
+    @property
+    def curve_is_closer(self) -> bool:
+        return self.curve_mm is not None and self.curve_mm < self.error_mm
 
 
 def choose_method(run: Run) -> str:

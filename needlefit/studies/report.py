@@ -144,7 +144,10 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
 def _word_check(one: Finding, part: str = "") -> str:
     """Return the question of a check, or what was "_found" or is "_required"."""
     doubts = [name_doubt(kind) for kind in one.named.split(", ")] if one.check is Check.DATA else []
-    return CHECKS.sentence(f"{one.check}{part}", {**vars(one), "is_below": one.is_below, "doubts": doubts})
+    return CHECKS.sentence(
+        f"{one.check}{part}",
+        {**vars(one), "equals_noise": one.equals_noise, "pattern": one.pattern, "doubts": doubts},
+    )
 
 
 def recall(run: Run) -> str:

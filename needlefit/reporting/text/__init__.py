@@ -94,6 +94,8 @@ def _environment(package: str) -> jinja2.Environment:
     environment.filters |= {
         **FORMATS,
         "quantity": lambda value, parameter: format_quantity(parameter, value),
+        # tip errors below 0.1 mm have a third decimal
+        "error": lambda value: f"{FORMATS['mm3' if value < 0.1 else 'mm'](value)} mm",
         "ratio": lambda value: f"{value:.2g}",
         "significant": lambda value, digits: f"{value:.{digits}g}",
         "bare": format_bare_symbol,

@@ -65,7 +65,8 @@ def collect_values(run: Run) -> dict[str, Any]:
         "folds": len(folds),
         "held_out": len({one for fold in folds for one in fold.held_out}),
         "depths": {
-            str(name): [float(found.min()), float(found.max())]
+            # the least and the greatest, one if they are printed alike
+            str(name): list(dict.fromkeys(f"{one:.0f}" for one in (found.min(), found.max())))
             for name, found in errors[errors["method"] == "fitted"].groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
