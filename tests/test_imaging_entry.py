@@ -22,6 +22,7 @@ from needlefit.imaging.entry import (
     list_candidates,
     pose_from_shaft,
 )
+from needlefit.imaging.materials import find_steps, list_materials
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
@@ -140,8 +141,47 @@ def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_th
     assert_allclose((entry.at, entry.depth), (0.0, 40.0), atol=0.15)
     assert entry.sd > 0.1
     assert_allclose(choose(flush).at, -8.0, atol=0.1)
-    assert_allclose(choose(profile(*FACE), thickness=8.0, distance=0.7).at, 8.7, atol=0.1)
-    assert refusal(DataError, "", choose, profile(*FACE), thickness=60.0).where == "guide.thickness_mm"
+    near = profile((-8.7, -1000.0, 110.0), (0.0, 110.0, 35.0))  # with a gap that blur hides
+    entry = choose(near, thickness=8.0, distance=0.7)
+    assert_allclose((entry.at, *entry.guide), (0.0, -8.7, -0.7), atol=0.15)
+
+
+@pytest.mark.parametrize(
+    "shown",
+    [
+        profile(*FACE),  # no guide, or one that looks as the tissue does
+        profile(*FACE, (13.0, 35.0, -5.0)),
+        profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0)),  # one of another thickness
+        profile((-30.0, -1000.0, 950.0), (-27.0, 950.0, -1000.0), *FACE),
+    ],
+)
+@pytest.mark.parametrize("thickness", [6.0, 60.0])
+def test_a_stated_guide_that_the_scan_does_not_show_is_named(shown, thickness):
+    refused = refusal(DataError, "", choose, shown, thickness=thickness)
+    assert refused.where == "guide.thickness_mm" and f"{thickness:g} mm" in refused.what
+    assert "40.0" in refused.what or "48.0" in refused.what
+
+
+@pytest.mark.parametrize("level", [-70.0, 110.0, 950.0, 2300.0, 3071.0])
+@pytest.mark.parametrize("thickness", [3.0, 8.0, 12.0])
+def test_a_guide_of_any_material_is_passed(level, thickness):
+    for gap in [2.0, 6.0, 11.0]:
+        plate = ((-gap - thickness, -1000.0, level), (-gap, level, -1000.0))
+        entry = choose(profile(*plate, *FACE), thickness=thickness)
+        assert_allclose(entry.at, 0.0, atol=0.2)
+        assert_allclose(entry.guide, (-gap - thickness, -gap), atol=1.0)
+
+
+def test_what_the_needle_passes_is_listed():
+    shown = profile(*PLATE, *FACE, (13.0, 35.0, -5.0))
+    passed = list(list_materials(shown, TIP))
+    assert [run.kind for run in passed] == ["air", "soft", "air", "soft", "soft"]
+    assert_allclose([run.begin for run in passed[1:]], [-19.0, -11.0, 0.0, 13.0], atol=0.3)
+    assert_allclose([run.level for run in passed], [-1000, 110, -1000, 35, -5], atol=3)
+    assert passed[-1].end == TIP
+    (step,) = find_steps(shown)
+    assert_allclose(step.change, -40.0, atol=4.0)
+    assert abs(step.at - 13.0) < 3 * step.sd < 1.0
 
 
 # ---- by the tissue's own surface, unless the scan itself shows another place

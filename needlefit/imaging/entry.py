@@ -7,8 +7,9 @@ Where the tissue begins is chosen among the places where air turns into soft mat
 (docs/reconstruction.md, "Where the tissue begins").
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import takewhile
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import MaterialRun, find_rises, find_runs
-from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
+from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, find_rises, find_runs, find_steps
+from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
@@ -160,7 +161,9 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
 
 
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
-MATCH_MM = 1.5  # a soft run whose length misses the guide's thickness by no more is the guide, mm
+MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
+# On the tissue a guide ends within so many mm of the place that its thickness states.
+STEP_MATCH_MM = 1.0
 
 
 @dataclass(frozen=True)
@@ -172,12 +175,17 @@ class EntryCandidate:
     sd: float
     depth: float  # length from there to the tip, mm
     run: MaterialRun  # the soft material that it begins
+    guide: tuple[float, float] | None = None  # where the guide before it begins and ends, mm along the needle
 
 
-def list_candidates(profile: IntensityProfile, tip: float) -> tuple[EntryCandidate, ...]:
-    """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along."""
-    runs = find_runs(profile)
-    return tuple(EntryCandidate(at, sd, tip - at, runs[n]) for n, at, sd in find_rises(profile))
+def list_candidates(profile: IntensityProfile, tip: float, guide: float = np.inf) -> tuple[EntryCandidate, ...]:
+    """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along.
+
+    `guide`: thickness of one that is looked for, mm.
+    """
+    least = min(MIN_SIDE_LENGTH_MM, guide / 2)
+    runs = find_runs(profile, least)
+    return tuple(EntryCandidate(at, sd, tip - at, runs[n]) for n, at, sd in find_rises(profile, least))
 
 
 def choose_entry(
@@ -187,9 +195,9 @@ def choose_entry(
 
     `guide_thickness`: along the needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
 
-    DataError if what is stated does not decide between several candidates, or fits none.
+    DataError if what is stated does not decide between several candidates, or the scan does not show it.
     """
-    candidates = list_candidates(profile, tip)
+    candidates = list_candidates(profile, tip, guide_thickness or np.inf)
     if not candidates:
         return None
     listed = " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
@@ -202,20 +210,49 @@ def choose_entry(
             where: guide.thickness_mm""")
     if not guide_thickness:
         return candidates[0]
-    soft, first = [run for run in find_runs(profile) if run.kind == "soft"], candidates[0]
-    for run, behind in pairwise(soft):
-        # the first one may go on beyond what is scanned
-        cut = run is soft[0] and run != first.run and run.length <= guide_thickness + MATCH_MM
-        entry = next((one for one in candidates if one.run == behind), None)
-        if entry is not None and (cut or abs(run.length - guide_thickness) <= MATCH_MM):
-            return entry
-    if soft[0] != first.run or first.run.length <= guide_thickness:
-        raise refusal(f"""no guide of {guide_thickness:g} mm shows along the needle: the tissue may begin
-                {listed}
-            expected: soft material of that length before the tissue
-            fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
-                (--corrections)
-            where: guide.thickness_mm""")
-    behind_face = guide_thickness + (guide_distance or 0.0)
-    sd = float(np.hypot(first.sd, GUIDE_SD_MM))
-    return EntryCandidate(first.at + behind_face, sd, first.depth - behind_face, first.run)
+    whole, cut = _list_behind_guide(profile, candidates, guide_thickness)
+    for found in (whole, _list_on_guide(profile, candidates, guide_thickness, guide_distance or 0.0), cut):
+        if len(found) == 1:
+            return found[0]
+    raise refusal(f"""no guide of {guide_thickness:g} mm shows along the needle: the tissue may begin {listed}
+        expected: solid material of that length before the tissue, followed by air or another material
+        fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
+            (--corrections)
+        where: guide.thickness_mm""")
+
+
+def _list_behind_guide(
+    profile: IntensityProfile, candidates: Sequence[EntryCandidate], thickness: float
+) -> tuple[list[EntryCandidate], list[EntryCandidate]]:
+    """Return the candidates with a guide and air before them, and those with one that the scan cuts."""
+    runs, whole, cut = find_runs(profile, min(MIN_SIDE_LENGTH_MM, thickness / 2)), [], []
+    for one in candidates:
+        before = runs[: max(0, runs.index(one.run) - 1)]
+        solid = [*takewhile(lambda run: run.kind != "air", before[::-1])]
+        if not solid:
+            continue
+        length = solid[0].end - solid[-1].begin
+        passed = replace(one, guide=(solid[-1].begin, solid[0].end))
+        if abs(length - thickness) <= MATCH_MM:
+            whole.append(passed)
+        elif len(solid) == len(before) == 1 and solid[0].kind == "soft" and length < thickness:
+            cut.append(passed)
+    return whole, cut
+
+
+def _list_on_guide(
+    profile: IntensityProfile, candidates: Sequence[EntryCandidate], thickness: float, distance: float
+) -> list[EntryCandidate]:
+    """Return the places behind a guide that lies on the tissue: where soft material changes as stated."""
+    steps, found = find_steps(profile), []
+    for face in candidates:
+        behind = face.at + thickness + distance
+        near = [step for step in steps if abs(step.at - behind) <= STEP_MATCH_MM]
+        if near:
+            step = min(near, key=lambda one: abs(one.at - behind))
+            stated_sd = float(np.hypot(face.sd, GUIDE_SD_MM))
+            weight = stated_sd**2 / (stated_sd**2 + step.sd**2)
+            at = behind + weight * (step.at - behind)
+            sd = max(stated_sd, abs(step.at - behind) / 2)
+            found.append(EntryCandidate(at, sd, face.depth - at + face.at, face.run, (face.at, at - distance)))
+    return found

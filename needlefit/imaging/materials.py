@@ -3,9 +3,9 @@
 Soft is what lies between air and metal: tissue, a gel, the plastic of a guide or of a hub.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import groupby
-from typing import Literal
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import make_normal
 from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
-from needlefit.imaging.reconstruction import IntensityProfile
+from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import AIR_HU, Volume
 
 # Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule.
@@ -82,29 +82,10 @@ FLANK_MM = 4.0  # stations farther than this from an edge show which points rays
 MIN_POINTS, PARTS = 32, 4  # least points of a ring that a choice needs, and parts whose edges are compared
 MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
-Kind = Literal["air", "soft", "metal"]
-
-
-@dataclass(frozen=True)
-class MaterialRun:
-    """A part of the needle whose surroundings are of one kind."""
-
-    kind: Kind
-    # Along the needle, mm; a first or last run may go on beyond what is seen.
-    begin: float
-    end: float
-    level: float  # median of the surroundings, HU
-
-    @property
-    def length(self) -> float:
-        """Length along the needle, mm."""
-        return self.end - self.begin
-
-
-def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
+def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:
     """Return the runs of air, soft material and metal around the needle, from its base to its tip.
 
-    What is shorter than blur makes it belongs to its neighbours.
+    What is shorter than `least`, mm, or than blur makes it belongs to its neighbours.
     """
     s, values, _ = _known_stations(profile)
     if len(s) < 8:
@@ -117,9 +98,9 @@ def find_runs(profile: IntensityProfile) -> tuple[MaterialRun, ...]:
             kinds[part] = 1
     for at in s[kinds == 2]:
         kinds[(np.abs(s - at) <= METAL_BLUR_MM) & (kinds == 1)] = 2
-    kinds = _absorb_short_runs(kinds, step)
+    kinds = _absorb_short_runs(kinds, step, least)
     ends = np.flatnonzero(np.diff(kinds)) + 1
-    names: tuple[Kind, ...] = ("air", "soft", "metal")
+    names: tuple[MaterialKind, ...] = ("air", "soft", "metal")
     parts = [names[kinds[n]] for n in (0, *ends)]
     levels = [float(np.median(part)) for part in np.split(values, ends)]
     between = [float(s[at - 1] + s[at]) / 2 for at in ends]
@@ -136,7 +117,7 @@ def _known_stations(profile: IntensityProfile) -> tuple[Floats, Floats, Floats]:
     return profile.s[known], profile.around[known], profile.ring[known]
 
 
-def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]:
+def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) -> NDArray[np.int_]:
     """Return kinds (n,) in which every run is long enough; the shortest is given to its neighbours first."""
     kinds = kinds.copy()
     while True:
@@ -144,7 +125,7 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]
         starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
         between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
         least = [
-            (MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else MIN_SIDE_LENGTH_MM) / step
+            (MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step
             for at, inner in zip(starts, between, strict=True)
         ]
         short = [n for n, length in enumerate(lengths) if length < least[n] - 1e-6]
@@ -156,9 +137,11 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float) -> NDArray[np.int_]
         kinds[starts[n] : starts[n] + lengths[n]] = kinds[starts[longer]]
 
 
-def find_rises(profile: IntensityProfile) -> tuple[tuple[int, float, float], ...]:
+def find_rises(
+    profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM
+) -> tuple[tuple[int, float, float], ...]:
     """Return every place where air turns into soft material: the run that begins, mm and its deviation."""
-    runs = find_runs(profile)
+    runs = find_runs(profile, least)
     rising = [n for n in range(1, len(runs)) if (runs[n - 1].kind, runs[n].kind) == ("air", "soft")]
     return tuple((n, *edge) for n in rising if (edge := _fit_edge(profile, runs, n)) is not None)
 
@@ -242,3 +225,76 @@ def _fit_edge(
         of_parts = np.std([part.mean() for part in np.array_split(moved, PARTS)])
         hidden = [float(of_parts), float(move @ (median - values)) / 2]
     return float(best.x[this]), float(np.linalg.norm([scatter, *hidden]))
+
+
+STEP_REACH_MM = 6.0  # distance to either side of a step over which it is fitted, mm
+STEP_MARGIN_MM = 1.5  # distance from air or metal within which its blur hides a step, mm
+MIN_STEP_HU = 20.0  # a smaller change of soft material is no step, HU
+MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
+MIN_STEP_STATIONS = 3  # stations on either side of a step
+
+
+@dataclass(frozen=True)
+class MaterialStep:
+    """A place where soft material turns into another one."""
+
+    # Along the needle and its deviation, mm.
+    at: float
+    sd: float
+    change: float  # of the brightness, HU
+
+
+def find_steps(profile: IntensityProfile) -> tuple[MaterialStep, ...]:
+    """Return the places inside soft material where its brightness changes, from the base on."""
+    s, values, _ = _known_stations(profile)
+    runs, found = find_runs(profile), list[MaterialStep]()
+    for n, run in enumerate(runs):
+        low = run.begin + STEP_MARGIN_MM * (n > 0)
+        high = run.end - STEP_MARGIN_MM * (n < len(runs) - 1)
+        inside = (s >= low) & (s <= high)
+        if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
+            found += _find_steps_within(s[inside], values[inside])
+    return tuple(found)
+
+
+def _find_steps_within(s: Floats, values: Floats) -> list[MaterialStep]:
+    """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
+    places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
+    fits = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3)
+    found, left = list[MaterialStep](), np.abs(fits[:, 0]) >= MIN_STEP_HU
+    left &= np.abs(fits[:, 0]) >= MIN_STEP_SD * fits[:, 1]
+    while left.any():
+        best = int(np.argmin(np.where(left, fits[:, 2], np.inf)))
+        change, sd, _ = fits[best].tolist()
+        near = np.abs(places - places[best]) <= STEP_REACH_MM / 2
+        # the noise of the level over the slope of a blurred step
+        at_sd = np.hypot(WIDTH_MM * np.sqrt(2 * np.pi) * sd / abs(change), MEDIAN_SD_MM)
+        found.append(MaterialStep(float(places[best]), float(at_sd), change))
+        left &= ~near
+    return sorted(found, key=lambda one: one.at)
+
+
+def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
+    """Return the change at a place on a common slope, its deviation, HU, and the part left unexplained."""
+    near = np.abs(s - place) <= STEP_REACH_MM
+    x, y = s[near] - place, values[near]
+    design = np.stack([np.ones(len(x)), x, ndtr(x / WIDTH_MM)], axis=1)
+    solved, *_ = np.linalg.lstsq(design, y)
+    left = y - design @ solved
+    power = float(left @ left)
+    variance = power / max(1, len(x) - 3) * correlation_factor(left[:, None], 3)
+    sd = np.sqrt(variance * np.linalg.inv(design.T @ design)[2, 2])
+    flat = y - np.polyval(np.polyfit(x, y, 1), x)
+    return float(solved[2]), float(sd), power / max(float(flat @ flat), 1e-9)
+
+
+def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRun]:
+    """Yield what the needle passes, from its base to its `tip`, mm: runs, and the parts of soft ones."""
+    s, values, _ = _known_stations(profile)
+    runs, rises = find_runs(profile), {n: at for n, at, _ in find_rises(profile)}
+    begins = [rises.get(n, run.begin) for n, run in enumerate(runs)]
+    steps = [step.at for step in find_steps(profile)]
+    for run, begin, end in zip(runs, begins, [*begins[1:], tip][: len(runs)], strict=True):
+        for low, high in pairwise([begin, *(at for at in steps if begin < at < end), end]):
+            part = values[(s >= low) & (s <= high)]
+            yield MaterialRun(run.kind, low, high, float(np.median(part)) if len(part) else run.level)

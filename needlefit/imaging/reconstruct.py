@@ -43,7 +43,7 @@ from needlefit.imaging.markers import (
     read_markers,
     refine_fiducials,
 )
-from needlefit.imaging.materials import find_rises, sample_profile
+from needlefit.imaging.materials import find_rises, list_materials, sample_profile
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
@@ -259,6 +259,7 @@ class Examination:
     markers: MarkerResult | None = None
     registration: Registration | None = None
     profile: IntensityProfile | None = None  # along the whole needle, s from its first point
+    guide: tuple[float, float] | None = None  # where a guide before the tissue begins and ends, likewise
     reconstruction: Reconstruction | None = None
     error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
 
@@ -399,6 +400,7 @@ def _locate_tissue(
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
             fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
                 layers, as FILE=sheet:1 or FILE=solid:1""")
+    found.guide = entry.guide
     return entry.at, entry.sd
 
 
@@ -471,6 +473,11 @@ def derive_reconstruction(
         target_error=target_error,
         layers=layers,
         profile=replace(found.brightness, s=found.brightness.s - begin),
+        passed=tuple(
+            replace(run, begin=run.begin - begin, end=run.end - begin)
+            for run in list_materials(found.brightness, float(along[-1]))
+        ),
+        guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
         views=(),
         warnings=(),
     )

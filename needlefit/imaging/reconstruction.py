@@ -55,6 +55,25 @@ class IntensityProfile:
     ring: Floats  # (P, N); of every point around, opposite the N-th last the N-th, HU; nan also on metal
 
 
+MaterialKind = Literal["air", "soft", "metal"]
+
+
+@dataclass(frozen=True)
+class MaterialRun:
+    """A part of the needle whose surroundings are of one kind."""
+
+    kind: MaterialKind
+    # Along the needle, mm; a first or last run may go on beyond what is seen.
+    begin: float
+    end: float
+    level: float  # median of the surroundings, HU
+
+    @property
+    def length(self) -> float:
+        """Length along the needle, mm."""
+        return self.end - self.begin
+
+
 @dataclass(frozen=True)
 class ScanView:
     """An image of the scan along two axes of the constraint frame."""
@@ -103,6 +122,8 @@ class Reconstruction:
     target_error: Floats
     layers: Layers
     profile: IntensityProfile
+    passed: tuple[MaterialRun, ...]  # what the needle passes, from first contact; before it negative
+    guide: tuple[float, float] | None  # where the guide that was subtracted begins and ends, likewise
     views: tuple[ScanView, ...]
     warnings: tuple[str, ...]  # what a person should know
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside

@@ -14,7 +14,7 @@ from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.corrections import list_control_points
-from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.reconstruction import MaterialRun, Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
@@ -63,6 +63,7 @@ _MARKER_COLUMNS = (
     *("residual_y_mm", "residual_z_mm", "residual_mm"),
 )
 _CROSSING_COLUMNS = ("id", "number", "out_of", "into", "depth_mm", "depth_sd_mm", "x_mm", "y_mm", "z_mm")
+_PASSED_COLUMNS = ("id", "number", "part", "material", "begin_mm", "end_mm", "level_hu")
 _DEFLECTION_COLUMNS = ("id", "x_mm", "y_mm", "low_mm", "high_mm")
 MAX_DRAWN_POINTS = 60  # of a needle in the figure
 _REFUSED_COLUMNS = ("id", "scan", "note")
@@ -93,6 +94,7 @@ def tabulate_batch(
             "reconstruction": pd.DataFrame(map(describe_scan, ones), columns=list(_SCAN_COLUMNS)),
             "markers": tabulate_markers(ones),
             "crossings": tabulate_crossings(ones),
+            "passed": tabulate_passed(ones),
             "remarks": pd.DataFrame(remarks, columns=["id", "note"]),
             "deflections": tabulate_deflections(ones),
         },
@@ -131,6 +133,24 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
+
+
+def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
+    """Return a row per material that a needle passes, from its base on; mm from first contact."""
+    rows = [
+        (one.scan.id, n, _name_part(run, one.guide), run.kind, run.begin, run.end, run.level)
+        for one in reconstructions
+        for n, run in enumerate(one.passed, start=1)
+    ]
+    return pd.DataFrame(rows, columns=list(_PASSED_COLUMNS))
+
+
+def _name_part(run: MaterialRun, guide: tuple[float, float] | None) -> str:
+    """Return what a run was taken for."""
+    middle = (run.begin + run.end) / 2
+    if guide is not None and guide[0] < middle < guide[1]:
+        return "guide"
+    return "tissue" if middle > 0 else "before"
 
 
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -199,12 +219,17 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
 def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     rows, remarks = to_records(run.frames["reconstruction"]), to_records(run.frames["remarks"])
+    passed = {row["id"]: list[dict[str, Any]]() for row in rows[:MAX_NAMED_SCANS]}
+    for part in to_records(run.frames["passed"]):
+        if part["id"] in passed:
+            passed[part["id"]].append({**part, "length_mm": part["end_mm"] - part["begin_mm"]})
     poor = [{"id": row["id"], "sd_mm": row["depth_sd_mm"]} for row in rows]
     assert isinstance(run.record, ReconstructionBatchRecord)
     return {
         "unregistered": [row for row in rows if row["markers_known"] is None],
         "needle": run.record.recipe.needle,
         "scans": len(rows),
+        "passed": passed,
         "remarked": len({row["id"] for row in remarks}),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
