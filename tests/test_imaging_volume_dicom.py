@@ -8,6 +8,8 @@ import pytest
 from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, save, save_volume, series
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydicom import dcmwrite
+from pydicom.dataset import FileMetaDataset
 from pydicom.uid import (
     BasicTextSRStorage,
     HTJ2KLossless,
@@ -17,6 +19,7 @@ from pydicom.uid import (
 )
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
+from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.imaging.dicom.series import find_series
@@ -202,6 +205,56 @@ def test_a_tilted_gantry_is_read_where_the_slices_stand(tmp_path, degrees):
     expected = [0.8, 0.5 * np.cos(tilt), 0.5 * np.sin(tilt) + 6]
     assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx(expected, abs=1e-5)
     assert to_index(volume, [expected])[0] == pytest.approx([2, 1, 3], abs=1e-5)
+
+
+@pytest.mark.parametrize(("place", "axes", "allowed"), [(1, 9, 0.05), (9, 3, 0.02), (1, 3, 0.06)])
+def test_rounded_headers_of_an_oblique_stack_are_read_as_far_as_they_are_right(tmp_path, place, axes, allowed):
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    origin, count = np.array([-31.234, 12.345, 77.77]), 60
+    stated = [f"{x:.{axes}f}" for x in turn[:, :2].T.ravel()]
+    places = [[f"{x:.{place}f}" for x in origin + 0.6 * k * turn[:, 2]] for k in range(count)]
+    pages = [
+        a_slice(0, NUMBERS[0], ImagePositionPatient=at, ImageOrientationPatient=stated) for at in places
+    ]
+    volume = read_volume(save(tmp_path, pages))
+    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-9)
+    corners = np.array([[0, 0, 0], [COLUMNS - 1, ROWS - 1, count - 1], [COLUMNS - 1, 0, 0]])
+    true = corners * [0.4, 0.5, 0.6] @ turn.T + origin
+    assert np.linalg.norm(to_patient(volume, corners) - true, axis=1).max() < allowed
+
+
+def without_preamble(folder, *, typed, meta):
+    """Write a series as bare data sets."""
+    folder.mkdir()
+    for k, data in enumerate(series()):
+        if meta:
+            save(folder.parent / "whole", [data])
+            (folder / f"{k}").write_bytes((folder.parent / "whole" / "000.dcm").read_bytes()[132:])
+            continue
+        data.file_meta = FileMetaDataset()
+        bare = {"implicit_vr": not typed, "little_endian": True, "enforce_file_format": False}
+        dcmwrite(folder / f"{k}", data, **bare)
+    return folder
+
+
+@pytest.mark.parametrize(("typed", "meta"), [(True, False), (False, False), (True, True)])
+def test_bare_data_sets_are_read(tmp_path, typed, meta):
+    folder = without_preamble(tmp_path / "bare", typed=typed, meta=meta)
+    assert np.array_equal(read_volume(folder).values, NUMBERS)
+    assert np.array_equal(read_volume(folder / "2").values, NUMBERS)
+
+
+def test_what_is_not_of_the_series_is_set_aside(tmp_path):
+    save(tmp_path, series(SeriesInstanceUID=None))
+    assert np.array_equal(read_volume(tmp_path).values, NUMBERS)
+    for name, content in (("empty.dcm", b""), ("text.dcm", b"scan" * 99)):
+        (tmp_path / name).write_bytes(content)
+        for found in (read_volume(tmp_path), read_volume(tmp_path, "3"), read_volume(tmp_path / "001.dcm")):
+            assert np.array_equal(found.values, NUMBERS) and len(found.warnings) == 1
+            assert name in found.warnings[0]
+    (tmp_path / f"{COUNT:03}.dcm").write_bytes(b"")  # may be a slice
+    assert refused(tmp_path).where.endswith(f"{COUNT:03}.dcm")
+    assert f"{COUNT:03}.dcm" in read_volume(tmp_path, "3").warnings[0]
 
 
 # What is refused

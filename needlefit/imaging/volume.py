@@ -207,9 +207,14 @@ def list_series_files(path: Path) -> list[Path]:
 
 
 def begins_as_dicom(path: Path) -> bool:
-    """Return whether a file begins like a DICOM file."""
+    """Return whether a file begins like a DICOM file: with a preamble, or with its first entry."""
     with open_regular(path, sys.maxsize) as content:
-        return content.read(_DICOM_PREAMBLE_BYTES).endswith(b"DICM")
+        head = content.read(_DICOM_PREAMBLE_BYTES)
+    if len(head) < 8 or head.endswith(b"DICM"):
+        return len(head) >= 8
+    # an entry of the groups 2 or 8, and the name of its type, or (in group 8 alone) a length
+    typed = head[4:6].isalpha() and head[4:6].isupper()
+    return head[1] == head[3] == 0 and (head[0] in b"\x02\x08" if typed else head[::7][:2] == b"\x08\x00")
 
 
 @dataclass(frozen=True)

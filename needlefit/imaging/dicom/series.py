@@ -37,8 +37,10 @@ _MAX_LISTED = 10
 UNNUMBERED = "none"  # what the acquisition is called whose slices state no number
 
 
-def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
-    """Return the slices of the one series that `path` refers to, in no order.
+def find_series(
+    path: Path, series: str | None = None, notes: list[str] | None = None
+) -> list[DicomSlice]:
+    """Return the slices of the one series that `path` refers to, in no order; note which files were set aside.
 
     `path`: a folder with its subfolders, its DICOMDIR, or one file of a series.
     `series`: number or UID of the series, where a folder holds several.
@@ -61,8 +63,8 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
                 fix: export the scan so; import pictures (a micro-CT's TIFF) into 3D Slicer with their
                     spacing, turn their values to HU (air -1000, water 0), and save them as NRRD
                 where: {path}""")
-        return _group_slices(list_series_files(path))[headers[0].series]
-    groups = _group_slices(list_series_files(path))
+        return _group_slices(list_series_files(path), notes, chosen=True)[headers[0].series]
+    groups = _group_slices(list_series_files(path), notes, chosen=series is not None)
     if not groups:
         inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
         shown = ", ".join(inside[:_MAX_LISTED]) + (", ..." if len(inside) > _MAX_LISTED else "")
@@ -100,25 +102,47 @@ def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     return next(iter(stacks.values()))
 
 
-def _group_slices(files: Sequence[Path]) -> dict[str, list[DicomSlice]]:
+def _group_slices(
+    files: Sequence[Path], notes: list[str] | None, *, chosen: bool
+) -> dict[str, list[DicomSlice]]:
     """Return the slices of every series, by UID; the same order on every machine.
 
-    DataError if a slice is damaged: so is a file named as the others beside it are, by a number, that is no
-    DICOM file.
+    Damaged files are set aside, with a note. DataError if there is no other file, or one may be a slice: it is
+    named as those beside it are, by the next number or one between, and no series was `chosen`.
     """
     groups: dict[str, list[DicomSlice]] = {}
-    others: list[Path] = []
+    damaged, others = dict[Path, DataError](), list[Path]()
     for file in files:
-        headers = read_headers(file)
+        try:
+            headers = read_headers(file)
+        except DataError as error:
+            damaged[file] = error
+            continue
         if headers:
             groups.setdefault(headers[0].series, []).extend(headers)
-        else:
+        elif not begins_as_dicom(file):
             others.append(file)
-    alike = {re.sub(r"\d+", "#", str(item.file)) for slices in groups.values() for item in slices}
-    for file in others:
-        if re.sub(r"\d+", "#", str(file)) in alike and not begins_as_dicom(file):
-            raise damaged_file_error(file)
+    numbers: dict[str, list[int]] = {}
+    for item in (item for slices in groups.values() for item in slices):
+        name, number = _split_number(item.file)
+        numbers.setdefault(name, []).append(number)
+    for file in (*damaged, *others):
+        name, number = _split_number(file)
+        known = numbers.get(name, [])
+        if known and min(known) - 1 <= number <= max(known) + 1 and not chosen:
+            raise damaged.get(file) or damaged_file_error(file)
+    if damaged and not groups:
+        raise next(iter(damaged.values()))
+    if damaged and notes is not None:
+        listed = ", ".join(file.name for file in [*damaged][:_MAX_LISTED])
+        notes.append(f"{len(damaged)} damaged file(s) beside the series were left out: {listed}")
     return groups
+
+
+def _split_number(file: Path) -> tuple[str, int]:
+    """Return the path of a file with a sign for each number in it, and the last one; -1 without one."""
+    found = re.findall(r"\d+", file.name)
+    return re.sub(r"\d+", "#", str(file)), int(found[-1]) if found else -1
 
 
 def _list_series(groups: dict[str, list[DicomSlice]], path: Path) -> str:
@@ -150,7 +174,7 @@ def read_series(arrays: Arrays, path: str, series: str | None, acquisition: str 
     DataError if the series is not one sound stack, or a voxel cannot be read.
     """
     notes: list[str] = []
-    found = find_series(Path(path), series)
+    found = find_series(Path(path), series, notes)
     slices = _drop_copies(_drop_localizers(found, notes), notes)
     parts: dict[str, list[DicomSlice]] = {}
     for item in slices:

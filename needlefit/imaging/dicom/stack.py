@@ -27,10 +27,12 @@ from pydicom.uid import UID, ImplicitVRLittleEndian
 
 from needlefit.arrays import Floats, are_bounded
 from needlefit.errors import DataError
+from needlefit.geometry.frames import normalize
 from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
     VoxelGrid,
+    begins_as_dicom,
     check_expansion,
     check_grid,
     is_tilted,
@@ -111,6 +113,8 @@ class DicomSlice:
     rescale: Floats | None  # (2,); slope and intercept
     padding: Floats | None  # (2,); least and greatest stored value that means "not measured"
     table: bool  # whether values are rescaled by a table
+    # One in the last digit of position, mm, and axes.
+    steps: tuple[float, float]
     unit: str = ""  # RescaleType; empty where the file does not say: HU
     inverted: bool = False  # whether small numbers are white (MONOCHROME1)
     # Index of the image among those of an enhanced multi-frame file; None in a file of one image.
@@ -139,7 +143,10 @@ def read_headers(file: Path) -> tuple[DicomSlice, ...]:
             try:
                 with open_regular(file, sys.maxsize) as content:
                     tags = list(READ_TAGS)
-                    data = pydicom.dcmread(_BoundedFile(content), stop_before_pixels=True, specific_tags=tags)
+                    bounded, whole = _BoundedFile(content), begins_as_dicom(file)
+                    data = pydicom.dcmread(
+                        bounded, stop_before_pixels=True, specific_tags=tags, force=whole
+                    )
             except InvalidDicomError:
                 if file.suffix.lower() in _SUFFIXES:
                     raise
@@ -149,7 +156,7 @@ def read_headers(file: Path) -> tuple[DicomSlice, ...]:
             if UID(storage).name == storage and "SOPClassUID" not in data:  # a UID cut short, nothing behind
                 raise damaged_file_error(file)
             return ()
-        if not all(name in data for name in ("SeriesInstanceUID", "Rows", "Columns")):
+        if "Rows" not in data or "Columns" not in data:
             raise damaged_file_error(file)
         whole = _parse_slice(file, data)
         if whole.frames <= 1 or "PerFrameFunctionalGroupsSequence" not in data:
@@ -191,7 +198,7 @@ def _merge_groups(data: pydicom.Dataset, *groups: pydicom.Dataset) -> pydicom.Da
 
 
 def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
-    kind = data.get("ImageType") or ()
+    kind, number = data.get("ImageType") or (), _to_text(data.get("SeriesNumber"))
     tilt = _parse_numbers(data, ("GantryDetectorTilt",), (1,))
     stated = [n for n in ("PixelPaddingValue", "PixelPaddingRangeLimit") if data.get(n) is not None]
     values = [_parse_whole_number(data, name, 0) for name in stated]
@@ -203,8 +210,8 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         padding = np.array([min(values), max(values)], dtype=np.float64)
     return DicomSlice(
         file=file,
-        series=str(data.SeriesInstanceUID),
-        number=_to_text(data.get("SeriesNumber")),
+        series=_to_text(data.get("SeriesInstanceUID")) or f"not stated, number {number or 'not stated'}",
+        number=number,
         description=_to_text(data.get("SeriesDescription")),
         modality=_to_text(data.get("Modality")).upper(),
         acquisition=_to_text(data.get("AcquisitionNumber")),
@@ -218,6 +225,7 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         samples=_parse_whole_number(data, "SamplesPerPixel", 1),
         bits=bits,
         position=_parse_numbers(data, ("ImagePositionPatient",), (3,)),
+        steps=(_find_last_digit(data, "ImagePositionPatient"), _find_last_digit(data, "ImageOrientationPatient")),
         # six numbers: the direction of a row (growing column index), then of a column
         axes=_parse_numbers(data, ("ImageOrientationPatient",), (2, 3)),
         pixel=_parse_numbers(data, ("PixelSpacing",), (2,)),
@@ -246,6 +254,14 @@ def _parse_numbers(data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[i
     return array
 
 
+def _find_last_digit(data: pydicom.Dataset, name: str) -> float:
+    """Return the value of one in the last digit that an entry is written with; 0 where it seems exact."""
+    texts = [getattr(one, "original_string", str(one)).strip() for one in data.get(name) or ()]
+    digits = [text.partition(".")[2] for text in texts]
+    rounded = any(part.strip("0") for part in digits) and all(part.isdigit() or not part for part in digits)
+    return 10.0 ** -max(map(len, digits)) if rounded else 0.0
+
+
 def _parse_whole_number(data: pydicom.Dataset, name: str, default: int) -> int:
     found = _parse_numbers(data, (name,), (1,))
     return default if found is None else int(found[0])
@@ -271,8 +287,10 @@ def damaged_file_error(file: Path) -> DataError:
 
 
 LOCALIZER = "LOCALIZER"
-# A slice may stand this far from its place on an even stack, mm: positions rounded to 0.1 mm do.
+# A slice may stand this far from its place on an even stack, mm, besides what rounding moves it by.
 MAX_OFFSET_MM = 0.05
+MAX_POSITION_STEP_MM = 0.1  # positions that are written with less than this digit are taken as exact, mm
+MAX_AXES_STEP = 1e-3  # the same of axes, as cosines
 MIN_STEP_MM = 1e-3  # slices closer than this are one, mm
 MAX_STEP_RATIO = 1.5  # a step longer than this many usual ones lacks slices
 # Modalities whose values are attenuations; converters leave the entry out, or write OT (other).
@@ -313,7 +331,11 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         _check_alike(slices)
         assert first.pixel is not None
         assert first.axes is not None
-        if not (np.abs(first.axes @ first.axes.T - np.eye(2)) <= AXES_COSINE_TOLERANCE).all():
+        # rounding moves each of three coordinates by half of the last digit, and a length by all of them
+        rounded, turned = (max(one) for one in zip(*(item.steps for item in slices), strict=True))
+        allowed = MAX_OFFSET_MM + np.sqrt(3) / 2 * rounded * (rounded <= MAX_POSITION_STEP_MM)
+        turned = max(AXES_COSINE_TOLERANCE, np.sqrt(3) * turned * (turned <= MAX_AXES_STEP))
+        if not (np.abs(first.axes @ first.axes.T - np.eye(2)) <= turned).all():
             raise refusal(f"""ImageOrientationPatient is {first.axes.round(4).tolist()}
                 expected: two perpendicular unit vectors
                 fix: {_EXPORT_FIX}
@@ -324,11 +346,20 @@ def stack_slices(slices: Sequence[DicomSlice]) -> tuple[list[DicomSlice], VoxelG
         normal = np.cross(axes[0], axes[1])
         order = np.argsort(positions @ normal, kind="stable")
         ordered, positions = [slices[index] for index in order], positions[order]
-        step = _measure_slice_step(ordered, positions, normal)
+        step = _measure_slice_step(ordered, positions, normal, allowed)
+        if np.linalg.norm(step - (step @ normal) * normal) <= turned * np.linalg.norm(step):
+            # axes that were rounded are turned upright on the stack, which shows its normal better
+            normal = normalize(step)
+            axes = orthogonalize(np.vstack([axes - np.outer(axes @ normal, normal), normal]).T).T[:2]
+        origin = positions[0]
+        if allowed > MAX_OFFSET_MM:  # all positions together are not rounded as each of them is
+            way, count = normalize(step), np.arange(len(ordered))
+            step = way * np.polyfit(count, positions @ way, 1)[0]
+            origin = positions.mean(axis=0) - step * count.mean()
         spacing = float(np.linalg.norm(step))
         grid = VoxelGrid(
             size=(first.columns, first.rows, len(ordered)),
-            origin=positions[0],
+            origin=origin,
             # PixelSpacing is row spacing (y), then column spacing (x); the grid is x, y, z
             spacing=np.array([*first.pixel[::-1], spacing]),
             direction=np.column_stack([axes[0], axes[1], step / spacing]),
@@ -424,8 +455,13 @@ def _check_alike(slices: Sequence[DicomSlice]) -> None:
                     where: {item.where}""")
 
 
-def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal: Floats) -> Floats:
-    """Return the step (3,) from slice to slice, mm; `positions` (K, 3) are in their order along `normal`."""
+def _measure_slice_step(
+    ordered: Sequence[DicomSlice], positions: Floats, normal: Floats, allowed: float
+) -> Floats:
+    """Return the step (3,) from slice to slice, mm; `positions` (K, 3) are in their order along `normal`.
+
+    `allowed`: distance from its place at which a slice may stand, mm.
+    """
     if len(ordered) < 2:
         raise refusal("""holds one slice
             expected: a stack of slices
@@ -451,11 +487,11 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
     # how far slices have shifted in their own plane: a tilted gantry shifts all of them alike
     across = positions - positions[0] - along[:, None] * normal
     lean = across[-1] / along[-1]
-    if np.linalg.norm(across, axis=1).max() <= MAX_OFFSET_MM:
+    if np.linalg.norm(across, axis=1).max() <= allowed:
         lean = np.zeros(3)
-    elif np.linalg.norm(across - np.outer(along, lean), axis=1).max() > MAX_OFFSET_MM:
+    elif np.linalg.norm(across - np.outer(along, lean), axis=1).max() > allowed:
         beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
-        worst, count = int(beside.argmax()), int((beside > MAX_OFFSET_MM).sum())
+        worst, count = int(beside.argmax()), int((beside > allowed).sum())
         more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
         raise refusal(f"""stands {beside[worst]:.3g} mm beside most of the other slices{more}
             expected: {EXPECTED_STACK}
@@ -464,11 +500,11 @@ def _measure_slice_step(ordered: Sequence[DicomSlice], positions: Floats, normal
     # the mean step: rounding of single positions must not add up over the stack
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
-    if astray.max() > MAX_OFFSET_MM:
+    if astray.max() > allowed:
         worst = int(astray.argmax())
         raise refusal(f"""stands {astray[worst]:.3g} mm from its place in an even stack of {spacing:.4g} mm
                 steps
-            expected: even steps, to {MAX_OFFSET_MM} mm
+            expected: even steps, to {allowed:.2g} mm
             fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
             where: {ordered[worst].where}""")
     return np.asarray(spacing * (normal + lean))
