@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import ct_cases as cases
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,10 +13,11 @@ from test_cli import run
 from test_cli_reconstruct import MARKERS, VOLUME, two_needles
 
 from needlefit.errors import DataError
+from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
 from needlefit.imaging.needle.segmentation import find_ends, find_tubes
-from needlefit.imaging.scans import make_scans, read_scans
-from needlefit.imaging.volume_files import read_volume
+from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
+from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.studies.slicer_scene import write_control_points
@@ -81,6 +83,29 @@ def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
 
     found = read_corrections(change(file, add))["s1"]
     assert found.entry.tolist() == [1, 2, 3] and found.balls.shape == (5, 3)
+
+
+@pytest.mark.parametrize("removed", ["ball 1", "ball 4"])
+def test_a_ball_that_was_removed_is_a_correction(file, removed):
+    def remove(one, points):
+        one["controlPoints"] = [points[label] for label in points if label != removed]
+
+    found = read_corrections(change(file, remove))["s1"]
+    left = np.delete(BALLS, int(removed[-1]) - 1, axis=0)
+    np.testing.assert_allclose(found.balls, left, atol=1e-3)
+    assert found.axis is found.tip is found.entry is None
+
+
+def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_path):
+    truth = cases.axis()[32:]
+    whole = cases.scan(truth)
+    write_volume(replace(whole, values=np.maximum(whole.values, -40.0)), tmp_path / "one.nrrd")
+    scan = Scan("one", tmp_path / "one.nrrd", "gel")
+    (failed,) = reconstruct_needles(scan, cases.RECIPE)
+    assert "corrections" in failed.error.fix and {"axis 1", "tip"} <= set(failed.points.labels)
+    placed = Corrections(tip=truth[-1], entry=cases.ENTRY + [0, 0, 8])
+    (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
+    assert one.depth == pytest.approx(20.0, abs=0.3)
 
 
 def test_a_file_in_ras_is_turned_and_one_whose_system_is_wrong_refused(file):

@@ -23,6 +23,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import list_candidates
+from needlefit.imaging.needle.centerline import fit_rough_axis
 from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
 from needlefit.imaging.reconstruction import Reconstruction
@@ -213,6 +214,9 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
         return replace(one, warnings=(f"corrected by hand: {', '.join(moved)}", *one.warnings))
     failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
     needle = None if found.needle_axis is None else found.needle_axis.points
+    if needle is None and found.selection is not None:  # about where it is
+        axis = found.selection.axis or fit_rough_axis(search.volume, found.selection.needle, search.recipe)
+        needle = axis.spline(np.arange(0.0, axis.length, 1.0))
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entry, profile = None, found.profile
     if needle is not None and profile is not None:

@@ -28,6 +28,7 @@ MIN_MOVE_MM = 0.01  # a control point that lies nearer to where it was found was
 _LABEL = re.compile(rf"({'|'.join(KINDS)})( *\d+)?", re.IGNORECASE)
 _NUMBER = r"(-?\d+\.\d+)"
 _FOUND = re.compile(rf"found at L, P, S = {_NUMBER}, {_NUMBER}, {_NUMBER} mm")
+_BALLS = re.compile(r", one of (\d+) balls")  # behind it: a ball that was removed is missed by the others
 
 
 def make_control_points(
@@ -51,8 +52,12 @@ def make_control_points(
     if not points:
         return None
     places = np.array([at for _, at in points]).round(3)
-    found = tuple("found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*at) for at in places.tolist())
     labels = tuple(label for label, _ in points)
+    found = tuple(
+        "found at L, P, S = {:.3f}, {:.3f}, {:.3f} mm".format(*at)
+        + f", one of {len(balls)} balls" * label.startswith("ball")
+        for label, at in zip(labels, places.tolist(), strict=True)
+    )
     return Markups(Path(id_), f"{id_} {LIST_NAME}", "Fiducial", labels, places, descriptions=found)
 
 
@@ -67,7 +72,7 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
     """Return the corrections in a `.mrk.json` file, by the id of the scan.
 
     A point that stands where it was found is none; one that was added is. Moved points of the axis count
-    alone; if one ball was moved or added, all balls of the list are the markers.
+    alone; if one ball was moved, added or removed, all balls of the list are the markers.
 
     DataError if the file is none of 3D Slicer, a list or a point in it has another name, or none was moved.
     """
@@ -103,11 +108,13 @@ def _parse_corrections(markups: Markups) -> Corrections:
             expected: the coordinate system that the file states
             fix: correct `coordinateSystem` (LPS or RAS), or save the list again in 3D Slicer""")
     moved = ~here
-    if here.all():
+    own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
+    counts = [int(one[1]) for one in map(_BALLS.search, markups.descriptions) if one]
+    removed = max(counts, default=0) > np.count_nonzero(own["ball"] & np.isfinite(before).all(axis=1))
+    if here.all() and not removed:
         raise refusal(f"""none of its {len(moved)} control points was moved
             expected: {", ".join(KINDS)} somewhere else than where they were found
-            fix: move those that are wrong in 3D Slicer, and save the list again""")
-    own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
+            fix: move those that are wrong in 3D Slicer, or remove balls that are none, and save it again""")
     axis = markups.points[own["axis"] & moved]
     if 0 < len(axis) < MIN_POINTS:
         raise refusal(f"""{len(axis)} points of the axis were moved
@@ -121,7 +128,7 @@ def _parse_corrections(markups: Markups) -> Corrections:
                 expected: one
                 fix: remove the others""")
         ends[name] = placed[0] if len(placed) else None
-    balls = markups.points[own["ball"]] if (own["ball"] & moved).any() else None
+    balls = markups.points[own["ball"]] if removed or (own["ball"] & moved).any() else None
     return Corrections(axis if len(axis) else None, ends["tip"], ends["entry"], balls)
 
 

@@ -398,8 +398,9 @@ def _locate_tissue(
     if entry is None:
         raise refusal("""the scan does not show where the needle enters the tissue
             expected: air before the tissue along the needle, the tissue's surface (into = 1), or the stage
-            fix: state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the
-                layers, as FILE=sheet:1 or FILE=solid:1""")
+            fix: place the entry in 3D Slicer (point `entry` of --corrections); or state the stage (entry_x_mm
+                ... pose_angle_sd_deg), or add the tissue's own surface to the layers, as FILE=sheet:1 or
+                FILE=solid:1""")
     found.guide = entry.guide
     return entry.at, entry.sd
 

@@ -347,7 +347,9 @@ def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) 
         if held[0] == held[1]:
             raise refusal(f"""both ends of the needle lie in {"air" if max(soft) == 0 else "tissue"}
                 expected: one end in tissue, in a hub or beyond the volume
-                fix: set centerline.entry_direction (LPS, from base to tip) in the recipe
+                fix: place tip and entry in 3D Slicer (points `tip` and `entry` of --corrections); or set
+                    centerline.entry_direction (LPS, from base to tip) in the recipe, and state where the
+                    tissue begins: its own surface (--layers FILE=sheet:1), or the stage in a table of scans
                 where: ends at L, P, S = {where} mm""")
         forward = held[0]
     if cut[1 if forward else 0]:
