@@ -25,8 +25,8 @@ from needlefit.imaging.corrections import make_control_points
 from needlefit.imaging.entry import list_candidates
 from needlefit.imaging.needle.centerline import fit_rough_axis
 from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
-from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine
-from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine, picture_curve
+from needlefit.imaging.reconstruction import CurvePicture, Reconstruction
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import list_series_files, to_patient
 from needlefit.imaging.volume_files import read_volume
@@ -103,6 +103,7 @@ class ReconstructionFailure:
     error: NeedlefitError
     points: Markups | None = None  # control points of what was found in it, LPS, mm
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
+    picture: CurvePicture | None = None  # of what was taken for the needle
 
 
 @dataclass(frozen=True)
@@ -224,7 +225,8 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
         for rise in list_candidates(profile, length):
             (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
     points = make_control_points(scan.id, needle, entry, balls)
-    return ReconstructionFailure(scan, failed, points, search.volume.warnings)
+    picture = None if needle is None else picture_curve(search.volume, needle)
+    return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture)
 
 
 def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:

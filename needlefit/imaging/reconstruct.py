@@ -44,17 +44,19 @@ from needlefit.imaging.markers import (
     refine_fiducials,
 )
 from needlefit.imaging.materials import find_rises, list_materials, sample_profile
-from needlefit.imaging.needle.centerline import Centerline, trace_needle
+from needlefit.imaging.needle.centerline import Centerline, refuse_fold, trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points, select_rod
 from needlefit.imaging.needle.segmentation import (
     Component,
     NeedleSelection,
     find_tubes,
     median_tissue_hu,
+    principal_axes,
     select_needle,
 )
 from needlefit.imaging.needle.tip import END_LENGTH_MM
 from needlefit.imaging.reconstruction import (
+    CurvePicture,
     EntryPose,
     IntensityProfile,
     Layers,
@@ -492,6 +494,14 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
+def picture_curve(volume: Volume, curve: Floats) -> CurvePicture:
+    """Return pictures of the scan along a curve (N, 3), LPS, mm, that was refused."""
+    center, axes = principal_axes(curve)
+    forward = axes[0] * np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
+    frame = Frame(center, np.stack([forward, axes[1], np.cross(forward, axes[1])], axis=1))
+    return CurvePicture(render_views(volume, IDENTITY_FRAME, frame, curve), frame.to_local(curve))
+
+
 @one_thread
 def examine(
     volume: Volume, scan: Scan, recipe: ReconstructionRecord, search: VolumeSearch | None = None
@@ -544,6 +554,7 @@ def examine(
             spread = None if found.markers is None else found.markers.spread
             rough = selection.axis or selection.needle
             found.needle_axis = trace_needle(volume, rough, recipe, spread, moved.tip)
+            refuse_fold(found.needle_axis.points)
     with found.step():
         if found.markers is not None and scan.markers is not None:
             places, markers = read_markers(scan.markers), found.markers

@@ -86,6 +86,14 @@ class ScanView:
 
 
 @dataclass(frozen=True)
+class CurvePicture:
+    """What is shown of a scan that was refused."""
+
+    views: tuple[ScanView, ...]
+    curve: Floats  # (N, 3); what was taken for the needle, in the frame of the views, mm
+
+
+@dataclass(frozen=True)
 class Layers:
     """The layers that the needle crosses."""
 
@@ -134,6 +142,13 @@ class Reconstruction:
     def local(self) -> Floats:
         """The centreline in C (N, 3), mm; z is the deviation out of the bending plane."""
         return self.frame.to_local(self.points)
+
+    def name_part(self, run: MaterialRun) -> Literal["before", "guide", "tissue"]:
+        """Return what was taken for what the needle passes."""
+        middle = (run.begin + run.end) / 2
+        if self.guide is not None and self.guide[0] < middle < self.guide[1]:
+            return "guide"
+        return "tissue" if middle > 0 else "before"
 
     @property
     def deflection(self) -> float:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from needlefit.arrays import Floats
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.reconstruction import Reconstruction, ScanView
+from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.reconstruction import CurvePicture, Reconstruction, ScanView
 from needlefit.imaging.scans import Scan
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_file
@@ -22,6 +23,7 @@ from needlefit.reporting.figures.scan_views import (
     NEEDLE_COLOUR,
     TIP_COLOUR,
     join_needle,
+    show_slab,
     show_view,
 )
 from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
@@ -32,9 +34,10 @@ Fact = tuple[str, str]
 
 MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
 _CAPTION = (
-    "The scan in slabs that follow the needle (crosses: centres of markers nearby); below, its deflection "
-    "and the brightness around it. Lines: entry, layers, tip. Bands: 95 %."
+    "The scan in slabs that follow the needle (strip: what it passes; crosses: markers nearby); below, its "
+    "deflection and the brightness around it. Lines: entry, layers, tip. Bands: 95 %."
 )
+_REFUSED_CAPTION = "The scan in slabs that follow what was taken for the needle (line)."
 _SOURCES = {
     **{"stage": "the stage", "shaft": "the straight shaft outside"},
     **{"stated": "the stated bevel", "bevel": "the bevel in the scan", "shape": "the needle's shape"},
@@ -51,6 +54,40 @@ def write_quality(one: Reconstruction, path: Path) -> Path:
     warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
     words = (f"Reconstruction of {one.scan.id}", list_facts(one), warnings, _CAPTION)
     return _write_page(path, one.scan, words, partial(paint_needle_section, one))
+
+
+def write_refusal_page(failure: ReconstructionFailure, path: Path) -> None:
+    """Write the page of a refused scan (A4, PDF): why, and what was taken for the needle; none without it."""
+    if failure.picture is None:
+        return
+    error = failure.error
+    facts = [[(name, text)] for name in ("where", "expected", "fix") if (text := getattr(error, name))]
+    words = (f"{failure.scan.id} was refused", facts, [error.what, *failure.warnings], _REFUSED_CAPTION)
+    path.parent.mkdir(exist_ok=True)
+    _write_page(path, failure.scan, words, partial(paint_refusal, failure.picture))
+
+
+def paint_refusal(picture: CurvePicture) -> Figure:
+    """Draw the scan in two directions across a curve, and the curve, x along it."""
+    figure = make_figure_mm(NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM)
+    width = NEEDLE_SECTION_WIDTH_MM - _LEFT_MM - _RIGHT_MM
+    left, right = picture.views[0].extent[:2]
+    scale = width / (right - left)
+    room = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM - _BOTTOM_MM - _PANEL_GAP_MM
+    top = NEEDLE_SECTION_HEIGHT_MM - _TOP_MM
+    for view, span in zip(
+        picture.views, choose_spans(picture.views, picture.curve, room / scale), strict=True
+    ):
+        height = scale * (span[1] - span[0])
+        axes = add_panel_mm(figure, (_LEFT_MM, top - height, width, height))
+        show_slab(axes, view, picture.views, span)
+        up = "xyz".index(view.axes[1])
+        axes.plot(picture.curve[:, 0], picture.curve[:, up], color=NEEDLE_COLOUR, lw=0.6)
+        axes.set_ylabel("across (mm)")
+        axes.tick_params(labelbottom=view is picture.views[-1])
+        top -= height + _PANEL_GAP_MM
+    axes.set_xlabel("along what was taken for the needle (mm)")
+    return figure
 
 
 def _write_page(
@@ -102,6 +139,7 @@ def list_facts(one: Reconstruction) -> list[list[Fact]]:
     return [
         [
             ("inserted length", _with_sd(one.depth, one.depth_sd)),
+            *([("guide subtracted", f"{format_mm(one.guide[1] - one.guide[0])} mm")] if one.guide else []),
             ("tip's deflection", f"{format_mm(one.deflection)} mm"),
             ("tip", f"± {format_mm(along_sd)} mm along, ± {format_mm(across_sd)} mm across"),
         ],
@@ -129,6 +167,10 @@ NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0  # of the figur
 OUT_OF_PLANE_COLOUR = "#D55E00"
 # mm around and between the panels
 _LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 11.0, 2.5
+_STRIP_PART = 0.09  # of an image's height that the strip of materials takes
+_LETTER_MM = 1.4  # mean width of a letter in it, mm
+_MATERIAL_COLOURS = {"air": "#dfe7ef", "soft": "#f3dcc3", "metal": "#5b6470"}
+GUIDE_COLOUR = "#F0E442"
 _PLOT_HEIGHT_MM = 30.0  # of deflection, and of brightness, mm
 
 
@@ -147,6 +189,8 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
         height = scale * (span[1] - span[0])
         panels.append(add_panel_mm(figure, (_LEFT_MM, top - height, width, height)))
         show_view(panels[-1], view, reconstruction, span)
+        for at, _, colour, _ in _marked_depths(reconstruction):
+            panels[-1].axvline(at, color=colour, lw=0.5, alpha=0.8, zorder=2)
         panels[-1].set_ylabel(f"{view.axes[1]} in C\n(mm)")
         top -= height + _PANEL_GAP_MM
     for paint in (_paint_deflection, _paint_brightness):
@@ -162,6 +206,7 @@ def paint_needle_section(reconstruction: Reconstruction) -> Figure:
         axes.tick_params(labelbottom=False)
     panels[-1].set_xlabel("x along the entry axis (mm)")
     _name_depths(panels[0], reconstruction)
+    _paint_materials(panels[0], reconstruction, scale)
     for axes in panels:
         axes.yaxis.set_label_coords(-10.0 / width, 0.5)
     return figure
@@ -183,13 +228,37 @@ def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> l
 
 def _paint_brightness(axes: Axes, reconstruction: Reconstruction) -> None:
     """Draw the brightness around the needle over x in C; straight on beyond the tip."""
-    profile, points = reconstruction.profile, join_needle(reconstruction)
-    along = arc_length(points)
-    along += reconstruction.depth - along[-1]
-    beyond = np.clip(profile.s - along[-1], 0, None) + np.clip(profile.s - along[0], None, 0)
-    axes.plot(np.interp(profile.s, along, points[:, 0]) + beyond, profile.around, color=INK, lw=0.9)
+    profile = reconstruction.profile
+    axes.plot(_place_along(reconstruction, profile.s), profile.around, color=INK, lw=0.9)
     axes.set_ylabel("surroundings\n(HU)")
     draw_grid(axes, "y")
+
+
+def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
+    """Return x in C of places along the needle, mm from first contact; straight on beyond its ends."""
+    points = join_needle(reconstruction)
+    along = arc_length(points)
+    along += reconstruction.depth - along[-1]
+    beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
+    return np.asarray(np.interp(s, along, points[:, 0]) + beyond)
+
+
+def _paint_materials(axes: Axes, reconstruction: Reconstruction, scale: float) -> None:
+    """Draw what the needle passes as a strip at the foot of an image; `scale`: mm on paper per mm."""
+    over = axes.get_xaxis_transform()
+    for run in reconstruction.passed:
+        low, high = _place_along(reconstruction, np.array([run.begin, run.end])).tolist()
+        guided = reconstruction.name_part(run) == "guide"
+        colour = GUIDE_COLOUR if guided else _MATERIAL_COLOURS[run.kind]
+        axes.axvspan(low, high, 0, _STRIP_PART, facecolor=colour, edgecolor="white", lw=0.6, zorder=6)
+        level = "" if run.kind == "air" else f" {run.level:.0f} HU".replace("-", "\N{MINUS SIGN}")
+        names = (f"{'guide' if guided else run.kind}{level}", "guide" if guided else run.kind, "")
+        low, high = max(low, axes.get_xlim()[0]), min(high, axes.get_xlim()[1])
+        name = next(one for one in names if len(one) * _LETTER_MM < scale * (high - low) or not one)
+        axes.text(
+            (low + high) / 2, _STRIP_PART / 2, name, transform=over, ha="center", va="center", fontsize=6.5,
+            color="white" if run.kind == "metal" and not guided else INK, zorder=7,
+        )  # fmt: skip
 
 
 def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:

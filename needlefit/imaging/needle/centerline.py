@@ -43,6 +43,8 @@ MAX_EDGE_DISTANCE_MM = 3.0  # an end this near to the volume's face (mm) has lef
 # A tip placed by hand so far beside the needle's surface shows that the axis is wrong there, mm; a nearer one
 # is moved onto the axis.
 MAX_PLACED_TIP_DISTANCE_MM = 0.7
+# Least cosine of the axis to the line from base to tip: steered needles bend by 90 degrees in all, at most.
+MIN_CHORD_COSINE = 0.5
 MAX_TIPS = 4  # how often a tip is looked for: rays may hide the shaft before it
 END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its surroundings are looked at, mm
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
@@ -162,6 +164,21 @@ def trace_needle(
     if misfit := _find_width_misfit(end):
         end = replace(end, sd=np.hypot(end.sd, misfit * recipe.needle.diameter_mm / 2))
     return replace(_sample_centerline(volume, axis, end, recipe), warnings=tuple(notes))
+
+
+def refuse_fold(points: Floats) -> None:
+    """Raise DataError if a needle's axis (N, 3), mm, turns back: it joins two things that leave the same metal."""
+    ways = np.diff(points, axis=0)
+    chord = points[-1] - points[0]
+    cosines = ways @ chord / (np.linalg.norm(ways, axis=1) * np.linalg.norm(chord))
+    if cosines.min() < MIN_CHORD_COSINE:
+        at = points[int(np.argmin(cosines))]
+        raise refusal(f"""the curve that was traced turns by {np.degrees(np.arccos(cosines.min())):.0f} degrees
+                against the line from its base to its tip: it joins two things that leave bright metal
+            expected: one needle
+            fix: look at its picture in quality/; place points on the needle (--mask, or the axis in
+                --corrections), or scan it without the other metal, or with thinner slices
+            where: L, P, S = {", ".join(f"{x:.0f}" for x in at)} mm""")
 
 
 def _measure_wide_end(volume: Volume, axis: AxisSpline, tip: float, diameter: float) -> tuple[float, float]:

@@ -119,8 +119,11 @@ def place_in_slices(
     crossed = float(np.ptp(problem.at @ along)) / thick
     excess = max(0.0, error - MAX_GOOD_ERROR)
     missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
-    # where the axis lies at the sections of the one that was traced, and at its end
-    places = np.append((axis.points - origin) @ frame[0], end)
+    # where the axis lies at the sections of the one that was traced, and at its end: sections beyond it are not
+    # the needle's, and a curve that passes them and comes back would be too long
+    places = (axis.points - origin) @ frame[0]
+    traced = places < end - MIN_END_MM
+    places = np.append(places[traced], end)
     basis = _extend(_basis(problem.knots), places)
     beside = np.stack([across, along], axis=1)
     points = origin + np.column_stack([places, basis @ beside]) @ frame
@@ -130,7 +133,7 @@ def place_in_slices(
     hidden = thick * np.stack([0 * s, np.hypot(unseen, BASE_ERROR * np.exp(-s / BASE_MM))])
     # the tip's stands for that of the last section
     sds = np.delete(np.hypot(np.hypot(sds, hidden), np.hypot(ERROR_MM, missed)), -2, axis=1)
-    placed = fit_axis(s[:-1], points[:-1], axis.weights, knot, max(s[-1], s[-2] + MIN_END_MM))
+    placed = fit_axis(s[:-1], points[:-1], axis.weights[traced], knot, s[-1])
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)

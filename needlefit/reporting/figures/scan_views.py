@@ -30,7 +30,18 @@ _OUTSIDE_COLOUR = "#e6ecf2"  # of the volume: no grey of the scan
 
 def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
     """Draw one image with needle, layers and markers nearby; `span` is its vertical range, mm."""
-    brightness, shade = _choose_window(reconstruction.views)
+    show_slab(axes, view, reconstruction.views, span)
+    right, up = ("xyz".index(axis) for axis in view.axes)
+    for surface in reconstruction.layers.surfaces:
+        dots = outline_surface(view, reconstruction, surface, span)
+        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
+    _draw_needle(axes, reconstruction, (right, up))
+    _draw_markers(axes, view, reconstruction)
+
+
+def show_slab(axes: Axes, view: ScanView, views: tuple[ScanView, ...], span: tuple[float, float]) -> None:
+    """Draw one image of several, which share their greys; `span` is its vertical range, mm."""
+    brightness, shade = _choose_window(views)
     axes.set_facecolor(_OUTSIDE_COLOUR)
     axes.imshow(
         np.interp(view.values, brightness, shade), cmap="gray", vmin=0, vmax=1, extent=view.extent,
@@ -38,12 +49,6 @@ def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: 
     )  # fmt: skip
     axes.set(xlim=view.extent[:2], ylim=span)
     axes.yaxis.set_major_locator(MultipleLocator(5))
-    right, up = ("xyz".index(axis) for axis in view.axes)
-    for surface in reconstruction.layers.surfaces:
-        dots = outline_surface(view, reconstruction, surface, span)
-        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
-    _draw_needle(axes, reconstruction, (right, up))
-    _draw_markers(axes, view, reconstruction)
     for spine in axes.spines.values():
         spine.set_visible(False)
 

@@ -14,7 +14,7 @@ from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.corrections import list_control_points
-from needlefit.imaging.reconstruction import MaterialRun, Reconstruction
+from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
 from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
@@ -23,7 +23,7 @@ from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
-from needlefit.reporting.scan_pages import write_quality
+from needlefit.reporting.scan_pages import write_quality, write_refusal_page
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -138,19 +138,11 @@ def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFram
 def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
     """Return a row per material that a needle passes, from its base on; mm from first contact."""
     rows = [
-        (one.scan.id, n, _name_part(run, one.guide), run.kind, run.begin, run.end, run.level)
+        (one.scan.id, n, one.name_part(run), run.kind, run.begin, run.end, run.level)
         for one in reconstructions
         for n, run in enumerate(one.passed, start=1)
     ]
     return pd.DataFrame(rows, columns=list(_PASSED_COLUMNS))
-
-
-def _name_part(run: MaterialRun, guide: tuple[float, float] | None) -> str:
-    """Return what a run was taken for."""
-    middle = (run.begin + run.end) / 2
-    if guide is not None and guide[0] < middle < guide[1]:
-        return "guide"
-    return "tissue" if middle > 0 else "before"
 
 
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
@@ -340,18 +332,23 @@ def write_reconstruction(
         result = replace(result, timing=store_sources(sources, folder))
         if refused:
             result = replace(result, frames={**result.frames, "refused": tabulate_failures(refused)})
-            for failure in refused:
-                write_control_points(failure.points, fresh / "slicer")
+            _write_refusals(refused, fresh)
         write_files(result, fresh)
     return result, failures
 
 
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
-    """Write a folder of refused scans alone: `slicer/` and `refused.csv`.
+    """Write a folder of refused scans alone: `quality/`, `slicer/` and `refused.csv`.
 
     ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as fresh:
-        for failure in failures:
-            write_control_points(failure.points, fresh / "slicer")
+        _write_refusals(failures, fresh)
         write_csv(tabulate_failures(failures), fresh / "refused.csv")
+
+
+def _write_refusals(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
+    """Write control points and pictures of what was found in refused scans."""
+    for failure in failures:
+        write_control_points(failure.points, folder / "slicer")
+        write_refusal_page(failure, folder / "quality" / f"{failure.scan.id}.pdf")
