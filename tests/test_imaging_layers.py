@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,8 +28,8 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
-from needlefit.imaging.reconstruct import check_layer_count, refuse_tunnels
-from needlefit.imaging.reconstruction import EntryPose
+from needlefit.imaging.reconstruct import check_layers, refuse_tunnels
+from needlefit.imaging.reconstruction import EntryPose, MaterialRun
 from needlefit.imaging.registration.register import register
 from needlefit.imaging.scans import LayerSource, StagePose
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -248,22 +249,59 @@ def test_errors_of_the_registration_count_across_the_needle_and_surfaces_move_wi
         assert errors.along == pytest.approx(along)
 
 
+def check(scan, layers, *steps):
+    """The warnings about layers of a needle along whose way the scan changes at `steps`, mm."""
+    ends = [0.0, *steps, 40.0]
+    passed = [MaterialRun("soft", low, high, 0.0) for low, high in pairwise(ends)]
+    return [*check_layers(scan, layers, NEEDLE, HOME, passed)]
+
+
+def test_surfaces_are_compared_with_what_the_scan_shows_and_those_not_crossed_are_named():
+    at = [make_sheet(f"s{x}", (x, 0, 0), (1, 0, 0), 60, into=n) for n, x in enumerate((11.5, 30.9), 2)]
+    layers = find_crossed_layers(NEEDLE, HOME, tuple(at), EXACT)
+    for steps in [(), (11.7, 30.0), (11.7,), (11.5, 20.0, 30.9)]:  # a boundary may not show, or lie elsewhere
+        assert check(scan(), layers, *steps) == []
+    (warning,) = check(scan(), layers, 11.5, 25.0)
+    assert "30.90" in warning and "25.00" in warning and "11.50" not in warning
+    scaled = [transform_scaled(one, 0.1) for one in at]
+    (warning,) = check(scan(), find_crossed_layers(NEEDLE, HOME, tuple(scaled), EXACT), 11.5, 30.9)
+    assert all(depth in warning for depth in ("1.15", "3.09", "11.50", "30.90"))
+    aside = make_sheet("aside", (20, 200, 0), (1, 0, 0), 60, into=3)
+    (warning,) = check(scan(), find_crossed_layers(NEEDLE, HOME, (at[0], aside), EXACT), 11.5)
+    assert "aside" in warning and "s11.5" not in warning
+    ahead = make_sheet("ahead", (60, 0, 0), (1, 0, 0), 60, into=3)
+    assert check(scan(), find_crossed_layers(NEEDLE, HOME, (at[0], ahead), EXACT), 11.5) == []
+
+
+def transform_scaled(surface, factor):
+    """A surface in another unit."""
+    mesh = surface.mesh.copy()
+    mesh.apply_scale(factor)
+    return dataclasses.replace(surface, mesh=mesh)
+
+
+def test_a_surface_that_is_listed_twice_is_refused(tmp_path):
+    mesh = save_mesh(tmp_path / "core.stl", CORE)
+    with pytest.raises(DataError, match="twice"):
+        read_layers(scan(mesh, LayerSource(mesh, "solid", 3)), HOME)
+
+
 def test_layers_counted_must_be_met_and_those_not_crossed_are_reported_with_the_gap():
     layers = find_crossed_layers(NEEDLE, HOME, (), EXACT)
     assert layers.sequence == (1,) and len(layers.boundaries) == 0 and layers.points.shape == (0, 3)
-    assert check_layer_count(scan(layers=1), layers, NEEDLE) == ()
+    assert check(scan(layers=1), layers) == []
     # A sheet of 10 mm about (10, 12, 0) has its rim 7 mm away from the needle.
     small, beyond = sheet_at(10, 12, 0, size=10), sheet_at(55, 0, 0)
     for layers, away in ((small, "7.0 mm"), (beyond, "15.0 mm")):
-        (warning,) = check_layer_count(scan(), layers, NEEDLE)
+        (warning,) = check(scan(), layers)
         assert away in warning
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(0),), EXACT)
-    assert check_layer_count(scan(layers=2), layers, NEEDLE) == ()
-    assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE) == ()
+    assert check(scan(layers=2), layers) == []
+    assert check(scan(layers=3, layers_alternative=2), layers) == []
     with pytest.raises(DataError, match=r"2 layers.*\b10\.00 mm.*\b3\b"):
-        check_layer_count(scan(layers=3), layers, NEEDLE)
+        check(scan(layers=3), layers)
     with pytest.raises(DataError, match=r"\b2 were counted"):
-        check_layer_count(scan(layers=2), sheet_at(55, 0, 0), NEEDLE)
+        check(scan(layers=2), sheet_at(55, 0, 0))
 
 
 # ---- doubts

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -26,6 +27,7 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
+    SURFACE_REACH_MM,
     OutsideShaft,
     choose_entry,
     compare_poses,
@@ -61,6 +63,7 @@ from needlefit.imaging.reconstruction import (
     IntensityProfile,
     Layers,
     MarkerResult,
+    MaterialRun,
     Reconstruction,
     render_views,
 )
@@ -93,6 +96,7 @@ MAX_PLANE_SD_DEG = 20.0  # deviation of the bending plane, degrees, from which o
 MAX_TIP_SD_MM = 0.5  # deviation of the tip along the needle, mm, that is spoken of
 MAX_NORMAL_SD_MM = 0.3  # deviation of the tip along the slices' normal, mm, that is spoken of
 TIP_CLEARANCE_MM = 2.0  # distance from the tip, mm, from which on its blur does not show
+MAX_STEP_DISTANCE_MM = 1.5  # distance, mm, of a layer's boundary from a change of brightness that is its own
 MAX_DEPTH_SD_MM = 2.0  # deviation of the inserted length, mm, beyond which a scan is refused
 
 
@@ -226,25 +230,40 @@ def refuse_tunnels(surfaces: Sequence[Surface], needle: Floats) -> None:
                 Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer""")
 
 
-def check_layer_count(scan: Scan, layers: Layers, points: Floats) -> tuple[str, ...]:
-    """Return a warning about a needle (N, 3), world, that crosses none of the layers.
+def check_layers(
+    scan: Scan, layers: Layers, points: Floats, frame: Frame, passed: Sequence[MaterialRun]
+) -> Iterator[str]:
+    """Yield warnings about layers that a needle (N, 3), world, does not cross, or not where the scan changes.
 
     DataError if somebody counted the layers and these are not as many.
     """
-    counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
-    count = len(layers.sequence)
+    course = points
+    if len(layers.boundaries):  # deeper ones may lie ahead
+        course = np.vstack([points, points[-1] + SURFACE_REACH_MM * normalize(points[-1] - points[-2])])
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
-    if not counted and beyond and not len(layers.boundaries):
-        away = find_nearest(points, beyond).distances.min()
-        return (f"the needle crosses no layer; the nearest surface stays {away:.1f} mm away (LPS, RAS?)",)
-    if not counted or count in counted:
-        return ()
-    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "no depth"
-    expected = " or ".join(map(str, sorted(counted)))
-    raise refusal(f"""{scan.id} meets {count} layer{"s" * (count > 1)}, with interfaces at {depths} mm, but
-            {expected} were counted
-        expected: {expected} layers
-        fix: correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)""")
+    missed = [one for one in beyond if not len(find_surface_hits(course, one))]
+    if missed:
+        away = [f"{one.name} ({find_nearest(points, [one]).distances.min():.1f} mm away)" for one in missed]
+        yield f"the needle does not cross {', '.join(away)}: LPS, RAS?"
+    crossed = [f"{depth:.2f}" for depth in layers.boundaries]
+    arcs = [run.begin for before, run in pairwise(passed) if before.kind == run.kind == "soft" and run.begin > 0]
+    steps = np.interp(arcs, arc_length(points), frame.to_local(points)[:, 0])
+    allowed = np.maximum(MAX_STEP_DISTANCE_MM, MAX_DISAGREEMENT_SD * layers.sd)
+    near = np.abs(np.subtract.outer(layers.boundaries, steps)) <= allowed[:, None]
+    if not near.any(axis=1).all() and not near.any(axis=0).all():
+        off = [depth for depth, known in zip(crossed, near.any(axis=1), strict=True) if not known]
+        shown = ", ".join(f"{at:.2f}" for at in steps[~near.any(axis=0)])
+        yield (
+            f"layers begin {', '.join(off)} mm deep, where the scan shows no change of brightness; it shows "
+            f"one at {shown} mm: check unit, scale and frame of the surfaces"
+        )
+    counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
+    if counted and (count := len(layers.sequence)) not in counted:
+        expected = " or ".join(map(str, sorted(counted)))
+        raise refusal(f"""{scan.id} meets {count} layer{"s" * (count > 1)}, with interfaces at
+                {", ".join(crossed) or "no depth"} mm, but {expected} were counted
+            expected: {expected} layers
+            fix: correct the count or the surfaces; look at both together in 3D Slicer (LPS, RAS?)""")
 
 
 # Length beyond the tip over which the brightness is sampled, mm: the report shows where the needle ends.
@@ -456,7 +475,11 @@ def derive_reconstruction(
     if registration is not None:
         ends = found.patient.to_local(points[[0, -1]])
         target_error = predict_mean_target_error(registration, ends)
-    notes = check_layer_count(scan, layers, points)
+    passed = tuple(
+        replace(run, begin=run.begin - begin, end=run.end - begin)
+        for run in list_materials(found.brightness, float(along[-1]))
+    )
+    notes = [*check_layers(scan, layers, points, frame, passed)]
     one = Reconstruction(
         scan=scan,
         spacing=grid.spacing,
@@ -476,10 +499,7 @@ def derive_reconstruction(
         target_error=target_error,
         layers=layers,
         profile=replace(found.brightness, s=found.brightness.s - begin),
-        passed=tuple(
-            replace(run, begin=run.begin - begin, end=run.end - begin)
-            for run in list_materials(found.brightness, float(along[-1]))
-        ),
+        passed=passed,
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
         views=(),
         warnings=(),
