@@ -260,7 +260,8 @@ def _list_warnings(
         )
     bevel = end.at - bevel_length(recipe.needle)
     step = find_step(volume, axis, bevel, diameter, recipe.centerline.patch_width_mm)
-    if step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
+    # a tip that was placed too far lets the bevel be looked at as the shaft
+    if end.source != "hand" and step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
         yield (
             f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
             f"{step[1]:.2f} mm: table or specimen moved during the scan, and what lies beyond is shifted; "

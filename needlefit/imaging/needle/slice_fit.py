@@ -72,6 +72,7 @@ SLICE_ERROR, CROSSED_SLICES, BASE_ERROR, BASE_MM = 0.02, 4.0, 0.04, 8.0
 # of a slice the needle does not cross: its mirror image looks the same. At the end twice.
 MISSED_FACTOR, MAX_GOOD_ERROR, FLAT_FACTOR = 1.3, 0.4, 0.18
 MIN_BLUNT_GAIN = 15.0  # what is minimized is less by more where a blunt end is spoken of
+MIN_BLUNT_PART = 0.03  # and by more than this part: what the model misses changes with its end, too
 SHADOW_MM, HUB_WEIGHT = 10.0, 5.0  # length of the axis that a hub hides, mm; its own weight in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
 BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
@@ -500,8 +501,10 @@ class _SliceProblem:
         start[at] -= self.rod.radius / self.rod.steep - self.blunter
         scale, robust = self.scale(image), ROBUST_SD[1]
         blunt, shown, _ = other.descend(start, scale, robust)
-        gain = self.misfit(image, theta, scale, robust) - self.misfit(shown, blunt, scale, robust)
-        return float(blunt[at] - theta[at]) if gain > MIN_BLUNT_GAIN else 0.0
+        theta, image, _ = self.descend(theta, scale, robust)  # by as many steps: else the last one gains
+        cost = self.misfit(image, theta, scale, robust)
+        gain = cost - self.misfit(shown, blunt, scale, robust)
+        return float(blunt[at] - theta[at]) if gain > max(MIN_BLUNT_GAIN, MIN_BLUNT_PART * cost) else 0.0
 
     def scale(self, image: Floats) -> Floats:
         """Return the deviations of what slices show (K, S, U) that residuals of `image` show."""
