@@ -20,6 +20,7 @@ from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scan_files import ScanFiles
 from needlefit.studies.slicer_scene import write_control_points
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -143,7 +144,7 @@ def test_lists_that_are_no_corrections_are_refused(file, edit, word):
 
 
 def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
-    (scan,) = make_scans([VOLUME], markers=MARKERS)
+    (scan,) = make_scans([VOLUME], ScanFiles(markers=MARKERS))
     (stage,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
     change(file, shift("ball 1"))
     assert "s1" in refusal(DataError, "", correct_scans, [scan], [file]).what

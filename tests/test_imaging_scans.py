@@ -7,6 +7,7 @@ from refusals import refusal
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.scans import LayerSource, Scan, make_scans, read_scans
+from needlefit.schemas.scan_files import ScanFiles
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
 
@@ -127,6 +128,6 @@ def test_options_of_volumes_named_one_by_one_are_checked(folder):
         make_scans([folder / "one.nrrd", folder / "one.nii"])
     assert "table of scans" in error.value.fix
     with pytest.raises(DataError, match="has 3 faults") as error:
-        make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
+        make_scans([folder / "none"], ScanFiles(markers=folder / "none.csv", layers=(str(folder / "none.stl"),)))
     for words in ("none: ", "none.csv", "none.stl"):
         assert words in str(error.value)

@@ -1,10 +1,13 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 import hashlib
+import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
@@ -22,6 +25,39 @@ def option(text: str, metavar: str | None = None, *words: str, **more: Any) -> A
 def argument(metavar: str, text: str, **more: Any) -> Any:  # noqa: ANN401 - typer's
     """Return an argument with its help."""
     return typer.Argument(metavar=metavar, help=text, **more)
+
+
+def fill_records(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command whose options fill the records among the parameters of a function: one for each field.
+
+    Such a parameter is `Annotated[Record, {field: option}]`, or a dataclass whose fields are annotated so.
+    """
+    parameters, records = list[inspect.Parameter](), dict[str, Any]()
+    hints = get_type_hints(command, include_extras=True)
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind, *more = get_args(hints[name]) or (hints[name],)
+        if not is_dataclass(kind):
+            parameters.append(parameter.replace(annotation=hints[name], kind=parameter.KEYWORD_ONLY))
+            continue
+        records[name], own = kind, get_type_hints(kind, include_extras=True)
+        for one in fields(kind):
+            words = [Annotated[own[one.name], more[0][one.name]]] if more else [own[one.name]]
+            default = list(one.default) or None if isinstance(one.default, tuple) else one.default
+            parameters.append(
+                inspect.Parameter(one.name, parameter.KEYWORD_ONLY, default=default, annotation=words[0])
+            )
+
+    @wraps(command)
+    def fill(**given: Any) -> None:  # noqa: ANN401 - of any command
+        for name, kind in records.items():
+            values = {one.name: given.pop(one.name) for one in fields(kind)}
+            lists = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
+            given[name] = kind(**{key: one for key, one in (values | lists).items() if one is not None})
+        command(**given)
+
+    fill.__annotations__ = {one.name: one.annotation for one in parameters}
+    fill.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return fill
 
 
 # ---- options whose values the invocation keeps
@@ -88,6 +124,21 @@ Plugins = Annotated[
         is_eager=True,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a long command runs, and what it prints."""
+
+    jobs: Jobs = None
+    scheduler: Scheduler = None
+    insecure: Insecure = False
+    resume: Resume = False
+    strict: Strict = False
+    json: Json = False
+    quiet: Quiet = False
+    plugins: Plugins = None
+
 
 # ---- other parameters of several commands
 

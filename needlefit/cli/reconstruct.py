@@ -15,6 +15,7 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
+from needlefit.schemas.scan_files import ScanFiles
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
@@ -30,6 +31,19 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
 """Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
+_FILE_OPTIONS = {
+    "markers": option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE"),
+    "fiducials": option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE"),
+    "layers": option("STL, PLY, OBJ from the entry inwards, each with --layers; or a segmentation.", "FILE"),
+    "layers_in": option("Frame of the surfaces."),
+    "mask": option("The needle's voxels, segmented elsewhere.", "FILE"),
+    "series": option("Which DICOM series, where a folder holds several.", "NUMBER|UID"),
+    "acquisition": option("Which acquisition, where a DICOM series holds several.", "NUMBER"),
+    "medium": option("Name of what was punctured."),
+}
+
+
+@options.fill_records
 def reconstruct(
     context: typer.Context,
     scans: Annotated[
@@ -40,27 +54,7 @@ def reconstruct(
         ),
     ],
     out: options.Out = None,
-    markers: Annotated[
-        Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
-    ] = None,
-    fiducials: Annotated[
-        Path | None, option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE")
-    ] = None,
-    layers: Annotated[
-        list[str] | None,
-        option("STL, PLY, OBJ from the entry inwards, each with --layers; or a segmentation.", "FILE"),
-    ] = None,
-    layers_in: Annotated[
-        Literal["world", "scan"] | None, option("Frame of the surfaces (default: world).")
-    ] = None,
-    mask: Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")] = None,
-    series: Annotated[
-        str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
-    ] = None,
-    acquisition: Annotated[
-        str | None, option("Which acquisition, where a DICOM series holds several.", "NUMBER")
-    ] = None,
-    medium: Annotated[str | None, option("Name of what was punctured (default: medium).")] = None,
+    files: Annotated[ScanFiles, _FILE_OPTIONS] = ScanFiles(),
     every: Annotated[
         bool,
         option(
@@ -84,14 +78,7 @@ def reconstruct(
     slicer_scene: Annotated[
         bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--slicer-scene")
     ] = False,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
+    run: options.RunOptions = options.RunOptions(),
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
@@ -100,9 +87,6 @@ def reconstruct(
     (quality/) and files for 3D Slicer (slicer/). A scan that fails is reported with its fix (exit code 3);
     the others are written.
     """
-    columns = ("markers", "fiducials", "layers", "mask", "series", "acquisition", "medium")
-    named: dict[str, Any] = {key: context.params[key] for key in columns if context.params[key]}
-    named |= {"surfaces_in": layers_in} if layers_in else {}
     invocation = context.find_root().obj
     with begin(context) as execution:
         from needlefit.datasets.read import inspect
@@ -125,7 +109,7 @@ def reconstruct(
         from needlefit.studies.result_sources import name_source, require_same_sources
 
         moved = corrections or []
-        wanted = correct_scans(_scans(scans, named), moved)
+        wanted = correct_scans(_scans(scans, files), moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -186,7 +170,7 @@ def reconstruct(
         raise typer.Exit(DataError.exit_code)
 
 
-def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
+def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
     from needlefit.imaging.scans import make_scans, read_scans
     from needlefit.project.locate import find_file, list_names
@@ -194,8 +178,8 @@ def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
     if len(scans) == 1 and not path_exists(scans[0]) and str(scans[0]) in list_names("scans"):
         scans = [find_file("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
-        return make_scans(scans, **named)
-    if len(scans) > 1 or named:
+        return make_scans(scans, files)
+    if len(scans) > 1 or files != ScanFiles():
         raise typer.BadParameter(
             "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
         )

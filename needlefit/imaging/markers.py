@@ -21,13 +21,14 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
+from needlefit.imaging.volume import TOP_12_BIT_HU, Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
 LEVEL_RATIO = 1.35  # ratio of one level above tissue to the one before
 # Diameter of a ball of as many voxels, in those of the ball sought: noise, blur and bloom change it.
-MIN_DIAMETER_RATIO, MAX_DIAMETER_RATIO = 0.65, 1.45
+MIN_DIAMETER_RATIO = 0.65  # of the diameter sought
+MAX_DIAMETER_RATIO = 1.45  # of the diameter sought
 # By so much a ball far brighter than the level may also look larger, mm: four deviations of a wide blur.
 MAX_BLOOM_MM = 2.0
 MAX_ELONGATION = 1.7  # longest over shortest extent of what may be a ball, a voxel's own extent included
@@ -161,7 +162,9 @@ def find_markers(
     # values that were cut before the scan was resampled do not show a ball's own edge
     shows_edge = len(balls) >= MIN_MARKERS and volume.resampled_top is None
     measured = _measure_diameter(volume, shown, fit) if shows_edge else None
-    if measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]:
+    differs = measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]
+    # nor where slices were averaged so that even the needle's do not reach the scanner's greatest number
+    if measured and differs and volume.values.max() >= TOP_12_BIT_HU[0]:
         warnings.append(
             f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "
             "are stated: check markers.diameter_mm"
@@ -172,7 +175,7 @@ def find_markers(
         source="volume",
         candidates=seen,
         # with a wrong diameter the blur is wrong
-        spread=None if warnings else average_spreads([ball.spread for ball in balls]),
+        spread=None if differs else average_spreads([ball.spread for ball in balls]),
         warnings=tuple(warnings),
     )
 

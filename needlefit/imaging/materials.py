@@ -65,7 +65,8 @@ def _row_medians(values: Floats, least: float) -> Floats:
 # Air, also that of a gap so narrow that blur fills it half, is darker; fat (-120) and water are not, HU.
 MAX_GAP_HU = -250.0
 # Brighter than air, HU, and darker than fat is also a light material, as foam, that lasts for so long, mm.
-MAX_AIR_HU, MIN_LIGHT_MM = -600.0, 5.0
+MAX_AIR_HU = -600.0  # HU
+MIN_LIGHT_MM = 5.0  # mm
 # Soft material must last so long along the needle to be a run, and air before the tissue, mm.
 MIN_SIDE_LENGTH_MM = 2.0
 MIN_GAP_LENGTH_MM = 1.0  # air between two soft runs must last so long, mm
@@ -79,7 +80,8 @@ MIN_EDGE_STEP_HU = 300.0  # an edge from air to tissue rises by more than this, 
 WIDTH_MM = 0.5
 SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the noise count less
 FLANK_MM = 4.0  # stations farther than this from an edge show which points rays change, mm
-MIN_POINTS, PARTS = 32, 4  # least points of a ring that a choice needs, and parts whose edges are compared
+MIN_POINTS = 32  # points of a ring that a choice needs, at least
+PARTS = 4  # parts of a ring whose edges are compared
 MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
 def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:

@@ -20,12 +20,19 @@ BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the
 # Scanners' blur, mm, and boost; deviation of a slice's profile over the slices' distance, and the least, mm:
 # a box has 0.29, helical scans more. Deviations of the logarithm of the blur, of the boost, and of the
 # logarithm of the blur across slices; and the same where balls in the scan show them.
-MEAN_BLUR_MM, MEAN_BOOST = 0.45, 0.5
-SLICE_BLUR_RATIO, MIN_EXPECTED_SLICE_BLUR_MM = 0.33, 0.2
-EXPECTED_SDS, BALL_SDS = (0.3, 1.0, 0.5), (0.04, 0.15, 0.08)
+MEAN_BLUR_MM = 0.45  # mm
+MEAN_BOOST = 0.5  # of middle frequencies
+SLICE_BLUR_RATIO = 0.33  # of the distance of slices
+MIN_EXPECTED_SLICE_BLUR_MM = 0.2  # mm
+EXPECTED_SDS = (0.3, 1.0, 0.5)  # of log blur, boost, log blur across
+BALL_SDS = (0.04, 0.15, 0.08)  # the same
 # Ranges of blur, boost and blur across slices that scanners have, mm.
-MIN_BLUR_MM, MAX_BLUR_MM, MIN_BOOST, MAX_BOOST = 0.15, 1.2, -0.2, 5.0
-MIN_SLICE_BLUR_MM, MAX_SLICE_BLUR_MM = 0.1, 2.0
+MIN_BLUR_MM = 0.15  # mm
+MAX_BLUR_MM = 1.2  # mm
+MIN_BOOST = -0.2  # of middle frequencies
+MAX_BOOST = 5.0  # of middle frequencies
+MIN_SLICE_BLUR_MM = 0.1  # mm
+MAX_SLICE_BLUR_MM = 2.0  # mm
 LOWEST = np.array([np.log(MIN_BLUR_MM), MIN_BOOST, np.log(MIN_SLICE_BLUR_MM)])
 HIGHEST = np.array([np.log(MAX_BLUR_MM), MAX_BOOST, np.log(MAX_SLICE_BLUR_MM)])
 Reals = NDArray[np.floating[Any]]  # of single precision where the frequencies are

@@ -162,7 +162,9 @@ PIXEL_MM = 0.3  # edge of a pixel, mm: finer than the voxels of a cone-beam scan
 # mean quiets the noise so that layers show.
 SLAB_OFFSETS_MM = np.arange(-1.2, 1.3, 0.4)
 # How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm.
-ENTRY_MARGIN_MM, TIP_MARGIN_MM, SIDE_MARGIN_MM = 35.0, 10.0, 10.0
+ENTRY_MARGIN_MM = 35.0  # mm
+TIP_MARGIN_MM = 10.0  # mm
+SIDE_MARGIN_MM = 10.0  # mm
 
 
 def render_views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[ScanView, ...]:

@@ -26,6 +26,7 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
+from needlefit.schemas.scan_files import ScanFiles
 
 
 @dataclass(frozen=True)
@@ -361,33 +362,21 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
 
 
-def make_scans(
-    volumes: Sequence[Path],
-    *,
-    medium: str = "medium",
-    markers: Path | None = None,
-    layers: Sequence[str] = (),
-    surfaces_in: Literal["world", "scan"] = "world",
-    fiducials: Path | None = None,
-    mask: Path | None = None,
-    series: str | None = None,
-    acquisition: str | None = None,
-) -> tuple[Scan, ...]:
+def make_scans(volumes: Sequence[Path], shared: ScanFiles = ScanFiles()) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
-    `layers`: files, each as in a table of scans: `file` or `file=kind:into`.
-    `fiducials`, `mask`, `series`, `acquisition`: of one scan: no two have them in common.
+    `shared`: of one scan alone are fiducials, mask, series and acquisition.
 
     DataError: listing every file that is missing, every layer that is not understood, names that are alike or
     name no file, and fiducials without markers.
     """
     found: list[Fault] = []
-    if len(volumes) > 1 and (once := fiducials or mask or series or acquisition):
+    once = shared.fiducials or shared.mask or shared.series or shared.acquisition
+    if len(volumes) > 1 and once:
         found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
-    stated = {"medium": medium, "surfaces": ";".join(layers), "surfaces_in": surfaces_in}
-    stated |= {"series": series or "", "acquisition": acquisition or ""}
-    files = zip(FILES, (mask, markers, fiducials), strict=True)
-    stated |= {name: str(path) for name, path in files if path is not None}
+    stated = {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
+    for name in ("medium", "series", "acquisition", *FILES):
+        stated[name] = str(getattr(shared, name) or "")
     text, number = dict.fromkeys(SCAN_COLUMNS, ""), dict.fromkeys(NUMBER_COLUMNS, math.nan)
     rows = [ScanRow(str(volume), Path(), text | stated | {"scan": str(volume)}, number) for volume in volumes]
     return _build_scans(rows, found, volumes[0])

@@ -147,7 +147,8 @@ GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out
 MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
 # Relative change of the cost at which the first fit ends, for the noise, and the second.
-FIRST_TOLERANCE, FINAL_TOLERANCE = 1e-3, 1e-4
+FIRST_TOLERANCE = 1e-3  # of the first fit
+FINAL_TOLERANCE = 1e-4  # of the last
 FIRST_NOISE_PART = 0.05  # noise before it is known, in parts of the ball's brightness
 # Bounds and typical changes of the model's parameters.
 _RANGES = (
@@ -164,10 +165,12 @@ _RANGES = (
 LOWER_BOUNDS, UPPER_BOUNDS, PARAMETER_SCALES = np.array(list(zip(*_RANGES, strict=True)))
 PRIOR_COLUMNS = [HEIGHT, DARK, *range(5, 8)]
 # What is known before: metal and glass lie between 2 000 and 50 000 HU.
-PRIOR_MEANS, PRIOR_SDS = (np.log(1e4), -0.1), (1.0, 0.2)
+PRIOR_MEANS = (np.log(1e4), -0.1)  # of the logarithm of HU, and of the shortfall
+PRIOR_SDS = (1.0, 0.2)  # deviations of both
 CORRELATION_LENGTH_MM = 1.0  # errors of voxels farther apart than this are unrelated, mm
 # What the formal deviation is multiplied by, and what no scatter shows, mm.
-FORMAL_SD_FACTOR, SYSTEMATIC_SD_MM = 0.9, 0.003
+FORMAL_SD_FACTOR = 0.9  # times the formal deviation
+SYSTEMATIC_SD_MM = 0.003  # mm
 SLICE_ERROR = 0.02  # deviation by thick slices, in squares of their distance over the ball's radius
 # Deviation by what the model does not explain, in misfits times the blur. Both set on the part `tuning` of
 # `benchmarks/real_scanners.py`.

@@ -20,7 +20,8 @@ from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_byte
 # Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size.
 DEFAULT_MAX_VOXELS = 2**30
 # Spacings of real scans, mm; outside, the unit of the file is not mm.
-MIN_SPACING_MM, MAX_SPACING_MM = 1e-3, 50.0
+MIN_SPACING_MM = 1e-3  # mm, finest micro-CT
+MAX_SPACING_MM = 50.0  # mm, thickest slices
 # Axes may miss right angles and unit length by this much, as cosines printed with four decimals do.
 AXES_COSINE_TOLERANCE = 2e-4
 MAX_TILT_DEG = 35.0  # a gantry tilts by 30 degrees at most; its slices then lean over one another by as much
@@ -167,7 +168,8 @@ def check_size(size: tuple[int, int, int]) -> None:
 # What unpacks to more than `MAX_EXPANSION` times its file may take `EXEMPT_BYTES` of memory, and no more:
 # scans unpack to 2 to 5 times their file, segmentations to 20 to 200 times, a file made to fill the memory to
 # 1000 times.
-MAX_EXPANSION, EXEMPT_BYTES = 200, 2**30
+MAX_EXPANSION = 200  # times the file
+EXEMPT_BYTES = 2**30  # bytes
 
 
 def check_expansion(content: int, memory: int, stored: int) -> None:
@@ -303,18 +305,25 @@ def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:
 
 
 # The greatest number of 12 bits lies there, HU. Few voxels have it where values run over it.
-TOP_12_BIT_HU, MAX_SATURATED = (2900.0, 3100.0), 10
+TOP_12_BIT_HU = (2900.0, 3100.0)
+MAX_SATURATED = 10
 # Metal that is cut at it has it in nearly all of its brightest voxels: of those above a part of the top, at
 # least `MIN_BRIGHTEST`, fewer than `MAX_SHARED_FRACTION` have it in a scan that was resampled.
-BRIGHTEST_FRACTION, MIN_BRIGHTEST, MAX_SHARED_FRACTION = 0.97, 20, 0.85
+BRIGHTEST_FRACTION = 0.97  # of the top, from which voxels count as brightest
+MIN_BRIGHTEST = 20  # voxels
+MAX_SHARED_FRACTION = 0.85  # of the brightest voxels
 # In metal they leave single voxels darker than both neighbours by more, HU; fewer are noise.
-MIN_HOLE_HU, MIN_HOLES = 800.0, 30
+MIN_HOLE_HU = 800.0  # HU
+MIN_HOLES = 30  # voxels
 MIN_RANGE_HU = 100.0  # air, tissue and metal differ by more, HU; attenuation per length never does
 
 
 # Level of air, HU, and values between which it is looked for: soft material but lung and foam is brighter.
-AIR_RANGE_HU, DARKEST_HU, DARK_HU = (-1100.0, -900.0), -2000.0, -250.0
-MIN_AIR_FRACTION, AIR_BIN_HU = 0.005, 10.0  # of all voxels; width of the bins in which the level is found
+AIR_RANGE_HU = (-1100.0, -900.0)  # HU, calibrated scanners
+DARKEST_HU = -2000.0  # HU
+DARK_HU = -250.0  # HU
+MIN_AIR_FRACTION = 0.005  # of all voxels, least that show the level of air
+AIR_BIN_HU = 10.0  # HU, width of the bins in which the level is found
 MAX_VALLEY = 0.5  # fewest voxels of a bin between air and soft material, over those of the peak
 
 

@@ -17,7 +17,10 @@ MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 REWEIGHTING_ROUNDS = 4  # rounds of reweighting
 # A step is looked for in cross-sections at this distance, mm, as bright as this part of the others; at least
 # so many on the side of the base, and on that of the tip.
-STEP_SPACING_MM, MIN_STEP_AMPLITUDE, MIN_BASE_SECTIONS, MIN_END_SECTIONS = 0.25, 0.3, 24, 2
+STEP_SPACING_MM = 0.25  # mm
+MIN_STEP_AMPLITUDE = 0.3  # of the others' brightness
+MIN_BASE_SECTIONS = 24  # sections
+MIN_END_SECTIONS = 2  # sections
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,10 @@ def find_step(
         own = beyond - basis @ (basis.T @ beyond)  # what no spline follows
         power = float(own @ own)
         step = own @ left / power
-        sd = np.sqrt(np.sum((left - np.outer(own, step)) ** 2) / freedom / power)
+        rest = left - np.outer(own, step)
+        # neighbours err alike, above all in slices that were resampled
+        alike = correlation_factor(rest, matrix.shape[1] + 1)
+        sd = np.sqrt(np.sum(rest**2) / freedom / power * alike)
         steps.append((k, float(np.linalg.norm(step)), float(sd)))
     return max(steps, key=lambda one: one[1] / one[2], default=None)
 

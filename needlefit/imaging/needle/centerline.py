@@ -50,22 +50,35 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-# A step between slices is spoken of from this size on, mm, and from so many of its deviations on: where
-# nothing moved at most 0.06 mm and 14 show. Within 2.5 mm of the tip, about its bevel's length, none does.
-MIN_STEP_MM, MIN_STEP_SD = 0.15, 12.0
+# A step between slices is spoken of from this size on, mm. Within 2.5 mm of the tip, about its bevel's length,
+# none shows.
+MIN_STEP_MM = 0.15
+# And from so many of its deviations on: where nothing moved at most 7 show, of 0.5 mm 9 and more in most scans.
+MIN_STEP_SD = 9.0
 # Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
 # axis exceeds that along the shaft, by parts of the shaft's own, over two sections: that are spoken of, and
 # that are refused, the latter also where the needle runs in thick slices. Of needles alone at most 0.02, in
 # slices 0.24 (once 0.63); with balls of 3 and 5 mm 0.15 to 0.8, of 2 mm 0.05. Air there is darker.
-MAX_DARK_PART, MIN_WIDE_PART, MAX_WIDE_PART, MAX_WIDE_PART_IN_SLICES = -0.06, 0.04, 0.15, 0.65
+MAX_DARK_PART = -0.06  # of the shaft's brightness
+MIN_WIDE_PART = 0.04  # the same, spoken of
+MAX_WIDE_PART = 0.15  # the same, refused
+MAX_WIDE_PART_IN_SLICES = 0.65  # the same in thick slices
 BESIDE_SD_MM = 1.2  # deviation of the tip along by what is spoken of, over that part, mm
 # Sections around the tip, behind and ahead, and the rim's radius, mm; sine to slices of what is looked at.
-WIDE_STEP_MM, WIDE_BEHIND_MM, WIDE_AHEAD_MM, WIDE_RIM_MM, MAX_RING_SINE = 0.5, 5.0, 3.0, 3.0, 0.5
+WIDE_STEP_MM = 0.5  # mm, between sections
+WIDE_BEHIND_MM = 5.0  # mm, behind the tip
+WIDE_AHEAD_MM = 3.0  # mm, ahead of it
+WIDE_RIM_MM = 3.0  # mm, radius of the rim
+MAX_RING_SINE = 0.5  # of the angle to the slices
 # Another diameter is spoken of from a factor on (logarithm) that exceeds what right ones show on the average,
 # and that is so many of its deviations; a larger one makes these wide, since the model misses the scan.
-MEAN_WIDTH_MISFIT, MIN_WIDTH_MISFITS = 0.05, ((0.08, 3.0), (0.2, 2.0))
+MEAN_WIDTH_MISFIT = 0.05  # logarithm of a factor
+MIN_WIDTH_MISFITS = ((0.08, 3.0), (0.2, 2.0))  # logarithm, and its deviations
 # Where the rest of a needle that moved is looked for: behind and beyond its end, and beside it, mm.
-REST_BEHIND_MM, REST_AHEAD_MM, REST_REACH_MM, MIN_REST_SLICES = 15.0, 3.0, 10.0, 8
+REST_BEHIND_MM = 15.0  # mm
+REST_AHEAD_MM = 3.0  # mm
+REST_REACH_MM = 10.0  # mm
+MIN_REST_SLICES = 8  # slices that the needle crosses, at least
 # Systematic deviation that no scatter along the needle shows, mm: the pattern of the voxel grid.
 SYSTEMATIC_SD_MM = 0.002
 

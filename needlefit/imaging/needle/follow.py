@@ -27,7 +27,8 @@ from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_pa
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MIN_MASK_VOXELS, MASK_PIECE_MM = 8, 4.0  # of a mask; length along it of which one point is taken, mm
+MIN_MASK_VOXELS = 8  # voxels of a mask, at least
+MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 ROUNDS = 3  # of moving the places to the needle's middle

@@ -11,11 +11,16 @@ from needlefit.imaging.volume import Volume
 
 METAL_HU = 1500.0  # what is brighter belongs to the hub, HU
 # Distance out to which a hub is looked for before the needle and beside it, and between its sections, mm.
-REACH_MM, SIDE_MM, STEP_MM = 60.0, 7.0, 0.5
+REACH_MM = 60.0  # mm, before the needle
+SIDE_MM = 7.0  # mm, beside it
+STEP_MM = 0.5  # mm, between sections
 # Distance from a hub to the place on the needle that shows the hub's direction, mm; rounds to find it.
-LEVER_MM, ROUNDS = 25.0, 3
-MIN_RADIUS, MAX_RADIUS_MM = 1.8, 5.0  # radius of a hub, at least over the needle's diameter, and at most
-END_MM, MIN_LENGTH_MM = 3.0, 4.0  # length of a hub that shows its axis, and of one, at least, mm
+LEVER_MM = 25.0  # mm
+ROUNDS = 3  # rounds
+MIN_RADIUS = 1.8  # of a hub, least, over the needle's diameter
+MAX_RADIUS_MM = 5.0  # mm, largest radius of a hub
+END_MM = 3.0  # mm, length of a hub that shows its axis
+MIN_LENGTH_MM = 4.0  # mm, least length of a hub
 HIDDEN_MM = 20.0  # length of a hub that leaves the volume beyond its face, mm
 
 

@@ -10,12 +10,15 @@ from scipy.sparse import csr_array
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.point_spread import PointSpread
 
-COLUMN_MM, CELL_MM = 0.75, 0.25  # pieces of the rod along it, and cells of the detector, mm
-PLANE_MM, PLANE_STEP = 0.17, 6  # distance of planes at most, mm; a slice has a multiple of so many
+COLUMN_MM = 0.75  # mm, pieces of the rod along it
+CELL_MM = 0.25  # mm, cells of the detector
+PLANE_MM = 0.17  # mm, distance of planes at most
+PLANE_STEP = 6  # planes of which a slice has a multiple
 # Distances from a slice's middle, in slices, between which the logarithm of its sensitivity is linear.
 SENSITIVITY_AT = np.arange(6) / 6
 # Angle between views along the needle, and how much it grows with the angle to the needle, rad.
-VIEW_STEP, VIEW_GROWTH = 0.013, 0.13
+VIEW_STEP = 0.013  # rad
+VIEW_GROWTH = 0.13  # rad per rad
 WATER_PER_MM = 0.02  # attenuation of water, 1/mm
 
 

@@ -70,7 +70,8 @@ NEAR_END_MM = 5.0  # length of the end of a piece that must lie on the curve whi
 MIN_GROWTH_NOISE_SD = 4.0
 MIN_GROWTH_MM = 3.0  # at a lower threshold a tube must become longer by so much to be taken from there, mm
 # Distance beyond the ends of a tube, and beside it, in which it is looked for at lower thresholds, mm.
-GROWTH_REACH_MM, GROWTH_MARGIN_MM = 60.0, 5.0
+GROWTH_REACH_MM = 60.0  # mm, beyond the ends
+GROWTH_MARGIN_MM = 5.0  # mm, beside
 SEED_PART = 1 / 3  # part of a needle's least length and elongation that a piece has from which one is joined
 # A tube that becomes wider than that at a lower threshold takes in what surrounds it.
 MAX_GROWTH_WIDENING = 1.5
@@ -319,7 +320,8 @@ def _continues(volume: Volume, needle: Component, part: Component, recipe: Recon
 
 
 # A tube of this part of the longest one's length and brightness may be a needle; the second: of all wanted.
-MIN_SECOND_NEEDLE_RATIO, MIN_DIVIDED_NEEDLE_RATIO = 0.6, 0.4
+MIN_SECOND_NEEDLE_RATIO = 0.6  # of length and brightness
+MIN_DIVIDED_NEEDLE_RATIO = 0.4  # the same, where all needles are wanted
 # Of two such tubes that of the stated diameter is the needle if the other misses it by so much more.
 CLEAR_WIDTH_RATIO = 1.5
 MAX_PICK_DISTANCE_MM = 5.0  # a point stated on the needle lies at most so far from it, mm

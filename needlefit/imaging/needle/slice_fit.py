@@ -31,9 +31,15 @@ from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedle
 MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 # Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
-LINE_REACH_MM, LINE_STEP_MM, STATION_MM, RIM_MM = 2.4, 0.4, 1.0, 1.7
+LINE_REACH_MM = 2.4  # mm
+LINE_STEP_MM = 0.4  # mm
+STATION_MM = 1.0  # mm, between lines along the needle
+RIM_MM = 1.7  # mm
 # Stations whose trend leads on to the end, that far ahead; slices on either side; a dark gap that ends it.
-END_STATIONS, AHEAD_STATIONS, END_SLICES, MAX_DARK_STATIONS = 12, 25, 1, 6
+END_STATIONS = 12  # stations
+AHEAD_STATIONS = 25  # stations
+END_SLICES = 1  # slices
+MAX_DARK_STATIONS = 6  # stations
 MAX_SHORT_STATIONS = 4  # an end so far before that of a threshold is not believed; of others 1 at most
 MIN_END_MM = 0.5  # length of the axis beyond its last cross-section, at least, mm
 BEYOND_MM = 5.0  # length beyond the end that is looked at, mm
@@ -41,41 +47,61 @@ REACH_SLICES = 1.5  # distance, in slices beyond the radius, out to which slices
 SWAY_MM = 5.0  # how much farther across than the first axis rods are projected, mm
 KNOT_FACTOR = 1.6  # distance of the knots over that of the axis
 # A needle between supports is a beam: the third derivative of its axis is the shear force over its stiffness.
-SHEAR_SD_N, STEEL_MPA = 8.0, 200e3
+SHEAR_SD_N = 8.0  # N, deviation of the shear force
+STEEL_MPA = 200e3  # MPa, Young's modulus
 END_MOMENT_MM = 5.0  # lever of that force at the end of what is fitted: the tip itself carries no moment, mm
 # What the beam does: logarithms of the attenuation, 1/mm, of its relative variance over the spectrum, of the
 # scatter in parts of the open beam, and of a factor by which the slices are more linear than a scanner's.
 # Means and deviations. Then follow the blur's logarithm and the boost, and logarithms of the sensitivity of
 # planes of a slice over that of its middle; both as the point spread has them.
 BEAM_MEANS = np.array([np.log(0.75), np.log(0.3), np.log(0.012), 0])
-BEAM_SDS, PROFILE_SDS = np.array([0.25, 0.35, 0.6, 0.3]), (0.4, 0.4, 0.5, 1.0, 1.5)
+BEAM_SDS = np.array([0.25, 0.35, 0.6, 0.3])  # of the same
+PROFILE_SDS = (0.4, 0.4, 0.5, 1.0, 1.5)  # of the logarithms of the sensitivity
 WEAK_START = -1.5  # change of the attenuation's logarithm from which other metal is fitted
 TIP_SDS = np.array([1.0, 10.0])  # of where the needle ends, mm, and of its bevel's roll, rad, before
 # Moves out of a minimum: of the course, slices, and of the roll; how many of them are tried, by so many steps
 # of a fit each, and how often.
-HOPS, ROLL_HOPS, TRIED_HOPS, HOP_STEPS, MAX_HOPS = (0.3, 0.6), (np.pi / 2, np.pi, 3 * np.pi / 2), 8, 2, 8
+HOPS = (0.3, 0.6)  # slices
+ROLL_HOPS = (np.pi / 2, np.pi, 3 * np.pi / 2)  # rad
+TRIED_HOPS = 8  # moves
+HOP_STEPS = 2  # steps of a fit
+MAX_HOPS = 8  # times
 START_STEPS = (0.5, 0.25, 0.12)  # of shift, tilt and bow along the normal, slices
 START_ENDS_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)  # ends that are tried, from the one stated, mm
 ROLLS = tuple(np.arange(6) * 2 * np.pi / 6)  # of the bevel, that are tried with each
 AGAIN_ENDS_MM = (-1.0, 0.0, 1.0)  # the same after the first fit, mm
 ROBUST_SD = (20.0, 4.0)  # residuals beyond so many deviations count less, in the first fit and later
-STEPS, CONVERGED = 8, 0.5  # of each fit; change of what is minimized
+STEPS = 8  # of each fit
+CONVERGED = 0.5  # change of what is minimized that ends a fit
 # The model's error, in water and in parts of the image, before it is known; samples that count as one.
-FIRST_NOISE, FIRST_ERROR, CORRELATED = 0.15, 0.25, 10.0
+FIRST_NOISE = 0.15  # of water
+FIRST_ERROR = 0.25  # of the image
+CORRELATED = 10.0  # samples
 # Factors of the fit's deviations in the slices, of end and roll; what no residual shows: mm, and along the
 # normal slices, which falls with the slices that are crossed, and from the base on. Set on volumes of
 # `benchmarks/real_scanners.py --seeds 12000:12037, 13000:13030, 14000:14060`, that of the roll on 6000:6090.
-SIDE_FACTOR, END_FACTOR, ROLL_FACTOR = 0.75, 1.26, 1.5
-ERROR_MM, END_ERROR_MM, TIP_ERROR_MM = 0.012, 0.05, 0.04  # across, of the end, and across at the end
-SLICE_ERROR, CROSSED_SLICES, BASE_ERROR, BASE_MM = 0.02, 4.0, 0.04, 8.0
+SIDE_FACTOR = 0.75  # across, in the slices
+END_FACTOR = 1.26  # of the end
+ROLL_FACTOR = 1.5  # of the roll
+ERROR_MM = 0.012  # mm, across
+END_ERROR_MM = 0.05  # mm, of the end
+TIP_ERROR_MM = 0.04  # mm, across at the end
+SLICE_ERROR = 0.02  # slices
+CROSSED_SLICES = 4.0  # slices over which it falls
+BASE_ERROR = 0.04  # slices, at the base
+BASE_MM = 8.0  # mm over which that falls
 # What a fit adds to these deviations, in slices, by which the model's error exceeds this, and by which part
 # of a slice the needle does not cross: its mirror image looks the same. At the end twice.
-MISSED_FACTOR, MAX_GOOD_ERROR, FLAT_FACTOR = 1.3, 0.4, 0.18
+MISSED_FACTOR = 1.3  # slices per relative error
+MAX_GOOD_ERROR = 0.4  # relative error of the image
+FLAT_FACTOR = 0.18  # of a slice
 MIN_BLUNT_GAIN = 15.0  # what is minimized is less by more where a blunt end is spoken of
 MIN_BLUNT_PART = 0.03  # and by more than this part: what the model misses changes with its end, too
-SHADOW_MM, HUB_WEIGHT = 10.0, 5.0  # length of the axis that a hub hides, mm; its own weight in a first axis
+SHADOW_MM = 10.0  # mm, length of the axis that a hub hides
+HUB_WEIGHT = 5.0  # of a hub's middle in a first axis
 HUB_SDS = np.array([0.1, 0.3])  # deviations of a needle from its hub's middle, mm, and slices
-BRIGHT, END_BRIGHT = 0.3, 0.5  # what counts as bright, and as the end, in parts of the needle's
+BRIGHT = 0.3  # of the needle's brightness: bright
+END_BRIGHT = 0.5  # the same: its end
 
 
 def place_in_slices(

@@ -130,20 +130,24 @@ class RodModel:
 TIP, ROLL, U, V, HEIGHT, LEVEL, COT, BLUR, _, SLICE, DARK, STREAK = range(12)
 SPREAD = slice(7, 10)
 # How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm.
-REACH_BEFORE_MM, REACH_AFTER_MM = 3.0, 4.0
+REACH_BEFORE_MM = 3.0  # mm
+REACH_AFTER_MM = 4.0  # mm
 # Radius around the axis that the fit uses, mm, and that from which on voxels count less: streaks.
-RADIAL_REACH_MM, CORE_REACH_MM = 2.4, 0.9
+RADIAL_REACH_MM = 2.4  # mm
+CORE_REACH_MM = 0.9  # mm
 # Length over which the end of a shaft is brighter than the rest, mm: about a needle's width.
 DARKENING_LENGTH_MM = 1.5
 # Length over which a streak beyond the tip fades, and its deviation across, mm.
-STREAK_LENGTH_MM, STREAK_RADIUS_MM = 2.0, 0.8
+STREAK_LENGTH_MM = 2.0  # mm
+STREAK_RADIUS_MM = 0.8  # mm
 START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search around the first guess, mm
 # Positions around the best of these at which the side of the bevel is tried, mm.
 FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
 SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
 SIGNAL_ERROR = 0.04  # deviation of what a voxel shows of metal, in parts of that: the model's own error
 MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
-ROUGH_STEPS, STEPS = 8, 30  # evaluations of the derivatives of a first and of a last fit
+ROUGH_STEPS = 8  # of a first fit
+STEPS = 30  # of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
 EDGE_SD_MM = 0.06  # what no voxel determines of the place along, mm: a scanner's edge is not the model's
 BLUNT_COTANGENT_SD = 1e-3  # deviation of the cotangent of a blunt end's angle
@@ -154,11 +158,15 @@ MAX_BEVEL_DEG = 85.0  # a bevel steeper than this has no side
 ARTEFACT_FACTOR = 30.0
 ROLL_STEPS = 24  # angles of the bevel, all round, at which its likelihood is evaluated
 # Metal, HU, and the deviation of its logarithm: titanium has 8 000, steel 30 000, hardened 15 000.
-MEAN_HEIGHT_HU, HEIGHT_SD = 20_000.0, 0.7
+MEAN_HEIGHT_HU = 20_000.0  # HU
+HEIGHT_SD = 0.7  # of the logarithm
 # Deviation by which a needle leaves, within the length of its bevel, the course of its shaft, mm.
 SWING_SD_MM = 0.1
 # Deviations of the streak, and of the darkening: by the length of the needle that rays pass.
-STREAK_SD_HU, DARK_SD_PER_MM, MIN_DARK_SD, MAX_DARK_SD = 2000.0, 0.02, 0.05, 0.5
+STREAK_SD_HU = 2000.0  # HU
+DARK_SD_PER_MM = 0.02  # of the logarithm, 1/mm
+MIN_DARK_SD = 0.05  # of the logarithm
+MAX_DARK_SD = 0.5  # of the logarithm
 # From so much of the needle on that rays pass, its image shows them rather than the bevel's angle, mm. Set,
 # as those of the darkening, on volumes of `benchmarks/real_scanners.py` and `benchmarks/reconstruction.py`.
 BEVEL_RAY_MM = 6.0
@@ -500,10 +508,13 @@ def fit_tip(
 HIDDEN_END_SD_PER_MM = 0.02
 # It is less where no dark streak lies beyond the end: in parts, and brightness of a streak from which on all
 # counts, HU. And what no residual shows across: mm, and in parts of that length. Set as `BEVEL_RAY_MM`.
-MIN_HIDDEN_PART, HIDING_STREAK_HU = 0.25, 1000.0
-ACROSS_ERROR_MM, ACROSS_ERROR_PER_MM = 0.015, 0.001
+MIN_HIDDEN_PART = 0.25  # of the deviation
+HIDING_STREAK_HU = 1000.0  # HU
+ACROSS_ERROR_MM = 0.015  # mm
+ACROSS_ERROR_PER_MM = 0.001  # mm per mm
 MIN_BLUNT_GAIN = 5.0  # what is minimized is less by more where a blunt end is spoken of
 RESAMPLED_SD = 0.25  # deviation of the place along, in voxels, in a scan resampled after its values were cut
 DISAGREEMENT_SD = 0.5  # deviation of the place along, in parts of the disagreement with a threshold
 # Deviation along, and disagreement with a threshold, up to which the model's tip is taken, mm.
-MAX_MODEL_SD_MM, MAX_DISAGREEMENT_MM = 1.0, 1.5
+MAX_MODEL_SD_MM = 1.0  # mm
+MAX_DISAGREEMENT_MM = 1.5  # mm

@@ -1,0 +1,20 @@
+"""What belongs to scans that are named one by one, without a table of scans."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class ScanFiles:
+    """The files and names of scans, as `needlefit reconstruct` has options for them."""
+
+    markers: Path | None = None  # known places of the markers in the world
+    fiducials: Path | None = None  # the markers as placed in the scan by hand
+    # Each as in a table of scans: FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME.
+    layers: tuple[str, ...] = ()
+    layers_in: Literal["world", "scan"] = "world"  # frame of meshes
+    mask: Path | None = None  # the needle's voxels, segmented elsewhere
+    series: str | None = None  # number or UID of a DICOM series
+    acquisition: str | None = None  # its number in the series
+    medium: str = "medium"  # name of what was punctured
