@@ -104,7 +104,7 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     scan = Scan("one", tmp_path / "one.nrrd", "gel")
     (failed,) = reconstruct_needles(scan, cases.RECIPE)
     assert "corrections" in failed.error.fix and {"axis 1", "tip"} <= set(failed.points.labels)
-    placed = Corrections(tip=truth[-1], entry=cases.ENTRY + [0, 0, 8])
+    placed = Corrections(tip=truth[-1], entry=cases.ENTRY + np.array([0, 0, 8]))
     (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
     assert one.depth == pytest.approx(20.0, abs=0.3)
 

@@ -128,6 +128,8 @@ def test_options_of_volumes_named_one_by_one_are_checked(folder):
         make_scans([folder / "one.nrrd", folder / "one.nii"])
     assert "table of scans" in error.value.fix
     with pytest.raises(DataError, match="has 3 faults") as error:
-        make_scans([folder / "none"], ScanFiles(markers=folder / "none.csv", layers=(str(folder / "none.stl"),)))
+        make_scans(
+            [folder / "none"], ScanFiles(markers=folder / "none.csv", layers=(str(folder / "none.stl"),))
+        )
     for words in ("none: ", "none.csv", "none.stl"):
         assert words in str(error.value)

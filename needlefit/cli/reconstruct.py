@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -54,7 +54,8 @@ def reconstruct(
         ),
     ],
     out: options.Out = None,
-    files: Annotated[ScanFiles, _FILE_OPTIONS] = ScanFiles(),
+    *,
+    files: Annotated[ScanFiles, _FILE_OPTIONS],
     every: Annotated[
         bool,
         option(
@@ -78,7 +79,7 @@ def reconstruct(
     slicer_scene: Annotated[
         bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--slicer-scene")
     ] = False,
-    run: options.RunOptions = options.RunOptions(),
+    run: options.RunOptions,  # read where they are needed
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 

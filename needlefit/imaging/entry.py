@@ -178,7 +178,9 @@ class EntryCandidate:
     guide: tuple[float, float] | None = None  # where the guide before it begins and ends, mm along the needle
 
 
-def list_candidates(profile: IntensityProfile, tip: float, guide: float = np.inf) -> tuple[EntryCandidate, ...]:
+def list_candidates(
+    profile: IntensityProfile, tip: float, guide: float = np.inf
+) -> tuple[EntryCandidate, ...]:
     """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along.
 
     `guide`: thickness of one that is looked for, mm.
@@ -254,5 +256,6 @@ def _list_on_guide(
             weight = stated_sd**2 / (stated_sd**2 + step.sd**2)
             at = behind + weight * (step.at - behind)
             sd = max(stated_sd, abs(step.at - behind) / 2)
-            found.append(EntryCandidate(at, sd, face.depth - at + face.at, face.run, (face.at, at - distance)))
+            guide = face.at, at - distance
+            found.append(EntryCandidate(at, sd, face.depth - at + face.at, face.run, guide))
     return found

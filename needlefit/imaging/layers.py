@@ -184,7 +184,8 @@ def read_layers(
     for n, one in enumerate(surfaces):
         if any(np.array_equal(one.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
             what = f"lists the surface {one.name} twice: one layer would be left out"
-            found.append(Fault(str(scan.volume), what, "a surface of its own for each layer", "name the other file"))
+            expected = "a surface of its own for each layer"
+            found.append(Fault(str(scan.volume), what, expected, "name the file of the other layer"))
     within = layers_in_scan(scan)
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned

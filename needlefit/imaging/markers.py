@@ -21,7 +21,7 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
-from needlefit.imaging.volume import TOP_12_BIT_HU, Volume, find_outside, to_index, to_patient
+from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MAX_BRIGHT_VOXELS = 4_000_000  # largest number of voxels above a level; with more the level separates nothing
@@ -68,6 +68,7 @@ def _voxel_count(volume: Volume, diameter: float) -> float:
 # Balls whose diameter is measured: those that the stated one explains best.
 MEASURED_BALLS = 3
 DIAMETER_ERROR = 0.06  # deviation of a measured diameter by what the model does not explain, in parts of it
+SLICE_DIAMETER_ERROR = 0.25  # the same by slices that were averaged, in parts of their distance
 MIN_RESOLVED_BLURS = 2.35  # the diameter of a ball that is smaller, in deviations of the blur, does not show
 MAX_DIAMETER_SD = 3.0  # deviations of the measured diameter by which the stated one may differ from it
 FitSphere = Callable[[Volume, Blob, float | None], SphereFit]
@@ -162,9 +163,10 @@ def find_markers(
     # values that were cut before the scan was resampled do not show a ball's own edge
     shows_edge = len(balls) >= MIN_MARKERS and volume.resampled_top is None
     measured = _measure_diameter(volume, shown, fit) if shows_edge else None
-    differs = measured and abs(measured[0] - diameter) > MAX_DIAMETER_SD * measured[1]
-    # nor where slices were averaged so that even the needle's do not reach the scanner's greatest number
-    if measured and differs and volume.values.max() >= TOP_12_BIT_HU[0]:
+    off = abs(measured[0] - diameter) / MAX_DIAMETER_SD if measured else 0.0
+    differs = measured is not None and off > measured[1]
+    # nor do slices that were averaged behind the cut, as nothing shows that they were
+    if measured and off > np.hypot(measured[1], SLICE_DIAMETER_ERROR * volume.grid.slice_distance):
         warnings.append(
             f"the balls in the scan are {measured[0]:.2f} +- {measured[1]:.2f} mm wide, but {diameter:g} mm "
             "are stated: check markers.diameter_mm"

@@ -84,6 +84,7 @@ MIN_POINTS = 32  # points of a ring that a choice needs, at least
 PARTS = 4  # parts of a ring whose edges are compared
 MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
+
 def find_runs(profile: IntensityProfile, least: float = MIN_SIDE_LENGTH_MM) -> tuple[MaterialRun, ...]:
     """Return the runs of air, soft material and metal around the needle, from its base to its tip.
 

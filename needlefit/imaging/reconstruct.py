@@ -246,16 +246,18 @@ def check_layers(
         away = [f"{one.name} ({find_nearest(points, [one]).distances.min():.1f} mm away)" for one in missed]
         yield f"the needle does not cross {', '.join(away)}: LPS, RAS?"
     crossed = [f"{depth:.2f}" for depth in layers.boundaries]
-    arcs = [run.begin for before, run in pairwise(passed) if before.kind == run.kind == "soft" and run.begin > 0]
+    soft = [(before, run) for before, run in pairwise(passed) if before.kind == run.kind == "soft"]
+    arcs = [run.begin for _, run in soft if run.begin > 0]
     steps = np.interp(arcs, arc_length(points), frame.to_local(points)[:, 0])
     allowed = np.maximum(MAX_STEP_DISTANCE_MM, MAX_DISAGREEMENT_SD * layers.sd)
     near = np.abs(np.subtract.outer(layers.boundaries, steps)) <= allowed[:, None]
-    if not near.any(axis=1).all() and not near.any(axis=0).all():
-        off = [depth for depth, known in zip(crossed, near.any(axis=1), strict=True) if not known]
-        shown = ", ".join(f"{at:.2f}" for at in steps[~near.any(axis=0)])
+    shown, explained = np.any(near, axis=1), np.any(near, axis=0)
+    if not shown.all() and not explained.all():
+        off = [f"{depth:.2f}" for depth in layers.boundaries[~shown]]
         yield (
             f"layers begin {', '.join(off)} mm deep, where the scan shows no change of brightness; it shows "
-            f"one at {shown} mm: check unit, scale and frame of the surfaces"
+            f"one at {', '.join(f'{at:.2f}' for at in steps[~explained])} mm: check unit, scale and frame of "
+            "the surfaces"
         )
     counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
     if counted and (count := len(layers.sequence)) not in counted:

@@ -295,6 +295,7 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     yield distance < 0, what, expected, "leave it empty: held at its base"
 
 
+NO_FILES = ScanFiles()
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
 
 
@@ -362,7 +363,7 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     return tuple(build_scan(row, id_) for row, id_ in zip(rows, ids, strict=True))
 
 
-def make_scans(volumes: Sequence[Path], shared: ScanFiles = ScanFiles()) -> tuple[Scan, ...]:
+def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; file names become ids.
 
     `shared`: of one scan alone are fiducials, mask, series and acquisition.

@@ -37,10 +37,8 @@ _MAX_LISTED = 10
 UNNUMBERED = "none"  # what the acquisition is called whose slices state no number
 
 
-def find_series(
-    path: Path, series: str | None = None, notes: list[str] | None = None
-) -> list[DicomSlice]:
-    """Return the slices of the one series that `path` refers to, in no order; note which files were set aside.
+def find_series(path: Path, series: str | None = None, notes: list[str] | None = None) -> list[DicomSlice]:
+    """Return the slices of the one series that `path` refers to, in no order; note files that were set aside.
 
     `path`: a folder with its subfolders, its DICOMDIR, or one file of a series.
     `series`: number or UID of the series, where a folder holds several.
@@ -107,8 +105,8 @@ def _group_slices(
 ) -> dict[str, list[DicomSlice]]:
     """Return the slices of every series, by UID; the same order on every machine.
 
-    Damaged files are set aside, with a note. DataError if there is no other file, or one may be a slice: it is
-    named as those beside it are, by the next number or one between, and no series was `chosen`.
+    Damaged files are set aside, with a note. DataError if there is no other file, or one may be a slice: it
+    is named as those beside it are, by the next number or one between, and no series was `chosen`.
     """
     groups: dict[str, list[DicomSlice]] = {}
     damaged, others = dict[Path, DataError](), list[Path]()

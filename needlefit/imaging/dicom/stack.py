@@ -143,10 +143,8 @@ def read_headers(file: Path) -> tuple[DicomSlice, ...]:
             try:
                 with open_regular(file, sys.maxsize) as content:
                     tags = list(READ_TAGS)
-                    bounded, whole = _BoundedFile(content), begins_as_dicom(file)
-                    data = pydicom.dcmread(
-                        bounded, stop_before_pixels=True, specific_tags=tags, force=whole
-                    )
+                    bounded, known = _BoundedFile(content), begins_as_dicom(file)
+                    data = pydicom.dcmread(bounded, stop_before_pixels=True, specific_tags=tags, force=known)
             except InvalidDicomError:
                 if file.suffix.lower() in _SUFFIXES:
                     raise
@@ -225,7 +223,10 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         samples=_parse_whole_number(data, "SamplesPerPixel", 1),
         bits=bits,
         position=_parse_numbers(data, ("ImagePositionPatient",), (3,)),
-        steps=(_find_last_digit(data, "ImagePositionPatient"), _find_last_digit(data, "ImageOrientationPatient")),
+        steps=(
+            _find_last_digit(data, "ImagePositionPatient"),
+            _find_last_digit(data, "ImageOrientationPatient"),
+        ),
         # six numbers: the direction of a row (growing column index), then of a column
         axes=_parse_numbers(data, ("ImageOrientationPatient",), (2, 3)),
         pixel=_parse_numbers(data, ("PixelSpacing",), (2,)),

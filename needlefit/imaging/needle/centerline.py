@@ -50,10 +50,10 @@ END_REACH_MM = 4.0  # distance beyond an end of the needle from which on its sur
 MAX_SOFT_HU = 1000.0  # brighter surroundings are metal, HU
 # With soft material at both ends, as that of a plastic hub, the tip is where it lasts so much longer.
 CLEAR_SOFT_RATIO = 2.0
-# A step between slices is spoken of from this size on, mm. Within 2.5 mm of the tip, about its bevel's length,
-# none shows.
+# A step between slices is spoken of from this size on, mm. Within 2.5 mm of the tip, about its bevel's
+# length, none shows.
 MIN_STEP_MM = 0.15
-# And from so many of its deviations on: where nothing moved at most 7 show, of 0.5 mm 9 and more in most scans.
+# And from so many of its deviations on: where nothing moved at most 7 show, of 0.5 mm mostly 9 and more.
 MIN_STEP_SD = 9.0
 # Something else stands at the end where the mean brightness on a circle of the needle's diameter around the
 # axis exceeds that along the shaft, by parts of the shaft's own, over two sections: that are spoken of, and
@@ -180,13 +180,14 @@ def trace_needle(
 
 
 def refuse_fold(points: Floats) -> None:
-    """Raise DataError if a needle's axis (N, 3), mm, turns back: it joins two things that leave the same metal."""
+    """Raise DataError if a needle's axis (N, 3), mm, turns back: it joins two things that leave one metal."""
     ways = np.diff(points, axis=0)
     chord = points[-1] - points[0]
     cosines = ways @ chord / (np.linalg.norm(ways, axis=1) * np.linalg.norm(chord))
     if cosines.min() < MIN_CHORD_COSINE:
         at = points[int(np.argmin(cosines))]
-        raise refusal(f"""the curve that was traced turns by {np.degrees(np.arccos(cosines.min())):.0f} degrees
+        turn = float(np.degrees(np.arccos(cosines.min())))
+        raise refusal(f"""the curve that was traced turns by {turn:.0f} degrees
                 against the line from its base to its tip: it joins two things that leave bright metal
             expected: one needle
             fix: look at its picture in quality/; place points on the needle (--mask, or the axis in
@@ -274,7 +275,12 @@ def _list_warnings(
     bevel = end.at - bevel_length(recipe.needle)
     step = find_step(volume, axis, bevel, diameter, recipe.centerline.patch_width_mm)
     # a tip that was placed too far lets the bevel be looked at as the shaft
-    if end.source != "hand" and step is not None and step[1] > MIN_STEP_MM and step[1] > MIN_STEP_SD * step[2]:
+    if (
+        end.source != "hand"
+        and step is not None
+        and step[1] > MIN_STEP_MM
+        and step[1] > MIN_STEP_SD * step[2]
+    ):
         yield (
             f"between slices {step[0]} and {step[0] + 1} (counted from 0) the needle jumps by "
             f"{step[1]:.2f} mm: table or specimen moved during the scan, and what lies beyond is shifted; "

@@ -95,6 +95,7 @@ BASE_MM = 8.0  # mm over which that falls
 MISSED_FACTOR = 1.3  # slices per relative error
 MAX_GOOD_ERROR = 0.4  # relative error of the image
 FLAT_FACTOR = 0.18  # of a slice
+POINT_MM = 0.04  # length of a bevel's point that is too thin to show, mm: the mean of 24 volumes
 MIN_BLUNT_GAIN = 15.0  # what is minimized is less by more where a blunt end is spoken of
 MIN_BLUNT_PART = 0.03  # and by more than this part: what the model misses changes with its end, too
 SHADOW_MM = 10.0  # mm, length of the axis that a hub hides
@@ -140,14 +141,15 @@ def place_in_slices(
         return None
     theta, covariance, error = problem.solve()
     across, along, (end, roll), _ = problem.split(theta)
-    count, end = len(across), float(x[-1] + end)
+    rolled = needle.bevel_deg < MAX_BEVEL_DEG
+    count, end = len(across), float(x[-1] + end) + POINT_MM * rolled
     variances = np.stack([covariance[:count, :count], covariance[count : 2 * count, count : 2 * count]])
     end_sd, roll_sd = np.sqrt(np.diag(covariance)[2 * count : 2 * count + 2])
     crossed = float(np.ptp(problem.at @ along)) / thick
     excess = max(0.0, error - MAX_GOOD_ERROR)
     missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
-    # where the axis lies at the sections of the one that was traced, and at its end: sections beyond it are not
-    # the needle's, and a curve that passes them and comes back would be too long
+    # where the axis lies at the sections of the one that was traced, and at its end: sections beyond it are
+    # not the needle's, and a curve that passes them and comes back would be too long
     places = (axis.points - origin) @ frame[0]
     traced = places < end - MIN_END_MM
     places = np.append(places[traced], end)
@@ -164,7 +166,6 @@ def place_in_slices(
     # its points are the fit's and do not scatter: its deviation in the slices is the fit's, too
     wider = np.mean(sds[0] ** 2) / np.mean(axis_sd(placed, s[:-1]) ** 2)
     placed = replace(placed, variance=placed.variance * wider, slice_sds=sds)
-    rolled = needle.bevel_deg < MAX_BEVEL_DEG
     sd = np.array(
         [
             np.linalg.norm([END_FACTOR * end_sd, END_ERROR_MM, 2 * missed]),
