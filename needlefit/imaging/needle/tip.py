@@ -478,7 +478,7 @@ def fit_tip(
     heel = float(axis_sd(axis, np.array([axis.length]))[0])  # from where the rod swings
     missed = ACROSS_ERROR_MM + ACROSS_ERROR_PER_MM * problem.ray
     across = float(np.linalg.norm([np.sqrt(variance[[U, V]].mean()), heel, missed]))
-    at = float(best.x[TIP]) + POINT_MM * problem.rolled
+    at = float(best.x[TIP])
     source: TipSource = "model"
     believed = along <= MAX_MODEL_SD_MM and abs(away) <= MAX_DISAGREEMENT_MM
     if not rough and not believed:
@@ -498,14 +498,11 @@ def fit_tip(
     width, blunt = None if rough else problem.width_misfit(best), 0.0
     if problem.rolled and not rough and source == "model":
         other, gain = problem.end_bluntly(best)
-        blunt = (other - float(best.x[TIP])) * (gain > MIN_BLUNT_GAIN)
+        blunt = (other - at) * (gain > MIN_BLUNT_GAIN)
     sd = np.array([np.hypot(along, blunt), across])
     return TipFit(at, point, sd, bevel, float(probability), away, source, width, blunt)
 
 
-# Length of a bevel's point that is too thin to show, mm: without it tips are short by 0.1 mm in the mean of 31
-# volumes of both renderers.
-POINT_MM = 0.08
 # Deviation of the place along, in parts of the length of the needle that rays pass: they harden, and hide its
 # end. Set as `BEVEL_RAY_MM`.
 HIDDEN_END_SD_PER_MM = 0.02
