@@ -1,5 +1,6 @@
 """The needle's axis and tip from scans of needles of known equation."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
+from needlefit.imaging.needle.centerline import refuse_fold
 from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.scans import Corrections, Scan
@@ -160,6 +162,15 @@ def test_a_needle_whose_tip_alone_leaves_the_volume_is_not_reversed(tmp_path, mo
         scan = Scan("cut", tmp_path / "cut.nrrd", "box", corrections=moved)
         refused = examine(cut, scan, cases.RECIPE).error
         assert refused is not None and "entry_direction" in refused.fix
+
+
+def test_a_curve_that_turns_back_is_refused():
+    arc = np.linspace(0, np.pi / 2, 60)
+    refuse_fold(50 * np.column_stack([np.sin(arc), 1 - np.cos(arc), 0 * arc]))  # steered by 90 degrees
+    there = np.column_stack([np.linspace(0, 40, 80), np.zeros(80), np.zeros(80)])
+    for back in (there[::-1][1:20] + [0, 2.5, 0], there[::-1][1:7]):
+        refused = refusal(DataError, "", refuse_fold, np.vstack([there, back]))
+        assert re.search(r"by 1[78]\d degrees", refused.what) and refused.fix
 
 
 def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():

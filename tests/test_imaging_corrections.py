@@ -19,6 +19,7 @@ from needlefit.imaging.needle.segmentation import find_ends, find_tubes
 from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
 from needlefit.imaging.volume_files import read_volume, write_volume
 from needlefit.project.locate import shipped_folder
+from needlefit.reporting.scan_pages import write_refusal_page
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scan_files import ScanFiles
 from needlefit.studies.slicer_scene import write_control_points
@@ -104,6 +105,9 @@ def test_a_needle_whose_ends_lie_in_tissue_is_placed_as_its_refusal_offers(tmp_p
     scan = Scan("one", tmp_path / "one.nrrd", "gel")
     (failed,) = reconstruct_needles(scan, cases.RECIPE)
     assert "corrections" in failed.error.fix and {"axis 1", "tip"} <= set(failed.points.labels)
+    write_refusal_page(failed, tmp_path / "quality" / "one.pdf")
+    assert (tmp_path / "quality" / "one.pdf").stat().st_size > 5000
+    assert len(failed.picture.views) == 2 and np.ptp(failed.picture.curve[:, 0]) > 25
     placed = Corrections(tip=truth[-1], entry=cases.ENTRY + np.array([0, 0, 8]))
     (one,) = reconstruct_needles(replace(scan, corrections=placed), cases.RECIPE)
     assert one.depth == pytest.approx(20.0, abs=0.3)
