@@ -168,7 +168,7 @@ def test_a_curve_that_turns_back_is_refused():
     arc = np.linspace(0, np.pi / 2, 60)
     refuse_fold(50 * np.column_stack([np.sin(arc), 1 - np.cos(arc), 0 * arc]))  # steered by 90 degrees
     there = np.column_stack([np.linspace(0, 40, 80), np.zeros(80), np.zeros(80)])
-    for back in (there[::-1][1:20] + [0, 2.5, 0], there[::-1][1:7]):
+    for back in (there[::-1][1:20] + np.array([0, 2.5, 0]), there[::-1][1:7]):
         refused = refusal(DataError, "", refuse_fold, np.vstack([there, back]))
         assert re.search(r"by 1[78]\d degrees", refused.what) and refused.fix
 
