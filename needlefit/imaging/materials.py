@@ -286,7 +286,7 @@ def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, fl
     left = y - design @ solved
     power = float(left @ left)
     variance = power / max(1, len(x) - 3) * correlation_factor(left[:, None], 3)
-    sd = np.sqrt(variance * np.linalg.inv(design.T @ design)[2, 2])
+    sd = np.sqrt(variance) * np.linalg.norm(np.linalg.pinv(design)[2])
     flat = y - np.polyval(np.polyfit(x, y, 1), x)
     return float(solved[2]), float(sd), power / max(float(flat @ flat), 1e-9)
 

@@ -148,10 +148,10 @@ def place_in_slices(
     crossed = float(np.ptp(problem.at @ along)) / thick
     excess = max(0.0, error - MAX_GOOD_ERROR)
     missed = thick * float(np.hypot(MISSED_FACTOR * excess, FLAT_FACTOR * max(0.0, 1 - crossed)))
-    # where the axis lies at the sections of the one that was traced, and at its end: sections beyond it are
-    # not the needle's, and a curve that passes them and comes back would be too long
+    # where the axis lies at the sections of the one that was traced, and at its end: a curve that passes
+    # sections beyond it, or others twice, and comes back would be too long
     places = (axis.points - origin) @ frame[0]
-    traced = places < end - MIN_END_MM
+    traced = (places < end - MIN_END_MM) & (places >= np.maximum.accumulate(places))
     places = np.append(places[traced], end)
     basis = _extend(_basis(problem.knots), places)
     beside = np.stack([across, along], axis=1)
