@@ -27,6 +27,7 @@ from scanner.projection import (
     Box,
     Ellipsoid,
     Gantry,
+    Material,
     ProjectionScene,
     Rod,
     Solid,
@@ -229,6 +230,39 @@ def make_case(row: Row) -> Case:
     grid = _fit_grid(world, spacing)
     middle = grid.origin + (np.array(grid.size) - 1) / 2 * grid.spacing
     return Case(row, scene, gantry, grid, world, axis, bevel, balls, known, interfaces, middle)
+
+
+PTFE, POLYETHYLENE = Material(1.95, {"water": 1.0}), Material(0.93, {"water": 1.0})
+"""As bright as those plastics: their parts are not in the table."""
+GUIDES = {
+    "PMMA": PMMA,
+    "PTFE": PTFE,
+    "PE": POLYETHYLENE,
+    "aluminium": ALUMINIUM,
+    "glass": GLASS,
+    "steel": STEEL,
+}
+GUIDE_MM, GAP_MM = (2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0), (0.0, 0.0, 2.0, 3.0, 6.0, 11.0)
+STATED_GUIDE_MM = 8.0
+"""What the recipe states where there is no guide."""
+
+
+def draw_guided(seed: int) -> tuple[Case, float, str]:
+    """Draw a narrow volume with a guide, or none: return it, the thickness that is stated, mm, and in words."""
+    rng, way = random_stream(SEED, "guides", seed), ("inplane", "oblique", "along")[seed % 3]
+    levels = {name: str(rng.choice(choices)) for name, choices in LEVELS.items()}
+    slices = {"inplane": ("0.6", "1.0", "1.5", "2.0"), "oblique": ("0.6", "1.0")}.get(
+        way, ("0.6", "1.0", "2.0")
+    )
+    levels |= {"way": way, "voxels": f"{rng.choice(('0.4', '0.5'))}x{rng.choice(slices)}", "ball_mm": "3"}
+    case = make_case(Row(f"g{seed}", levels | {"accessory": "none", "beam": "parallel", "dose": "high"}))
+    name, gap = str(rng.choice(["none", *GUIDES])), float(rng.choice(GAP_MM))
+    thickness = float(rng.choice(GUIDE_MM)) if name != "none" else STATED_GUIDE_MM
+    low, high = np.array([-gap - thickness, -18, -18]), np.array([-gap, 18, 18])
+    plate = () if name == "none" else (Box(case.world, low, high, GUIDES[name]),)
+    metal = tuple(one for one in case.scene.metal if isinstance(one, Rod))
+    case = narrow_case(replace(case, scene=replace(case.scene, inserts=plate, metal=metal)))
+    return case, thickness, f"{name}, {thickness:g} mm, {gap:g} mm before the tissue"
 
 
 AROUND_MM, SLICES_AROUND, SLICE_RAYS = 9.0, 4, 8

@@ -8,7 +8,9 @@ on the part `tuning`; the part `apart` is for what is reported afterwards. Every
 checked as the program does. A row is `wrong` if tip, entry, inserted length, registration or a crossing is
 off by more than 1 mm. `--seeds FIRST:LAST` draws volumes instead whose needle lies in or near slices of 0.8,
 1, 1.5 and 2 mm, in turn; constants were set on seeds below 2000. They show little but the needle, which alone
-is traced; the scene is that of a whole volume. Rendered volumes stay in the folder `--cache`, so that a run
+is traced; the scene is that of a whole volume. `--guides FIRST:LAST` draws such volumes with a guide of one of
+six materials before the tissue, or none, whose thickness is stated: `wrong` is an entry that is off by more
+than 0.3 mm. Rendered volumes stay in the folder `--cache`, so that a run
 can be continued.
 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
@@ -23,9 +25,11 @@ the root mean square of errors in deviations.
 import argparse
 import sys
 import time
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -40,6 +44,7 @@ from real_scanner_scenes import (
     PLATE_MM,
     Case,
     Row,
+    draw_guided,
     draw_row,
     make_case,
     narrow_case,
@@ -60,12 +65,14 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.tasks import LocalPool
-from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.reconstruction import GuidePlateRecord, ReconstructionRecord
 from needlefit.synthetic.render import densify
 
 Floats = NDArray[np.float64]
 
 WRONG_MM = 1.0
+WRONG_ENTRY_MM = 0.3
+"""The same for an entry behind a guide."""
 FINE_SPACING_MM = 0.6 + 1e-9
 """Largest spacing along the needle that is fine."""
 FEW_CROSSED = 2.5
@@ -164,6 +171,20 @@ def trace_narrow(row: Row, cache: Path) -> dict[str, object]:
         | _count_inside("axis_side", beside[:-1, 0], found.sd)
         | _count_inside("axis_normal", beside[:-1, 1], found.sd)
     )
+
+
+def enter_guided(seed: int, cache: Path) -> dict[str, object]:
+    """Render a narrow volume with a guide and find where its needle enters; return its line of the table."""
+    case, thickness, guide = draw_guided(seed)
+    recipe = make_recipe(case.row).model_copy(update={"guide": GuidePlateRecord(thickness_mm=thickness)})
+    volume = render_cached(case, cache)
+    (found,) = reconstruct_needles(Scan(case.row.name, volume, "gel"), recipe)
+    line: dict[str, object] = {"id": case.row.name, "guide": guide, **case.row.levels, "where": ""}
+    if isinstance(found, ReconstructionFailure):
+        return line | {"written": False, "wrong": False, "what": found.error.what}
+    entry = case.world.to_local(found.patient.to_local(found.pose.origin[None]))[0, 0]
+    errors = {"entry": entry, "entry_sd": found.pose.along_sd, "wrong": abs(entry) > WRONG_ENTRY_MM}
+    return line | {"written": True, "what": f"entry {entry:+.2f} mm, {guide}", **errors}
 
 
 def _count_inside(name: str, errors: Floats, sd: Floats) -> dict[str, object]:
@@ -296,6 +317,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, required=True, help="folder of the rendered volumes")
     parser.add_argument("--part", choices=("tuning", "apart", "all"), default="tuning")
     parser.add_argument("--seeds", help="FIRST:LAST: volumes drawn by these seeds, needle in the slices")
+    parser.add_argument("--guides", help="FIRST:LAST: volumes drawn by these seeds, with a guide")
     parser.add_argument("--volumes", type=int, help="only the first so many")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, help="write every volume's line to this CSV")
@@ -304,9 +326,11 @@ def main() -> None:
     measure = partial(trace_narrow if arguments.seeds else score, cache=arguments.cache)
     if arguments.seeds:
         design = [draw_row(seed) for seed in range(*map(int, arguments.seeds.split(":")))]
-    design = design[: arguments.volumes]
+    work: tuple[Callable[[Any], dict[str, object]], Sequence[object]] = measure, design
+    if arguments.guides:
+        work = partial(enter_guided, cache=arguments.cache), range(*map(int, arguments.guides.split(":")))
     lines: list[dict[str, object]] = []
-    for _, line in LocalPool(arguments.jobs).run(measure, design):
+    for _, line in LocalPool(arguments.jobs).run(work[0], work[1][: arguments.volumes]):
         lines.append(line)
         print(f"{line['id']} written {line['written']} {line['where']}: {line['what']}", file=sys.stderr)
         if arguments.out:
@@ -314,6 +338,9 @@ def main() -> None:
     rows = pd.DataFrame(lines).sort_values("id")
     if arguments.seeds:
         print(summarize_narrow(rows).T.to_string(header=False, float_format=lambda x: f"{x:.3f}"))
+        return
+    if arguments.guides:
+        print(f"{len(rows)} volumes, {rows['written'].sum()} written, {rows['wrong'].sum()} wrong")
         return
     for statistic in ("mean", "median"):
         print(f"{statistic} absolute errors of the volumes written, mm")
