@@ -248,12 +248,10 @@ STATED_GUIDE_MM = 8.0
 
 
 def draw_guided(seed: int) -> tuple[Case, float, str]:
-    """Draw a narrow volume with a guide, or none: return it, the thickness that is stated, mm, and in words."""
+    """Draw a narrow volume with a guide, or none: return it, the thickness that is stated, mm, and words."""
     rng, way = random_stream(SEED, "guides", seed), ("inplane", "oblique", "along")[seed % 3]
     levels = {name: str(rng.choice(choices)) for name, choices in LEVELS.items()}
-    slices = {"inplane": ("0.6", "1.0", "1.5", "2.0"), "oblique": ("0.6", "1.0")}.get(
-        way, ("0.6", "1.0", "2.0")
-    )
+    slices = ("0.6", "1.0") if way == "oblique" else ("0.6", "1.0", "1.5", "2.0")
     levels |= {"way": way, "voxels": f"{rng.choice(('0.4', '0.5'))}x{rng.choice(slices)}", "ball_mm": "3"}
     case = make_case(Row(f"g{seed}", levels | {"accessory": "none", "beam": "parallel", "dose": "high"}))
     name, gap = str(rng.choice(["none", *GUIDES])), float(rng.choice(GAP_MM))

@@ -8,10 +8,9 @@ on the part `tuning`; the part `apart` is for what is reported afterwards. Every
 checked as the program does. A row is `wrong` if tip, entry, inserted length, registration or a crossing is
 off by more than 1 mm. `--seeds FIRST:LAST` draws volumes instead whose needle lies in or near slices of 0.8,
 1, 1.5 and 2 mm, in turn; constants were set on seeds below 2000. They show little but the needle, which alone
-is traced; the scene is that of a whole volume. `--guides FIRST:LAST` draws such volumes with a guide of one of
-six materials before the tissue, or none, whose thickness is stated: `wrong` is an entry that is off by more
-than 0.3 mm. Rendered volumes stay in the folder `--cache`, so that a run
-can be continued.
+is traced; the scene is that of a whole volume. `--guides FIRST:LAST` draws such volumes with a guide of six
+materials before the tissue, or none, whose thickness is stated: `wrong` is an entry that is off by more than
+0.3 mm. Rendered volumes stay in the folder `--cache`, so that a run can be continued.
 
 Errors in mm: `axis` mean distance of the needle's points from the true axis; `tip_along` (negative: short)
 and `tip_across`; `entry` along the needle; `length` inserted; `tre` of true entry and tip, the larger;
