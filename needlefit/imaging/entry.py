@@ -213,11 +213,12 @@ def choose_entry(
     if not guide_thickness:
         return candidates[0]
     whole, cut = _list_behind_guide(profile, candidates, guide_thickness)
-    for found in (whole, _list_on_guide(profile, candidates, guide_thickness, guide_distance or 0.0), cut):
-        if len(found) == 1:
-            return found[0]
-    raise refusal(f"""no guide of {guide_thickness:g} mm shows along the needle: the tissue may begin {listed}
-        expected: solid material of that length before the tissue, followed by air or another material
+    found = whole or _list_on_guide(profile, candidates, guide_thickness, guide_distance or 0.0) or cut
+    if len(found) == 1:
+        return found[0]
+    raise refusal(f"""{len(found) or "no"} guide{"s" * bool(found)} of {guide_thickness:g} mm
+            show{"s" * (not found)} along the needle: the tissue may begin {listed}
+        expected: one solid of that length before the tissue, followed by air or another material
         fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
             (--corrections)
         where: guide.thickness_mm""")
