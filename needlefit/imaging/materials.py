@@ -263,32 +263,27 @@ def find_steps(profile: IntensityProfile) -> tuple[MaterialStep, ...]:
 def _find_steps_within(s: Floats, values: Floats) -> list[MaterialStep]:
     """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
     places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
-    fits = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3)
-    found, left = list[MaterialStep](), np.abs(fits[:, 0]) >= MIN_STEP_HU
-    left &= np.abs(fits[:, 0]) >= MIN_STEP_SD * fits[:, 1]
+    changes, sds = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 2).T
+    sure, found = np.abs(changes) / np.maximum(sds, 1e-9), list[MaterialStep]()
+    left = (np.abs(changes) >= MIN_STEP_HU) & (sure >= MIN_STEP_SD)
     while left.any():
-        best = int(np.argmin(np.where(left, fits[:, 2], np.inf)))
-        change, sd, _ = fits[best].tolist()
-        near = np.abs(places - places[best]) <= STEP_REACH_MM / 2
+        best = int(np.argmax(np.where(left, sure, 0.0)))
+        left &= np.abs(places - places[best]) > STEP_REACH_MM / 2
         # the noise of the level over the slope of a blurred step
-        at_sd = np.hypot(WIDTH_MM * np.sqrt(2 * np.pi) * sd / abs(change), MEDIAN_SD_MM)
-        found.append(MaterialStep(float(places[best]), float(at_sd), change))
-        left &= ~near
+        sd = np.hypot(WIDTH_MM * np.sqrt(2 * np.pi) / sure[best], MEDIAN_SD_MM)
+        found.append(MaterialStep(float(places[best]), float(sd), float(changes[best])))
     return sorted(found, key=lambda one: one.at)
 
 
-def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
-    """Return the change at a place on a common slope, its deviation, HU, and the part left unexplained."""
+def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float]:
+    """Return the change at a place on a common slope, and its deviation, HU."""
     near = np.abs(s - place) <= STEP_REACH_MM
     x, y = s[near] - place, values[near]
     design = np.stack([np.ones(len(x)), x, ndtr(x / WIDTH_MM)], axis=1)
-    solved, *_ = np.linalg.lstsq(design, y)
-    left = y - design @ solved
-    power = float(left @ left)
-    variance = power / max(1, len(x) - 3) * correlation_factor(left[:, None], 3)
-    sd = np.sqrt(variance) * np.linalg.norm(np.linalg.pinv(design)[2])
-    flat = y - np.polyval(np.polyfit(x, y, 1), x)
-    return float(solved[2]), float(sd), power / max(float(flat @ flat), 1e-9)
+    inverse = np.linalg.pinv(design)
+    left = y - design @ (inverse @ y)
+    variance = left @ left / max(1, len(x) - 3) * correlation_factor(left[:, None], 3)
+    return float(inverse[2] @ y), float(np.sqrt(variance) * np.linalg.norm(inverse[2]))
 
 
 def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRun]:
