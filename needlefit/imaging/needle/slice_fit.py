@@ -28,7 +28,12 @@ from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 
-MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once
+MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once, mm
+# Voxels that are longer by this factor than wide are a scanner's slices, those of cone beams are cubes.
+MIN_FLATNESS = 1.15
+# Such slices are fitted as a whole from this thickness on, mm: rays hide the end in single voxels, so that tips
+# are off by 0.25 mm in place of 0.08.
+MIN_FLAT_SLICE_MM = 0.5 - 1e-9
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
 # Lines across the needle on which slices are sampled, their distance, and where its surroundings begin, mm.
 LINE_REACH_MM = 2.4  # mm
@@ -84,7 +89,7 @@ SIDE_FACTOR = 0.75  # across, in the slices
 END_FACTOR = 1.26  # of the end
 ROLL_FACTOR = 1.5  # of the roll
 ERROR_MM = 0.012  # mm, across
-END_ERROR_MM = 0.05  # mm, of the end
+END_ERROR_MM = 0.07  # mm, of the end
 TIP_ERROR_MM = 0.04  # mm, across at the end
 SLICE_ERROR = 0.02  # slices
 CROSSED_SLICES = 4.0  # slices over which it falls
@@ -117,7 +122,9 @@ def place_in_slices(
     thick, normal = volume.grid.slice_distance, volume.grid.normal
     first, last = axis.spline(np.array([0.0, axis.length]))
     steepness = abs(float((last - first) @ normal)) / float(np.linalg.norm(last - first))
-    if thick <= MIN_SLICE_MM or steepness * knot / thick >= MAX_CROSSED:
+    flat = thick > MIN_FLATNESS * volume.spacing[:2].max()
+    shown = thick <= (MIN_FLAT_SLICE_MM if flat else MIN_SLICE_MM)
+    if shown or steepness * knot / thick >= MAX_CROSSED:
         return None
     rough = axis.spline(np.arange(0.0, tip, STATION_MM))
     points = _find_end(volume, rough)
