@@ -263,11 +263,12 @@ def find_steps(profile: IntensityProfile) -> tuple[MaterialStep, ...]:
 def _find_steps_within(s: Floats, values: Floats) -> list[MaterialStep]:
     """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
     places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
-    changes, sds = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 2).T
-    sure, found = np.abs(changes) / np.maximum(sds, 1e-9), list[MaterialStep]()
+    changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
+    clear, found = np.abs(changes) / np.maximum(sds, 1e-9), list[MaterialStep]()
+    sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
     left = (np.abs(changes) >= MIN_STEP_HU) & (sure >= MIN_STEP_SD)
     while left.any():
-        best = int(np.argmax(np.where(left, sure, 0.0)))
+        best = int(np.argmax(np.where(left, clear, 0.0)))
         left &= np.abs(places - places[best]) > STEP_REACH_MM / 2
         # the noise of the level over the slope of a blurred step
         sd = np.hypot(WIDTH_MM * np.sqrt(2 * np.pi) / sure[best], MEDIAN_SD_MM)
@@ -275,15 +276,15 @@ def _find_steps_within(s: Floats, values: Floats) -> list[MaterialStep]:
     return sorted(found, key=lambda one: one.at)
 
 
-def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float]:
-    """Return the change at a place on a common slope, and its deviation, HU."""
+def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
+    """Return the change at a place on a common slope, its deviation, HU, and how many stations are as one."""
     near = np.abs(s - place) <= STEP_REACH_MM
     x, y = s[near] - place, values[near]
     design = np.stack([np.ones(len(x)), x, ndtr(x / WIDTH_MM)], axis=1)
     inverse = np.linalg.pinv(design)
     left = y - design @ (inverse @ y)
-    variance = left @ left / max(1, len(x) - 3) * correlation_factor(left[:, None], 3)
-    return float(inverse[2] @ y), float(np.sqrt(variance) * np.linalg.norm(inverse[2]))
+    sd = np.linalg.norm(left) / np.sqrt(max(1, len(x) - 3)) * np.linalg.norm(inverse[2])
+    return float(inverse[2] @ y), float(sd), correlation_factor(left[:, None], 3)
 
 
 def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRun]:

@@ -31,7 +31,7 @@ from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedle
 MIN_SLICE_MM = 0.6 + 1e-9  # slices up to this thickness show the needle in several at once, mm
 # Voxels that are longer by this factor than wide are a scanner's slices, those of cone beams are cubes.
 MIN_FLATNESS = 1.15
-# Such slices are fitted as a whole from this thickness on, mm: rays hide the end in single voxels, so that tips
+# Such slices are fitted as a whole from this thickness on, mm: rays hide the end in single voxels, where tips
 # are off by 0.25 mm in place of 0.08.
 MIN_FLAT_SLICE_MM = 0.5 - 1e-9
 MAX_CROSSED = 2.0  # a spline averages over the slices if more are crossed between two of its knots
