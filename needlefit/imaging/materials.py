@@ -13,8 +13,7 @@ from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from needlefit.arrays import Floats
-from needlefit.geometry.curves import make_normal
-from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
+from needlefit.imaging.needle.axis_spline import correlation_factor, disc_points, frames_along, sample_planes
 from needlefit.imaging.reconstruction import IntensityProfile, MaterialKind, MaterialRun
 from needlefit.imaging.volume import AIR_HU, Volume
 
@@ -38,12 +37,7 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     `points`: (N, 3); along the needle, LPS, mm; what lies beyond its tip is welcome.
     `s`: (N,); where along the needle they are, mm.
     """
-    axis = np.asarray(points, dtype=np.float64)
-    tangents = np.gradient(axis, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    u = np.cross(tangents, make_normal(tangents[len(axis) // 2]))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    where = AxisFrames(axis, tangents, u, np.cross(tangents, u))
+    where = frames_along(np.asarray(points, dtype=np.float64))
     ring = sample_planes(volume, where, RING)
     metal = _row_medians(ring, MIN_RING_FRACTION)
     ring = np.where(ring < MIN_METAL_HU, ring, np.nan)

@@ -144,6 +144,15 @@ def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
     return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
 
 
+def frames_along(points: Floats) -> AxisFrames:
+    """Return the frames at points (S, 3) along a needle, mm."""
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    u = np.cross(tangents, make_normal(tangents[len(tangents) // 2]))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return AxisFrames(points, tangents, u, np.cross(tangents, u))
+
+
 def find_step(
     volume: Volume, axis: AxisSpline, stop: float, diameter: float, patch: float
 ) -> tuple[int, float, float] | None:

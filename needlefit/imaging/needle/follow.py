@@ -7,13 +7,13 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats, Ints
-from needlefit.geometry.curves import arc_length, make_normal
+from needlefit.geometry.curves import arc_length
 from needlefit.imaging.needle.axis_spline import (
-    AxisFrames,
     AxisSpline,
     disc_points,
     find_centroids,
     fit_axis,
+    frames_along,
     sample_planes,
 )
 from needlefit.imaging.needle.segmentation import (
@@ -113,11 +113,7 @@ def _voxels(volume: Volume, points: Floats) -> Ints:
 
 def _look_across(volume: Volume, places: Floats, recipe: ReconstructionRecord) -> tuple[Floats, Floats]:
     """Return by how much the needle lies beside places (N, 3), mm, and its amplitude (N,), HU."""
-    ways = np.gradient(places, axis=0)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    u = np.cross(ways, make_normal(ways[len(ways) // 2]))
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    where = AxisFrames(places, ways, u, np.cross(ways, u))
+    where = frames_along(places)
     plane = disc_points(recipe.centerline.patch_width_mm)
     values = sample_planes(volume, where, plane)
     inside = ~np.isnan(values.sum(axis=1))
