@@ -180,7 +180,7 @@ def enter_guided(seed: int, cache: Path) -> dict[str, object]:
     (found,) = reconstruct_needles(Scan(case.row.name, volume, "gel"), recipe)
     line: dict[str, object] = {"id": case.row.name, "guide": guide, **case.row.levels, "where": ""}
     if isinstance(found, ReconstructionFailure):
-        return line | {"written": False, "wrong": False, "what": found.error.what}
+        return line | {"written": False, "wrong": False, "what": f"{guide}: {found.error.what}"}
     entry = case.world.to_local(found.patient.to_local(found.pose.origin[None]))[0, 0]
     errors = {"entry": entry, "entry_sd": found.pose.along_sd, "wrong": abs(entry) > WRONG_ENTRY_MM}
     return line | {"written": True, "what": f"entry {entry:+.2f} mm, {guide}", **errors}

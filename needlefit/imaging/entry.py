@@ -14,6 +14,7 @@ from itertools import takewhile
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
@@ -33,8 +34,6 @@ CORRELATION_LENGTH_MM = 7.5
 SURFACE_REACH_MM = 80.0
 # Deviations from which on the stage's axis and the shaft's are not one needle's.
 MAX_AXIS_DISAGREEMENT_SD = 10.0
-# Greatest distance of a centreline's first point from the entry, mm; as datasets demand it.
-MAX_ENTRY_DISTANCE_MM = 5.0
 
 
 @dataclass(frozen=True)
@@ -153,9 +152,9 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
     away = float(np.linalg.norm(interpolate_at_arc(points, [at])[0] - pose.origin))
-    if away > MAX_ENTRY_DISTANCE_MM:
+    if away > MAX_START_DISTANCE_MM:
         raise refusal(f"""the needle crosses the plane of first contact {away:.1f} mm from the entry
-            expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
+            expected: within {MAX_START_DISTANCE_MM:g} mm of it
             fix: check the entry pose, the known places of the markers, and that both are in one frame""")
     return at
 

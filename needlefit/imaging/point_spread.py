@@ -16,6 +16,8 @@ from scipy.special import ndtr
 
 from needlefit.arrays import Floats
 
+# Of more voxels every second, third ... is fitted: neighbours in fine voxels are one in the blur.
+MAX_FITTED_VOXELS = 4000
 BOX_PART = 0.8  # part of the variance of a slice's profile that is a box's, the rest is a Gaussian's
 # Scanners' blur, mm, and boost; deviation of a slice's profile over the slices' distance, and the least, mm:
 # a box has 0.29, helical scans more. Deviations of the logarithm of the blur, of the boost, and of the

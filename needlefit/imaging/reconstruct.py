@@ -18,6 +18,7 @@ import numpy as np
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.columns import BEVEL_FIX
 from needlefit.datasets.insertion_table import MIN_DEPTH_MM
+from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
@@ -25,7 +26,6 @@ from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, n
 from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
-    MAX_ENTRY_DISTANCE_MM,
     MIN_SHAFT_LENGTH_MM,
     SURFACE_REACH_MM,
     OutsideShaft,
@@ -395,11 +395,11 @@ def _locate_tissue(
         away = np.linalg.norm(interpolate_at_arc(points, fine) - contact, axis=1)
         beyond = float((contact - points[-1]) @ normalize(points[-1] - points[-2]))
         off = f"{beyond:.1f} mm beyond its tip" if beyond > 0 else ""
-        if away.min() > MAX_ENTRY_DISTANCE_MM:
+        if away.min() > MAX_START_DISTANCE_MM:
             off = f"{away.min():.1f} mm beside the needle"
         if off:
             raise refusal(f"""the first contact that was placed lies {off}
-                expected: a point within {MAX_ENTRY_DISTANCE_MM:g} mm of the needle, before its tip, LPS
+                expected: a point within {MAX_START_DISTANCE_MM:g} mm of the needle, before its tip, LPS
                 fix: place it on the needle; RAS has x and y of the other sign
                 where: entry of the corrections""")
         return float(fine[np.argmin(away)]), recipe.entry.placed_contact_sd_mm
@@ -408,10 +408,10 @@ def _locate_tissue(
     if len(own):
         at, rises = float(own.min()), find_rises(found.brightness)
         edge, sd = min(((edge, sd) for _, edge, sd in rises), key=lambda e: abs(e[0] - at), default=(at, 0.0))
-        if abs(at - edge) > MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
+        if abs(at - edge) > MAX_START_DISTANCE_MM + MAX_DISAGREEMENT_SD * sd:
             raise refusal(f"""the needle crosses the tissue's own surface {abs(at - edge):.1f} mm
                     {"behind" if at > edge else "before"} the place where the scan shows tissue to begin
-                expected: within {MAX_ENTRY_DISTANCE_MM:g} mm of it
+                expected: within {MAX_START_DISTANCE_MM:g} mm of it
                 fix: see both in 3D Slicer: label the needle's voxels as the tissue around them, check the
                     frame of the surfaces; if they are right, state the stage (entry_x_mm ...
                     pose_angle_sd_deg)""")

@@ -23,6 +23,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.imaging.point_spread import (
     HIGHEST,
     LOWEST,
+    MAX_FITTED_VOXELS,
     MIN_BLUR_MM,
     MIN_SLICE_BLUR_MM,
     PointSpread,
@@ -144,7 +145,6 @@ def differentiate(near: SphereVoxels, theta: Floats, count: int) -> Floats:
 # How far beyond the ball's surface the fit reaches, mm, or so many of the longest voxel edges.
 FIT_MARGIN_MM = 1.5
 GUARD_DISTANCE_MM = 1.0  # voxels this near to another bright thing are left out, mm
-MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 SOFT_LOSS_SD = 2.0  # residuals beyond so many deviations of the noise count less
 # Relative change of the cost at which the first fit ends, for the noise, and the second.
 FIRST_TOLERANCE = 1e-3  # of the first fit
@@ -268,7 +268,7 @@ def select_voxels(volume: Volume, blob: Blob, radius: float) -> SphereVoxels:
     top, bottom = float(values.max()), float(values.min())
     ceiling = top if np.count_nonzero(values == top) > 3 else np.inf
     floor = bottom if np.count_nonzero(values == bottom) > 3 else -np.inf
-    every = int(np.ceil(np.count_nonzero(use) / MAX_VOXELS))
+    every = int(np.ceil(np.count_nonzero(use) / MAX_FITTED_VOXELS))
     return SphereVoxels(
         places[use][::every], values[use][::every].astype(np.float64), spacing, axes, floor, ceiling
     )

@@ -17,6 +17,7 @@ from needlefit.imaging.needle.axis_spline import (
     sample_planes,
 )
 from needlefit.imaging.needle.segmentation import (
+    MIN_COMPONENT_VOXELS,
     MIN_METAL_CONTRAST_HU,
     Component,
     measure_component,
@@ -27,7 +28,6 @@ from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_pa
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
-MIN_MASK_VOXELS = 8  # voxels of a mask, at least
 MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
@@ -51,7 +51,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
     with located(path):
         require_same_frame(mask, volume.frame_of_reference)
         marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
-        if len(marked) < MIN_MASK_VOXELS:
+        if len(marked) < MIN_COMPONENT_VOXELS:
             raise refusal(f"""the mask marks {len(marked)} voxels
                 expected: the needle's voxels above 0, all others 0
                 fix: segment the needle in this scan, and save the segmentation as NRRD or NIfTI""")

@@ -23,7 +23,14 @@ from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
-from needlefit.imaging.point_spread import HIGHEST, LOWEST, PointSpread, expected_spread, read_spread
+from needlefit.imaging.point_spread import (
+    HIGHEST,
+    LOWEST,
+    MAX_FITTED_VOXELS,
+    PointSpread,
+    expected_spread,
+    read_spread,
+)
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
@@ -145,7 +152,6 @@ START_OFFSETS_MM = np.arange(-3.0, 3.1, 0.75)  # starting points of the search a
 FINE_OFFSETS_MM = np.arange(-0.8, 0.9, 0.4)
 SOFT_LOSS_SD = 3.0  # residuals beyond so many deviations of the noise count less
 SIGNAL_ERROR = 0.04  # deviation of what a voxel shows of metal, in parts of that: the model's own error
-MAX_VOXELS = 4000  # of more voxels, every second, third ... is taken: neighbours in fine voxels say the same.
 ROUGH_STEPS = 8  # of a first fit
 STEPS = 30  # of a last fit
 BLOCK_LENGTH_MM = 2.0  # length of the blocks of voxels whose residuals go together, mm
@@ -210,7 +216,7 @@ class TipProblem:
     ) -> None:
         heel = bevel_length(needle)
         near = select_axis_voxels(volume, axis, guess - heel - REACH_BEFORE_MM, guess + REACH_AFTER_MM)
-        every = int(np.ceil(len(near.s) / MAX_VOXELS))
+        every = int(np.ceil(len(near.s) / MAX_FITTED_VOXELS))
         self.near = AxisVoxels(*(x[::every] for x in (near.s, near.u, near.v, near.values)))
         self.volume, self.axis, self.guess, self.radius = volume, axis, guess, needle.diameter_mm / 2
         self.rolled = needle.bevel_deg < MAX_BEVEL_DEG
