@@ -76,6 +76,7 @@ SOFT_LOSS_SD = 2.0  # stations that stray by more than so many deviations of the
 FLANK_MM = 4.0  # stations farther than this from an edge show which points rays change, mm
 MIN_POINTS = 32  # points of a ring that a choice needs, at least
 PARTS = 4  # parts of a ring whose edges are compared
+EDGE_SD_MM = 0.015  # deviation of any edge that no scatter shows, mm: a kernel's sides are not alike
 MEDIAN_SD_MM = 0.05  # deviation of an edge, beside its scatter, where only the median can be fitted, mm
 
 
@@ -221,7 +222,7 @@ def _fit_edge(
         moved = np.split(move @ (ring + ring[:, ::-1] - 2 * values[:, None]) / 2, 2)[0]
         of_parts = np.std([part.mean() for part in np.array_split(moved, PARTS)])
         hidden = [float(of_parts), float(move @ (median - values)) / 2]
-    return float(best.x[this]), float(np.linalg.norm([scatter, *hidden]))
+    return float(best.x[this]), float(np.linalg.norm([scatter, *hidden, EDGE_SD_MM]))
 
 
 STEP_REACH_MM = 6.0  # distance to either side of a step over which it is fitted, mm
