@@ -227,7 +227,8 @@ def _print_failures(run: "Run | None", failed: "Sequence[ReconstructionFailure]"
         for warning in ones[0].warnings:
             screen.print_note(f"needlefit: {ids}: {warning}")
     if any(one.points for one in failed):
-        screen.print_note(f"needlefit: move what was found in 3D Slicer: {out}/slicer/, then --corrections")
+        seen = f"needlefit: what was found is drawn in {out}/quality/"
+        screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:
