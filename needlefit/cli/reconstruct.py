@@ -79,7 +79,7 @@ def reconstruct(
     slicer_scene: Annotated[
         bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--slicer-scene")
     ] = False,
-    run: options.RunOptions,  # read where they are needed
+    common: options.RunOptions,  # read where they are needed
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
