@@ -212,7 +212,7 @@ def describe(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     rows, remarks = to_records(run.frames["reconstruction"]), to_records(run.frames["remarks"])
     passed = {row["id"]: list[dict[str, Any]]() for row in rows[:MAX_NAMED_SCANS]}
-    for part in to_records(run.frames["passed"]):
+    for part in to_records(run.frames.get("passed", pd.DataFrame())):  # earlier results have none
         if part["id"] in passed:
             passed[part["id"]].append({**part, "length_mm": part["end_mm"] - part["begin_mm"]})
     poor = [{"id": row["id"], "sd_mm": row["depth_sd_mm"]} for row in rows]
@@ -221,7 +221,7 @@ def describe(run: Run) -> dict[str, Any]:
         "unregistered": [row for row in rows if row["markers_known"] is None],
         "needle": run.record.recipe.needle,
         "scans": len(rows),
-        "passed": passed,
+        "passed": {name: parts for name, parts in passed.items() if parts},
         "remarked": len({row["id"] for row in remarks}),
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
