@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, shift, zoom
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import centerline, follow, tip
@@ -171,6 +171,21 @@ def test_a_curve_that_turns_back_is_refused():
     for back in (there[::-1][1:20] + np.array([0, 2.5, 0]), there[::-1][1:7]):
         refused = refusal(DataError, "", refuse_fold, np.vstack([there, back]))
         assert re.search(r"by 1[78]\d degrees", refused.what) and refused.fix
+
+
+def test_a_step_between_slices_is_found_where_the_table_moved_and_not_where_slices_were_resampled():
+    volume = cases.scan(cases.axis(curve=(2.0, 1.0)))
+    moved = volume.values.copy()
+    moved[65:] = shift(moved[65:], [0, 0.8 / cases.SPACING, 0], order=1, mode="nearest")
+    factors = np.array([cases.SPACING / 1.0] * 3)
+    coarse = zoom(volume.values, factors, order=1)
+    spacing = (np.array(volume.values.shape) - 1) * cases.SPACING / (np.array(coarse.shape) - 1)
+    resampled = replace(volume, values=coarse, spacing=spacing[::-1].copy())
+    warned = [
+        any("jumps" in warning for warning in found(one).warnings)
+        for one in (volume, replace(volume, values=moved), resampled)
+    ]
+    assert warned == [False, True, False]
 
 
 def test_a_blunt_needle_has_no_side_and_the_shipped_recipe_states_the_defaults():

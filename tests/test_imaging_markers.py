@@ -12,7 +12,9 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers, refine_fiducials
 from needlefit.imaging.needle.segmentation import select_needle
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.point_spread import PointSpread
+from needlefit.imaging.spheres import SphereFit
+from needlefit.imaging.volume import Volume, to_patient
 from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
@@ -93,6 +95,27 @@ def test_a_needle_alone_and_nothing_bright_hold_no_marker():
     caught = refusal(DataError, "", find_markers, dull, RECIPE)
     assert caught.expected
     assert caught.fix
+
+
+@pytest.mark.parametrize(
+    ("thick", "shown", "warned"), [(0.5, 4.2, 1), (2.4, 4.2, 0), (2.4, 6.0, 1), (0.5, 3.3, 0)]
+)
+def test_a_diameter_is_doubted_as_far_as_slices_show_it(thick, shown, warned):
+    size = np.array([60, 60, round(32 / thick)])
+    places = np.stack(np.meshgrid(*(np.arange(n) for n in size), indexing="ij"), axis=-1) * [0.5, 0.5, thick]
+    centers = np.array([[8.0, 8, 7.2], [22, 9, 14.4], [9, 22, 21.6]])
+    near = [np.linalg.norm(places - center, axis=-1) < 1.7 for center in centers]
+    values = np.where(np.any(near, axis=0), 5000.0, 0.0).T.astype(np.float32)
+    volume = Volume(values, np.zeros(3), np.array([0.5, 0.5, thick]), np.eye(3))
+
+    def fit(_, blob, radius):
+        middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
+        size = shown if radius is None else 2 * radius
+        return SphereFit(middle, 0.02, PointSpread(0.4, 0.5, 0.3), 0.01, 0.01, size, 0.05)
+
+    found = find_markers(volume, RECIPE, fit=fit)
+    assert len(found.centers) == 3 and len(found.warnings) == warned
+    assert (found.spread is None) == (shown > 4)  # what contradicts the diameter shows no blur
 
 
 # files
