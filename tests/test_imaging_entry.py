@@ -152,6 +152,7 @@ def test_a_plate_on_the_tissue_ends_after_its_thickness_and_what_is_stated_of_th
         profile(*FACE),  # no guide, or one that looks as the tissue does
         profile(*FACE, (13.0, 35.0, -5.0)),
         profile((-8.0, -1000.0, 110.0), (0.0, 110.0, 35.0)),  # one of another thickness
+        profile(*FACE, (6.2, 35.0, -5.0)),  # a layer that ends there
         profile((-30.0, -1000.0, 950.0), (-27.0, 950.0, -1000.0), *FACE),
     ],
 )

@@ -19,7 +19,7 @@ from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, find_rises, find_runs, find_steps
+from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, STEP_MARGIN_MM, find_rises, find_runs, find_steps
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
@@ -162,7 +162,10 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
 GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
 MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
 # On the tissue a guide ends within so many mm of the place that its thickness states.
-STEP_MATCH_MM = 1.0
+STEP_MATCH_MM = 0.6
+# And is brighter or darker than soft tissue, HU: else a layer that ends there would be taken for it.
+MIN_TISSUE_HU = -50.0
+MAX_TISSUE_HU = 80.0
 
 
 @dataclass(frozen=True)
@@ -250,7 +253,9 @@ def _list_on_guide(
     for face in candidates:
         behind = face.at + thickness + distance
         near = [step for step in steps if abs(step.at - behind) <= STEP_MATCH_MM]
-        if near:
+        inside = (profile.s > face.at + STEP_MARGIN_MM) & (profile.s < behind - STEP_MATCH_MM)
+        level = np.nanmedian(profile.around[inside]) if near and inside.any() else 0.0
+        if not MIN_TISSUE_HU <= level <= MAX_TISSUE_HU:
             step = min(near, key=lambda one: abs(one.at - behind))
             stated_sd = float(np.hypot(face.sd, GUIDE_SD_MM))
             weight = stated_sd**2 / (stated_sd**2 + step.sd**2)
