@@ -71,14 +71,20 @@ def integrate_sensors(folder: Path, name: str) -> float:
 def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:
     """Return a row for each needle: errors of its shape by its sensors, and whether the bands cover it."""
     names = [one.id for one in load_dataset("twin").insertions if one.medium == medium]
-    study = {"schema": 2, "dataset": str(folder), "medium": medium, "same_specimen": True, "planes": 2}
+    study = {
+        "schema": 2,
+        "dataset": str(folder),
+        "medium": medium,
+        "same_specimen": True,
+        "compared": "space",
+    }
     study |= {"tune": {"insertions": names}, "validate": [{"insertions": [f"{one}-shape" for one in names]}]}
     run = needlefit.validate(study, recipe={"metric": False, "likelihood": LIKELIHOOD})
     errors = run.frames["errors"].query("method == 'predictive_median'").set_index("insertion")
     columns = ["tip_in_50", "tip_in_95", "shape_in_50", "shape_in_95", "tip_crps_mm"]
     covered = run.frames["predictive"].set_index("insertion")[columns].astype(float)
     return (
-        errors[["te_3d_mm", "ipe_3d_mm"]]
+        errors[["te_mm", "ipe_mean_mm"]]
         .join(covered)
         .assign(medium=medium, te_integrated_mm=[integrate_sensors(folder, one) for one in names])
     )
@@ -87,7 +93,13 @@ def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:
 def predict_readings(folder: Path, medium: str) -> pd.DataFrame:
     """Return the readings of every second needle as predicted by a fit to the others."""
     names = [one.id for one in load_dataset("twin").insertions if one.medium == medium]
-    study = {"schema": 2, "dataset": str(folder), "medium": medium, "same_specimen": True, "planes": 2}
+    study = {
+        "schema": 2,
+        "dataset": str(folder),
+        "medium": medium,
+        "same_specimen": True,
+        "compared": "space",
+    }
     study |= {"tune": {"insertions": names[::2]}, "validate": [{"insertions": names[1::2]}]}
     return needlefit.validate(study, recipe={"metric": False}).frames["curvature"]
 
@@ -108,7 +120,7 @@ def main() -> None:
     print(readings.groupby("direction")["kappa_in_95"].agg(["sum", "size"]))
     figure, axes = plt.subplots(figsize=(5, 4))
     for medium, some in rows.groupby("medium"):
-        axes.plot(some["te_integrated_mm"], some["te_3d_mm"], ".", label=medium)
+        axes.plot(some["te_integrated_mm"], some["te_mm"], ".", label=medium)
     axes.axline((0, 0), slope=1, color="0.5", lw=0.8)
     axes.set(xlabel="tip error, mm: curvatures integrated", ylabel="fitted")
     axes.legend()

@@ -21,7 +21,7 @@ import needlefit
 from needlefit.api import load_dataset
 
 DATASET = "stereo_shapes"
-STUDY = {"schema": 2, "dataset": DATASET, "medium": "gel_stereo", "planes": 1}
+STUDY = {"schema": 2, "dataset": DATASET, "medium": "gel_stereo", "compared": "plane"}
 FACTORS = (1.05, 1.1, 1.2)
 COLUMNS = ["tip_crps_mm", "width_mm", "tip_in_50", "tip_in_95"]
 

@@ -31,7 +31,8 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     whole = abs(beyond) <= 1e-6
     if whole:  # read from the tip, so that both tips are compared
         errors = compare_curves(
-            *align_points(measured.target, lambda s: compute_positions(shape, s + beyond))
+            *align_points(measured.target, lambda s: compute_positions(shape, s + beyond)),
+            measured.target.compared,
         )
     elif measured.target.pose != "free":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
@@ -39,7 +40,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
         z = np.interp(s, measured.s, measured.out_of_plane)
         seen = np.column_stack([seen, z])
         simulated = compute_positions(shape, s)
-        errors = compare_curves(align(measured.target.pose, simulated, seen), seen)
+        errors = compare_curves(align(measured.target.pose, simulated, seen), seen, measured.target.compared)
     else:
         return None
     found = compute_metrics(errors)

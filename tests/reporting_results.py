@@ -53,14 +53,7 @@ def scores(points: pd.DataFrame, converged: bool) -> dict:
     if not converged:
         gap = np.full(101, np.nan)
     predicted = points["simulated_y_mm"].iloc[-1] if converged else np.nan
-    away = np.hypot(gap, points["measured_z_mm"])
-    found = {
-        "te_3d_mm": away.iloc[-1],
-        "ipe_3d_mm": away.mean(),
-        "edp_3d_percent": 100 * away.iloc[-1] / bend,
-    }
-    found |= {"floor_te_3d_mm": 0.3, "floor_ipe_3d_mm": 0.28}
-    found |= {"median_err_mm": np.median(gap), "te_mm": gap[-1], "edp_percent": 100 * gap[-1] / abs(bend)}
+    found = {"median_err_mm": np.median(gap), "te_mm": gap[-1], "edp_percent": 100 * gap[-1] / abs(bend)}
     found |= {f"ipe_{name}_mm": getattr(gap, name)() for name in ("mean", "std", "max")}
     found |= {"deflection_mm": bend, "predicted_deflection_mm": predicted, "floor_median_err_mm": 0.2}
     found |= {"floor_ipe_mean_mm": 0.21, "floor_ipe_max_mm": 0.36, "floor_te_mm": 0.22}
@@ -236,7 +229,7 @@ def metadata(name: str, record: StudyRecord) -> FitMetadata:
         recipe=load(find_file("recipe", "default"), RecipeRecord),
         hand_tuned=None,
         rules={},
-        planes=1,
+        compared="plane",
         layers={},
         insertions={},
         new_bevel_sd={},

@@ -77,15 +77,15 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("planes", [1, 2])
+@pytest.mark.parametrize("compared", ["plane", "space"])
 @pytest.mark.usefixtures("few_draws")
-def test_runs_tracked_in_space_are_predicted_along_both(project, planes):
+def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
     """Fitted along y alone, or along both: the guide's moves along z are predicted."""
     runs = [track(f"rest{n}", 0 * GUIDE, guide_z=0 * GUIDE) for n in range(4)]
     runs += [track(f"moved{n}", GUIDE * (1 - n), guide_z=GUIDE_Z) for n in (0, 2)]
     every = [measured_in_space(one, n, (0.03 + 0.004 * n, -0.02)) for n, one in enumerate(runs)]
     written(project / "data/mine", every)
-    text = STUDY.replace('"track_gel"', f'"track_gel"\nplanes = {planes}')
+    text = STUDY.replace('"track_gel"', f'"track_gel"\ncompared = "{compared}"')
     (project / "studies/mine.toml").write_text(text)
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
     found = pd.read_csv(project / "reports/mine/runs.csv").drop_duplicates(["run", "direction", "method"])
@@ -102,7 +102,7 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, planes):
     [
         ("studies/mine.toml", "validate = { guided = true }", "validate = {}", "gel"),
         ("data/mine/dataset.toml", "slope_sd_deg = 1.0", "", "slope_sd_deg"),
-        ("studies/mine.toml", '"track_gel"', '"track_gel"\nplanes = 2', "planes"),
+        ("studies/mine.toml", '"track_gel"', '"track_gel"\ncompared = "space"', "compared"),
     ],
 )
 def test_a_study_that_cannot_predict_is_refused(project, capsys, file, old, new, key):

@@ -238,20 +238,6 @@ def test_every_kind_of_warning_has_a_section_that_explains_it():
         )
 
 
-def test_the_error_in_space_stands_beside_that_in_the_plane_where_they_differ_by_more_than_noise():
-    results = study(1)
-    errors = results.frames["errors"]
-    noise = errors["floor_te_3d_mm"].max()
-    near, far, unknown = (
-        results.with_frames(errors=errors.assign(te_3d_mm=errors["te_mm"] + away, floor_te_3d_mm=floor))
-        for away, floor in ((0.9 * noise, noise), (1.1 * noise, noise), (0.1 * noise, np.nan))
-    )
-    one, *others = (run.answer.verdicts[0].numbers for run in (near, far, unknown))
-    assert "te_3d_mm" not in one
-    expected = [one["te_mm"] + 1.1 * noise, one["te_mm"] + 0.1 * noise]
-    assert [other["te_3d_mm"] for other in others] == pytest.approx(expected)
-
-
 PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}
 
 

@@ -119,10 +119,11 @@ def test_errors_by_hand():
     assert curves.deflection == 4
     assert COMPARISON_POINTS == 101
     in_space = [np.column_stack([one, [0.0, 2, z]]) for one, z in ((curves.simulated, 14.0), (measured, 2.0))]
-    found |= compute_metrics(compare_curves(*in_space))
+    found = compute_metrics(compare_curves(*in_space, "plane"))
     assert {name: found[name] for name in expected} == pytest.approx(expected)
-    assert (found["te_3d_mm"], found["ipe_3d_mm"]) == pytest.approx((13, 14 / 3))
-    assert found["edp_3d_percent"] == pytest.approx(100 * 13 / np.hypot(4, 2))
+    found = compute_metrics(compare_curves(*in_space, "space"))
+    assert (found["te_mm"], found["ipe_mean_mm"]) == pytest.approx((13, 14 / 3))
+    assert found["edp_percent"] == pytest.approx(100 * 13 / np.hypot(4, 2))
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
     assert compute_metrics(compare_curves(line, line))["edp_percent"] == 0
     assert compute_metrics(compare_curves(line + np.array([0, 1]), line))["edp_percent"] == np.inf

@@ -720,7 +720,7 @@ def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_les
     """Two arcs of one curvature at right angles, of no model."""
     folder = import_turned(tmp_path, **SHARP)
     found = score_study(f"{folder}/gel_study.toml", jobs=1)
-    errors = found[found["method"] == "fitted"].groupby("role")["te_3d_mm"].mean()
+    errors = found[found["method"] == "fitted"].groupby("role")["te_mm"].mean()
     assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
     # the scene of the deepest needle, to be predicted, turns as that did
     steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
@@ -735,8 +735,8 @@ def test_the_rule_of_advance_that_fits_better_is_named_with_its_tip_error(tmp_pa
     (folder / "tissue.toml").write_text(text.replace("cut_angle_deg", "bevel_mm"))
     found = validate(f"{folder}/gel_study.toml", jobs=1, recipe={"metric": False, "starts": 4})
     other = found.metadata.other_advance
-    assert other.advance == "path_angle" and 0.1 < other.te_3d_mm < 0.3
-    assert other.stated_te_3d_mm > 0.4 and "advance" in [one.kind for one in found.warnings]
+    assert other.advance == "path_angle" and 0.1 < other.te_mm < 0.3
+    assert other.stated_te_mm > 0.4 and "advance" in [one.kind for one in found.warnings]
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def prepare_sections(dataset, one, scale):
 
 def prepare_points(dataset, one, scale):
     """Sections 1 and 3: the same of at most 200 stored points."""
-    along = one.measure_arc(1)  # of the smoothed points, which test_measured_curve checks
+    along = one.measure_arc("plane")  # of the smoothed points, which test_measured_curve checks
     thinned = slice(None, None, -int(np.ceil(len(along) / 200)))
     if dataset.pose == "known":
         s, points = along * one.depth / along[-1], one.planar

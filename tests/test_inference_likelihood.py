@@ -55,14 +55,14 @@ def test_a_free_pose_costs_nothing():
     assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
 
 
-@pytest.mark.parametrize("planes", [1, 2])
-def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(planes):
+@pytest.mark.parametrize(("compared", "count"), [("plane", 1), ("space", 2)])
+def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compared, count):
     """It is the limit of a prior of it that is flat: densities differ as with a wide one."""
     record, how = medium(1), LikelihoodRecord(bevel_spread=0.0)
     made = from_first_point(measure(TRUTH, record, insertion(50.0), 31))
-    shifted = made.with_planar(made.planar + np.array([0.0, 0.3]), made.out_of_plane + (planes - 1) * 0.2)
+    shifted = made.with_planar(made.planar + np.array([0.0, 0.3]), made.out_of_plane + (count - 1) * 0.2)
     p, q = (
-        make_problem(replace(dataset([one]), planes=planes), [one], record, WeightsRecord(), how)
+        make_problem(replace(dataset([one]), compared=compared), [one], record, WeightsRecord(), how)
         for one in (made, shifted)
     )
     theta = p.parameters.theta(TRUTH)
@@ -77,7 +77,7 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(planes)
         squares.append(left @ wide @ left)
     rise = q.log_posterior(theta) - q.log_posterior(off)
     assert rise == pytest.approx((squares[1] - squares[0]) / 2, rel=1e-3) and rise > 1.0
-    assert (known.rows, known.free.shape[1]) == (31 * planes - planes, planes)
+    assert (known.rows, known.free.shape[1]) == (31 * count - count, count)
     assert_one_density(q, off)
 
 

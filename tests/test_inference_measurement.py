@@ -79,7 +79,7 @@ def test_an_error_along_one_direction_alone_is_one_of_that_direction(scanned):
     across = one.frame.rotation @ [0.0, math.cos(angle), math.sin(angle)]
     sections = replace(one.sections, shared_along=hidden * across)
     planned = replace(one, sections=sections, boundary_sd=0.0, depth_sd=0.0)
-    data = replace(scanned, planes=2)
+    data = replace(scanned, compared="space")
     plain, found, flat = map(make_observation, (data, data, scanned), (one, planned, planned))
     added, size = found.point_covariance - plain.point_covariance, len(plain.point_covariance) // 2
     along_z = added[size:, size:] / math.sin(angle) ** 2

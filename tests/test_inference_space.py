@@ -10,7 +10,7 @@ import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
 from test_datasets import CURVE, record, row
 
-from needlefit.datasets.planes import leaves_plane, set_planes, turns_out_of_plane
+from needlefit.datasets.planes import leaves_plane, set_compared, turns_out_of_plane
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
@@ -53,8 +53,8 @@ def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
     return planned.with_planar(points[:, :2], points[:, 2])
 
 
-def in_space(made, how=FREE, planes=2):
-    data = replace(dataset(made), planes=planes)
+def in_space(made, how=FREE, compared="space"):
+    data = replace(dataset(made), compared=compared)
     return make_problem(data, made, medium(), WeightsRecord(), how)
 
 
@@ -73,7 +73,7 @@ def test_values_gradients_and_residuals_in_space_are_of_one_density():
 
 def test_needles_in_one_plane_have_the_same_likelihood_in_space():
     made = [turned(40.0, ()), turned(33.0, (), side=-1)]
-    one, two = (in_space(made, planes=planes) for planes in (1, 2))
+    one, two = (in_space(made, compared=compared) for compared in ("plane", "space"))
     thetas = [one.parameters.theta({**TRUTH, "mu1_pa": mu, "bevel_mm": 0.09}) for mu in (2e5, 6e5)]
     gaps = [p.log_posterior(thetas[0]) - p.log_posterior(thetas[1]) for p in (one, two)]
     assert gaps[0] == pytest.approx(gaps[1], rel=1e-9) and abs(gaps[0]) > 0.1
@@ -153,20 +153,21 @@ def test_rolls_and_turns_that_contradict_are_faults(tmp_path, rows, row_changes,
     assert any(place in fault.where for fault in check(file))
 
 
-def test_the_data_decide_in_how_many_planes_needles_are_compared():
+def test_the_data_decide_where_needles_are_compared():
     flat, half, quarter = turned(turns=()), turned(35.0, ((18.0, 180.0),)), turned()
     assert [turns_out_of_plane(one) for one in (flat, half, quarter)] == [False, False, True]
     data = dataset([flat, half, quarter])
-    for insertions, stated, planes in (
-        ([flat, half], None, 1),
-        ([flat, quarter], None, 2),
-        ([flat], 2, 2),
-        ([quarter], 1, 1),
+    for insertions, stated, compared in (
+        ([flat, half], None, "plane"),
+        ([flat, quarter], None, "space"),
+        ([flat], "space", "space"),
+        ([quarter], "plane", "plane"),
     ):
-        assert set_planes(data, insertions, stated).planes == planes
+        assert set_compared(data, insertions, stated).compared == compared
     # in one plane a quarter turn is none, and a larger one a half turn
     more = turned(turns=((10.0, 90.0), (20.0, 140.0)))
-    assert set_planes(dataset([more]), [more], 1).insertions[0].turns == ((10.0, 0.0), (20.0, 180.0))
+    kept = set_compared(dataset([more]), [more], "plane").insertions[0]
+    assert kept.turns == ((10.0, 0.0), (20.0, 180.0))
     # 10 degrees are two SDs of a roll of 5, and ten of one of 1
     points = turn_about_x(np.column_stack([flat.planar, flat.out_of_plane]), math.radians(10.0))
     bent = replace(flat, pose_angle_sd=0.0).with_planar(points[:, :2], points[:, 2])
@@ -178,25 +179,25 @@ def test_the_data_decide_in_how_many_planes_needles_are_compared():
         sensors = np.array([[10.0, 2e-3, kappa_z, 2e-5], [30.0, 2e-3, kappa_z, 2e-5]])
         assert leaves_plane(replace(flat, curvature=sensors), noise) == leaves
     with pytest.raises(ConfigError):
-        set_planes(replace(data, pose="free"), [flat], 2)
+        set_compared(replace(data, pose="free"), [flat], "space")
     twisted = medium().model_copy(update={"torsional_friction_n": 0.1})
     settings = Settings(inputs=Inputs(dataset=dataset([flat, half]), medium=twisted))
     tune = {"insertions": [flat.id, half.id]}
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
-    assert prepare("x", record, settings).dataset.planes == 2
+    assert prepare("x", record, settings).dataset.compared == "space"
     notes: list[str] = []  # what was decided, with the key that decides otherwise
     doubted = replace(dataset([flat, half]), warnings=(ResultWarning("bevel_plane", "x"),))
     planar = Settings(inputs=Inputs(dataset=doubted, medium=medium()), note=notes.append)
     job = prepare("x", record, planar)
     print_notes(job, planar)
-    assert job.dataset.planes == 1 and "`planes = 2`" in notes[0]
-    flattened = record.model_copy(update={"planes": 1})
-    with pytest.raises(ConfigError, match="planes"):
+    assert job.dataset.compared == "plane" and '`compared = "space"`' in notes[0]
+    flattened = record.model_copy(update={"compared": "plane"})
+    with pytest.raises(ConfigError, match="compared"):
         prepare("x", flattened, settings)
     for other, kinds in ((half, []), (quarter, ["bevel_plane"])):
         inputs = Inputs(dataset=dataset([flat, replace(other, id=half.id)]), medium=medium())
         job = prepare("x", flattened, Settings(inputs=inputs))
-        assert [one.kind for one in job.warnings] == kinds and job.dataset.planes == 1
+        assert [one.kind for one in job.warnings] == kinds and job.dataset.compared == "plane"
 
 
 def test_measurements_simulated_in_space_scatter_as_the_likelihood_takes_them():
@@ -223,7 +224,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     assert lag > 5 and abs(shape.w[-1]) > 0.02
     points = sample_inserted_points(shape, 101)
     made = [planned.with_planar(points[:, :2], points[:, 2])]
-    data = replace(dataset(made), planes=2)
+    data = replace(dataset(made), compared="space")
     values = []
     for one in (known, medium()):
         p = make_problem(data, made, one, WeightsRecord(), FREE)
@@ -255,7 +256,7 @@ def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     """By curvatures with an error of 2e-5 1/mm alone, tips lie within 0.1 mm of the measured ones."""
     rng, how = np.random.default_rng(7), BY_CURVATURE
     planned = [turned(40.0, curvature=SENSORS), turned(45.0, ((20.0, -90.0),), curvature=SENSORS, side=-1)]
-    data = replace(dataset(planned), planes=2)
+    data = replace(dataset(planned), compared="space")
     seen = [simulate_measurement(data, one, TRUTH, medium(), rng) for one in planned]
     made = [replace(one, curvature=other.curvature) for one, other in zip(planned, seen, strict=True)]
     p = in_space(made, how)
@@ -264,7 +265,7 @@ def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     assert_one_density(p, begin)
     found = minimize_squares(p, begin)
     assert found.converged
-    assert max(compare_curves(*pair).distances_3d[-1] for pair in p.points(found.theta)) < 0.1
+    assert max(compare_curves(*pair).tip_error for pair in p.points(found.theta)) < 0.1
     both = in_space(made, FREE)
     assert [one.rows for one in both.density.observations] == [2 * 101 + 8] * 2
     assert_one_density(both, begin)
@@ -302,7 +303,7 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
         made.append(one.with_planar(points[:, :2], points[:, 2]))
     assert [find_plane(one) for one in made] == pytest.approx([angle] * 2)
     assert find_plane(turned(turns=())) == 0 and find_plane(turned(turns=((1.0, 180.0),))) == math.pi
-    found = fit_baselines("known", 0.0, made, 2)
+    found = fit_baselines("known", 0.0, made, "space")
     assert found["constant_curvature"].coefficients == pytest.approx([1 / 300], rel=1e-6)
     for name in ("constant_curvature", "mean_shape"):
         for one in made:

@@ -93,7 +93,7 @@ ROLLED = TrackErrorsRecord(gain_sd=0.2, roll_sd_deg=5.0)
 
 
 def in_space(runs, errors=ROLLED):
-    asked = problem(runs, planes=2)
+    asked = problem(runs, compared="space")
     likelihood = observation.PLAIN_LIKELIHOOD.model_copy(update={"tip_tracks": errors})
     return replace(asked, dataset=replace(asked.dataset, noise=SESSION_NOISE), likelihood=likelihood)
 

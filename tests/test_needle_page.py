@@ -139,19 +139,23 @@ def test_the_needles_of_a_report_are_computed_again(page, result, chromium) -> N
 @NO_BROWSER
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
-    ("pose", "planes"), [("known", 1), ("direction", 1), ("free", 1), ("known", 2), ("direction", 2)]
+    ("pose", "compared"),
+    [
+        *[("known", "plane"), ("direction", "plane"), ("free", "plane")],
+        *[("known", "space"), ("direction", "space")],
+    ],
 )
-def test_a_report_of_every_pose_computes_its_needles(pose, planes, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
+def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, tmp_path, monkeypatch) -> None:  # noqa: F811
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "report.html"
-    results = fitted(tmp_path, pose, planes)
+    results = fitted(tmp_path, pose, compared)
     path.write_bytes(compile_html(compose_run_report(results, {})))
     with open_offline(chromium, path) as window:
         count, largest = window.evaluate(ALL_STATES)
         assert count == len(read_page_data(path.read_text("utf-8"))["needles"]) > 0 and largest < 1e-12
         assert window.evaluate("needlefit.scene.measured.target.pose") == pose
         names = window.evaluate("needlefit.scene.measured.metrics.map(([name]) => name)")
-        assert all(("3d" in name) == (planes == 2) for name in names) and len(names) == 3
+        assert window.evaluate("needlefit.scene.measured.compared") == compared and len(names) == 3
         errors = results.frames["errors"]
         errors = errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
         row = errors.set_index("insertion").loc[window.evaluate("needlefit.scene.measured.id")]

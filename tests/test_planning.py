@@ -223,16 +223,16 @@ def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys
 
 
 @pytest.mark.parametrize(
-    ("fitted", "planes", "target", "count"),
+    ("fitted", "along_z", "target", "count"),
     [
-        *[((70.0, 80.0), 1, "45,2", 0), ((100.0, 110.0), 1, "45,2", 1)],
-        *[((70.0, 80.0), 1, "45,2,1", 1), ((70.0, 80.0), 2, "45,2,1", 0)],
+        *[((70.0, 80.0), False, "45,2", 0), ((100.0, 110.0), False, "45,2", 1)],
+        *[((70.0, 80.0), False, "45,2,1", 1), ((70.0, 80.0), True, "45,2,1", 0)],
     ],
 )
 def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
-    fitted, planes, target, count, monkeypatch, capsys
+    fitted, along_z, target, count, monkeypatch, capsys
 ) -> None:
-    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_planes=planes)
+    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_along_z=along_z)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
     assert run("plan", "phantom2", "--target", target, "--turns", "0", "--json") == 0
     kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]

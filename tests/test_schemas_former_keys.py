@@ -12,7 +12,7 @@ from needlefit.schemas.reconstruction import CenterlineRecord, MarkersRecord, Re
 from needlefit.schemas.recording import RecordingRecord
 from needlefit.schemas.scene import GuideMoveRecord, GuideRecord, SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.schemas.tracks import TrackStudyRecord
+from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 
 RECORDS = {
     "FitRecord": FitRecord,
@@ -26,6 +26,7 @@ RECORDS = {
     "GuideRecord": GuideRecord,
     "GuideMoveRecord": GuideMoveRecord,
     "RecordingRecord": RecordingRecord,
+    "TrackFitRecord": TrackFitRecord,
 }
 
 
@@ -47,6 +48,7 @@ def test_former_keys_are_no_keys_of_today_and_their_fixes_name_keys_of_today(nam
         (DatasetRecord, {"noise": {"correlation": "matern32"}}, "noise.correlation", "correlation_length_mm"),
         (TrackDatasetRecord, {"noise": {"correlation": "exponential"}}, "noise.correlation", "remove"),
         (SceneRecord, {"guides": [{"holds": False}]}, "guides.1.holds", "engaged"),
+        (StudyRecord, {"planes": 2}, "planes", "compared"),
     ],
 )
 def test_a_former_key_is_named_with_what_to_write_now(kind, tables, key, fix):

@@ -156,7 +156,7 @@ def test_a_table_of_depths_and_deflections_is_a_dataset(tmp_path: Path) -> None:
     assert [one.observed for one in data.insertions] == ["tip"] * 3 == list(data.to_frame()["observed"])
     assert (first.hole, second.hole, first.directions) == ("h", "h", 1)
     assert second.sd is not None and second.sd[-1] == 0.2 and third.sd is None
-    assert data.planes == 1 and data.pose == "known"
+    assert data.compared == "plane" and data.pose == "known"
 
 
 @pytest.mark.parametrize(

@@ -43,14 +43,14 @@ FIT = GEL.replace('{ tie = "50 * mu1_pa" }', "{ fixed = 2e7 }").replace(
 RECIPE = "schema = 1\nstarts = 2\nevaluations = 100\ntolerance = 1e-6\n"
 
 
-def run_study(folder: Path, recipe: str, planes: int | None = None):
+def run_study(folder: Path, recipe: str, compared: str | None = None):
     """Run and store a study of the needles of a project, fitted to one piece; return what it found."""
     for name, text in (("media/gel", GEL), ("media/fit", FIT), ("recipes/short", recipe)):
         path = folder / "configs" / f"{name}.toml"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     asked = {"dataset": "needles", "medium": "fit", "recipe": "short", "tune": {"specimens": ["piece1"]}}
-    asked |= {"schema": 1, "validate": [{"specimens": ["piece2"]}], "planes": planes}
+    asked |= {"schema": 1, "validate": [{"specimens": ["piece2"]}], "compared": compared}
     study = StudyRecord.model_validate(asked)
     results = run("small", study, Settings())
     put(results, folder / "reports" / "small")

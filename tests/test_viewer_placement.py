@@ -24,7 +24,7 @@ TURNED = "lps_to_world = [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30]]"
 """A quarter turn about z: of LPS (x, y, z), the world is (10 - y, 20 + x, 30 + z)."""
 
 
-def fitted(folder: Path, pose: str, planes: int | None = None):
+def fitted(folder: Path, pose: str, compared: str | None = None):
     """Fit needles whose scan is turned in the world; return what the run found."""
     source = "first_point" if pose == "direction" else "stage"
     file = needles.build(folder / "data" / "needles", pose_source=source)
@@ -34,7 +34,7 @@ def fitted(folder: Path, pose: str, planes: int | None = None):
         text = text.replace("drop_proximal_mm = 0.0", "drop_proximal_mm = 2.0")
         text = text[: text.index("[media")] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n"
     file.write_text(text)
-    return run_study(folder, QUICK, planes)
+    return run_study(folder, QUICK, compared)
 
 
 def steered(path: Path) -> None:

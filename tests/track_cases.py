@@ -13,6 +13,7 @@ from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
+from needlefit.schemas.study import Compared
 
 NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)
@@ -113,15 +114,15 @@ def measured(one: Insertion, shift: float = 0.0, slope: float = 0.0, seed: int |
     return with_tip(one, tip[0] + shift + slope * one.planar[:, 0] + noise)
 
 
-def dataset(tracks: list[Insertion], planes: int = 1) -> Dataset:
+def dataset(tracks: list[Insertion], compared: Compared = "plane") -> Dataset:
     found = Dataset(
         "cases", "cases", "synthetic", tuple(tracks), ("gel",), NOISE, "tracker", 0.0, Path(), "0"
     )
-    return replace(found, planes=planes)
+    return replace(found, compared=compared)
 
 
-def problem(tracks: list[Insertion], medium: MediumRecord = MEDIUM, planes: int = 1) -> Problem:
-    return make_problem(dataset(tracks, planes), tracks, medium, WeightsRecord())
+def problem(tracks: list[Insertion], medium: MediumRecord = MEDIUM, compared: Compared = "plane") -> Problem:
+    return make_problem(dataset(tracks, compared), tracks, medium, WeightsRecord())
 
 
 def written(folder: Path, tracks: list[Insertion], toml: str = TOML) -> Path:

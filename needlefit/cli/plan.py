@@ -91,7 +91,7 @@ def plan(
         rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
         found = rolled if rolled.hits else found
     plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
-    unfitted = found.goal.spatial and shown.fitted_planes == 1
+    unfitted = found.goal.spatial and not shown.fitted_along_z
     depth = found.steps[-1].depth
     beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
     shown = replace(shown, warnings=(*shown.warnings, *beyond))

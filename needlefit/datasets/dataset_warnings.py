@@ -240,7 +240,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     Where coordinates are rounded, it must be more than rounding of two measurements explains.
     """
     insertions = [one.insertion for one in listed]
-    gaps = [float(np.diff(one.measure_arc(1)).max()) for one in insertions]
+    gaps = [float(np.diff(one.measure_arc("plane")).max()) for one in insertions]
     scatters = [
         min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
         for one in insertions
@@ -355,7 +355,7 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     slopes = [(0.0, 0.0, 0.0)]  # at the first and last points, about the entry, and their deviation, rad
     for one in own:
         if one.pose_source != "none" and not one.turns and not one.base_moved:
-            s = one.measure_arc(2)
+            s = one.measure_arc("space")
             bend, slope, _ = np.polyfit(s, np.column_stack([one.planar[:, 1], one.out_of_plane]), 2)
             sd = math.hypot(one.pose_angle_sd, 4 * math.hypot(noise.point_sd, noise.correlated_sd) / s[-1])
             begin, end = (float(np.linalg.norm(one)) for one in (slope, slope + 2 * bend * s[-1]))

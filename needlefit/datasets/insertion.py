@@ -20,6 +20,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.study import Compared
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,9 +212,9 @@ class Insertion:
         world = self.frame.to_world(np.column_stack((planar, z)))
         return replace(self, planar=planar, centerline=world, out_of_plane=z, sections=None)
 
-    def measure_arc(self, planes: int) -> Floats:
+    def measure_arc(self, compared: Compared) -> Floats:
         """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""
-        return (self.curve_in_plane if planes == 1 else self.curve_in_space).s
+        return (self.curve_in_plane if compared == "plane" else self.curve_in_space).s
 
     @cached_property
     def curve_in_plane(self) -> MeasuredCurve:
@@ -258,8 +259,8 @@ class Dataset:
         Name of the file format of its centrelines; empty where they stand in a table.
     measurement : MeasurementRecord
         What the measurement does to a shape before its points are stored.
-    planes : int
-        1 where needles are simulated and compared in their planes, 2 in space.
+    compared : Compared
+        Whether needles are simulated and compared in their planes, or in space.
     files : DatasetFiles or None
         What it was read from; None where it was made in memory.
     rigidities : mapping of str to str
@@ -279,6 +280,11 @@ class Dataset:
     notes: tuple[str, ...] = field(default=(), repr=False)
     warnings: tuple[ResultWarning, ...] = field(default=(), repr=False)
     remarks: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def directions(self) -> int:
+        """How many deflections of a point are compared: 1, along y, or 2, along y and z."""
+        return 1 if self.compared == "plane" else 2
 
     @property
     def needles(self) -> dict[str, Needle]:
@@ -310,7 +316,7 @@ class Dataset:
 
     centerline_format: str = ""
     measurement: MeasurementRecord = DEFAULT_MEASUREMENT
-    planes: int = 1
+    compared: Compared = "plane"
     files: DatasetFiles | None = field(default=None, repr=False, compare=False)
     rigidities: Mapping[str, str] = field(default_factory=dict, repr=False)
 
@@ -346,10 +352,10 @@ MAX_CENTERLINE_POINTS = 200  # a centreline with more points is thinned to about
 
 
 def select_compared_places(
-    pose: Pose, drop: float, insertion: Insertion, planes: int = 1
+    pose: Pose, drop: float, insertion: Insertion, compared: Compared = "plane"
 ) -> tuple[Floats, Floats]:
     """Return arc lengths along the centreline (K,) and beam coordinates (K,), mm, of the points compared."""
-    along = insertion.measure_arc(planes)
+    along = insertion.measure_arc(compared)
     if pose == "known":
         at = along * (insertion.depth / along[-1])
     else:

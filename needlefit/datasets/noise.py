@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Callable, Mapping
-from functools import partial
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
-from needlefit.geometry.curves import COMPARISON_POINTS, ComparedCurves, compare_curves
+from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
 from needlefit.metrics import METRICS, list_metrics
 
@@ -42,16 +41,15 @@ def estimate_noise_floor(
         again[..., 0] = curve[:, 0]  # depths are known
     if tracker:
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
-    compare = (
-        partial(compare_curves, measured=whole)
-        if is_tip
-        else _prepare_comparison(whole, insertion.measure_arc(1), find_pose(dataset.pose, insertion), free)
-    )
-    compared, floor = [compare(one) for one in again], dict[str, float]()
+    pairs = [(one, whole) for one in again]
+    if not is_tip:
+        along, pose = insertion.measure_arc("plane"), find_pose(dataset.pose, insertion)
+        pairs = list(map(_prepare_comparison(whole, along, pose, free), again))
+    curves, floor = [compare_curves(*pair, dataset.compared) for pair in pairs], dict[str, float]()
     for metric in metrics:
         with METRICS.plugin_error_context(metric.name):
-            known = compared[0].is_curve or not metric.of_curve
-            errors = [metric.compute(one) for one in compared] if known else math.nan
+            known = curves[0].is_curve or not metric.of_curve
+            errors = [metric.compute(one) for one in curves] if known else math.nan
             floor[metric.name] = float(np.mean(errors))
     return floor
 
@@ -76,7 +74,7 @@ def draw_measurement_errors(
         return None
     cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     shifts = np.array([0.0 if cut else shift, shift])
-    points = draw_point_noise(insertion.measure_arc(1), noise, rng, draws)
+    points = draw_point_noise(insertion.measure_arc("plane"), noise, rng, draws)
     return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
 
 
@@ -89,7 +87,7 @@ def draw_errors_across(
     """
     if insertion.directions == 1:
         return np.zeros((draws, len(insertion.planar)))
-    s = insertion.measure_arc(1)
+    s = insertion.measure_arc("plane")
     points = draw_point_noise(s, dataset.noise, rng, draws)[..., 0]
     if dataset.pose != "known":
         return points
@@ -118,8 +116,8 @@ def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats
 
 def _prepare_comparison(
     curve: Floats, along: Floats, pose: InsertionPose, length: float | None
-) -> Callable[[Floats], ComparedCurves]:
-    """Return how a curve (N, 3) that was measured again is compared with `curve`, which is sampled once.
+) -> Callable[[Floats], tuple[Floats, Floats]]:
+    """Return what takes a curve (N, 3) that was measured again to the points of `curve` and its own, (K, 3).
 
     At equal fractions, after a shift across where the direction alone is known, or along `length` from the
     tip after alignment in the plane. The arc lengths `along` (N,) are those of the needle: noise of its
@@ -130,14 +128,14 @@ def _prepare_comparison(
     def sample(points: Floats) -> Floats:
         return np.column_stack([np.interp(s, along, axis) for axis in points.T])
 
-    def compare(again: Floats) -> ComparedCurves:
+    def place(again: Floats) -> tuple[Floats, Floats]:
         measured, moved = sample(again), sampled
         if length is not None:
             aligned = align_rigid(sampled[:, :2], measured[:, :2])
             moved = np.column_stack([aligned, sampled[:, 2]])
         elif pose == "direction":
             moved = align_lateral(sampled, measured, terms=1)
-        return compare_curves(moved, measured)
+        return moved, measured
 
     sampled = sample(curve)
-    return compare
+    return place

@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.study import Compared
 
 SIGNIFICANT_SD = 3.0  # standard deviations beyond which a bend is not a measurement error
 # Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees.
@@ -65,26 +66,28 @@ def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
     return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
 
 
-def set_planes(dataset: Dataset, insertions: Sequence[Insertion], stated: int | None) -> Dataset:
-    """Return the dataset with the number of planes in which its needles are simulated and compared.
+def set_compared(dataset: Dataset, insertions: Sequence[Insertion], stated: Compared | None) -> Dataset:
+    """Return the dataset with where its needles are simulated and compared: in their planes or in space.
 
-    It is the `stated` one; where that is None, 2 if any of the `insertions` leaves its plane. In one plane a
-    turn counts as the half turn, or none, that is nearest to it, and what a tracker read along z does not.
+    It is what is `stated`; where that is None, space if any of the `insertions` leaves its plane. In the
+    plane a turn counts as the half turn, or none, that is nearest to it, and what a tracker read along z does
+    not.
 
-    Raises ConfigError if two are stated for shapes of unknown pose, or tips that were tracked in one plane.
+    Raises ConfigError if space is stated for shapes of unknown pose, or tips that were tracked along y alone.
     """
     flat = any(one.directions == 1 for one in insertions)
-    if stated == 2 and (flat or dataset.pose == "free"):
+    if stated == "space" and (flat or dataset.pose == "free"):
         raise ConfigError(
             f"the needles of {dataset.name} have no known " + ("place along z" if flat else "pose"),
-            key="planes",
-            expected="1" + (", or tip_z_mm of every run" if flat else ": their plane is that of their shape"),
+            key="compared",
+            expected='"plane"'
+            + (", or tip_z_mm of every run" if flat else ": their plane is that of their shape"),
         )
-    planes = stated or 1
-    if stated is None and not flat and dataset.pose != "free":
-        planes += any(leaves_plane(one, dataset.noise) for one in insertions)
-    if planes == 2:
-        return replace(dataset, planes=2)
+    known = not flat and dataset.pose != "free"
+    if stated is None and known and any(leaves_plane(one, dataset.noise) for one in insertions):
+        stated = "space"
+    if stated == "space":
+        return replace(dataset, compared="space")
     kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
     return replace(dataset, insertions=tuple(map(_flatten_guide, kept)))
 
@@ -94,11 +97,6 @@ def _flatten_guide(insertion: Insertion) -> Insertion:
     if insertion.guide is None:
         return insertion
     return replace(insertion, guide=insertion.guide.flatten(), directions=1)
-
-
-def select_compared(points: Floats, planes: int, axis: int = -1) -> Floats:
-    """Return the coordinates that are compared of points in space: x and y in one plane, else z too."""
-    return points if planes == 2 else np.take(points, (0, 1), axis)
 
 
 def _project_turns(insertion: Insertion) -> Insertion:
@@ -136,7 +134,7 @@ def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
 
 def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     """Return y and z (n, 2) of the needle at depths along it, mm."""
-    along = insertion.measure_arc(2)
+    along = insertion.measure_arc("space")
     along = along * (insertion.depth / along[-1])
     points = insertion.planar[:, 1], insertion.out_of_plane
     return np.column_stack([np.interp(depths, along, one) for one in points])
@@ -156,7 +154,7 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             f"bevels lead them, which errors of points, pose and rolls do not explain: {names}"
         )
         fix = _propose_bevel([one.insertion for one in aside], noise)
-        fix += "; `planes = 2` in the study or fit compares them in space"
+        fix += '; `compared = "space"` in the study or fit compares them there'
         yield ResultWarning("bevel_plane", what, aside[0].where, fix)
     elif twisted := _find_twisted([one.insertion for one in listed], noise):
         what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"

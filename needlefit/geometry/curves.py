@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
+from needlefit.schemas.study import Compared
 
 
 def arc_length(points: ArrayLike) -> Floats:
@@ -109,6 +110,11 @@ def integrate_curvature(depth: float, coefficients: Sequence[ArrayLike], s: Arra
     return np.stack([x + np.minimum(along, 0.0), y], axis=-1)
 
 
+def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Floats:
+    """Return the coordinates of points that are compared: x and y of those in the plane, in space z too."""
+    return points if compared == "space" else np.take(points, (0, 1), axis)
+
+
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
 
 
@@ -116,19 +122,13 @@ COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (
 class ComparedCurves:
     """Two curves of one insertion at the same stations, from the entry to the tip."""
 
-    # `simulated`, `measured`: (K, 2) points in the plane of C, mm, or (K, 3) in space
+    # `simulated`, `measured`: the coordinates that are compared of points in C, (K, 2) or (K, 3) mm
     simulated: Floats
     measured: Floats
 
     @cached_property
     def distances(self) -> Floats:
-        """In-plane error (K,) at each station, |r_sim - r_measured|, mm."""
-        distances: Floats = np.linalg.norm((self.simulated - self.measured)[:, :2], axis=1)
-        return distances
-
-    @cached_property
-    def distances_3d(self) -> Floats:
-        """Distance (K,) in space at each station, mm."""
+        """Distance (K,) at each station, |r_sim - r_measured|, mm."""
         distances: Floats = np.linalg.norm(self.simulated - self.measured, axis=1)
         return distances
 
@@ -139,21 +139,16 @@ class ComparedCurves:
 
     @property
     def tip_error(self) -> float:
-        """The in-plane error at the last station, mm."""
+        """The distance at the last station, mm."""
         return float(self.distances[-1])
 
     @property
     def deflection(self) -> float:
-        """Measured y_K - y_1, mm, signed as y is."""
-        return float(self.measured[-1, 1] - self.measured[0, 1])
-
-    @property
-    def deflection_3d(self) -> float:
         """Measured displacement of the tip across x, mm."""
         return float(np.linalg.norm((self.measured[-1] - self.measured[0])[1:]))
 
 
-def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> ComparedCurves:
+def compare_curves(simulated: ArrayLike, measured: ArrayLike, compared: Compared = "space") -> ComparedCurves:
     """Return two curves (K, 2) or (K, 3), both in C, as compared station by station.
 
     ValueError if their shapes differ.
@@ -163,4 +158,4 @@ def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> ComparedCurves:
         raise ValueError(
             f"curves of shape {sim.shape} and {meas.shape} cannot be compared; need (K, 2) or (K, 3) twice"
         )
-    return ComparedCurves(sim, meas)
+    return ComparedCurves(select_compared(sim, compared), select_compared(meas, compared))

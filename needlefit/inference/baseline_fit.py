@@ -16,6 +16,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, turn_about_x
 from needlefit.inference.likelihood.observations import select_points
+from needlefit.schemas.study import Compared
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,13 @@ class FittedBaseline:
 
     baseline: Baseline
     coefficients: tuple[float, ...]
-    planes: int = 1
+    compared: Compared = "plane"
 
     def curve(self, insertion: Insertion) -> Curve:
         """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 3) in C, mm."""
         with BASELINES.plugin_error_context(self.baseline.name):
             curve = _in_space(self.baseline.curve(self.coefficients, insertion))
-        roll = find_plane(insertion) if self.planes == 2 else 0.0
+        roll = find_plane(insertion) if self.compared == "space" else 0.0
         return (lambda s: turn_about_x(curve(s), roll)) if roll else curve
 
 
@@ -56,18 +57,18 @@ def _turn_back(insertion: Insertion) -> Insertion:
 
 
 def fit_baseline(
-    name: str, pose: Pose, drop: float, insertions: Sequence[Insertion], planes: int = 1
+    name: str, pose: Pose, drop: float, insertions: Sequence[Insertion], compared: Compared = "plane"
 ) -> FittedBaseline:
     """Return the baseline `name` that lies closest (least squares) to the scored points of `insertions`.
 
-    In two `planes` they are compared in the plane of each insertion's curve.
+    In space they are compared in the plane of each insertion's curve.
 
     Raises ConfigError if there is no such baseline, or no insertion, or one of a plugin fails.
     """
     baseline = BASELINES[name]
     if not insertions:
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
-    insertions = [_turn_back(one) for one in insertions] if planes == 2 else insertions
+    insertions = [_turn_back(one) for one in insertions] if compared == "space" else insertions
     pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
     with BASELINES.plugin_error_context(name):
         scales = np.array(baseline.scales)
@@ -81,13 +82,13 @@ def fit_baseline(
                 return _residuals(baseline, scales * scaled, pairs)
 
             found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-    return FittedBaseline(baseline, tuple(found.tolist()), planes)
+    return FittedBaseline(baseline, tuple(found.tolist()), compared)
 
 
 def fit_baselines(
-    pose: Pose, drop: float, insertions: Sequence[Insertion], planes: int = 1
+    pose: Pose, drop: float, insertions: Sequence[Insertion], compared: Compared = "plane"
 ) -> Mapping[str, FittedBaseline]:
-    return {one.name: fit_baseline(one.name, pose, drop, insertions, planes) for one in list_baselines()}
+    return {one.name: fit_baseline(one.name, pose, drop, insertions, compared) for one in list_baselines()}
 
 
 def _residuals(

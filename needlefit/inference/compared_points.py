@@ -8,12 +8,14 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import InsertionPose
+from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import (
     align_lateral,
     align_rigid,
     differentiate_align_lateral,
     differentiate_align_rigid,
 )
+from needlefit.schemas.study import Compared
 
 
 def turn_about_x(points: Floats, angle: Floats | float) -> Floats:
@@ -34,27 +36,27 @@ class ComparedPoints:
     """The measured points of one comparison, and where the simulated ones are taken."""
 
     s: Floats  #: (K,) where on the beam the simulated points are taken, mm from the entry
-    measured: Floats  #: (K, 2) measured points, entry side first, tip last, mm
+    measured: Floats  #: (K, 3) measured points, entry side first, tip last, mm
     pose: InsertionPose
-    out_of_plane: Floats  #: (K,) their z, mm
+    compared: Compared = "plane"
+
+    def select(self, points: Floats, axis: int = -1) -> Floats:
+        """Return the coordinates of points (..., K, 3) that are compared."""
+        return select_compared(points, self.compared, axis)
 
     @property
-    def in_space(self) -> Floats:
-        """The measured points in space, (K, 3) mm."""
-        return np.column_stack([self.measured, self.out_of_plane])
-
-    def measured_in(self, planes: int) -> Floats:
-        """Return the measured points in one plane, (K, 2) mm, or in two, (K, 3)."""
-        return self.measured if planes == 1 else self.in_space
+    def target(self) -> Floats:
+        """The compared coordinates of the measured points, (K, 2) or (K, 3) mm."""
+        return self.select(self.measured)
 
 
 def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 3), aligned in the plane where the pose is unknown."""
-    simulated = curve(target.s)
+    simulated, measured = curve(target.s), target.measured
     if target.pose != "free":
-        return align(target.pose, simulated, target.in_space), target.in_space
-    planar = align(target.pose, simulated[:, :2], target.measured)
-    return np.column_stack([planar, simulated[:, 2]]), target.in_space
+        return align(target.pose, simulated, measured), measured
+    planar = align(target.pose, simulated[:, :2], measured[:, :2])
+    return np.column_stack([planar, simulated[:, 2]]), measured
 
 
 #: what of a frame is unknown across the needle: a shift, or a shift and a slope

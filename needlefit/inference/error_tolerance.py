@@ -8,14 +8,13 @@ explains, but not what all share. In both the needles are linear in theta about 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import draw_errors_across, draw_measurement_errors
-from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
 from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
@@ -108,7 +107,7 @@ def _linearize(
     values, some = problem.values(theta), []
     for goal in problem.compared_points:
         at = np.unique(np.linspace(0, len(goal.s) - 1, STATIONS).round().astype(np.int64))
-        some.append(ComparedPoints(goal.s[at], goal.measured[at], goal.pose, goal.out_of_plane[at]))
+        some.append(replace(goal, s=goal.s[at], measured=goal.measured[at]))
     model, s = PreparedModel(problem.medium, problem.insertions), [g.s for g in some]
     pairs = model.differentiate([values], problem.parameters, s)
     stated_pairs = model.differentiate([values], stated, s)
@@ -120,9 +119,8 @@ def _linearize(
     for insertion, goal, (simulated, by), (_, by_stated) in zip(
         problem.insertions, some, pairs, stated_pairs, strict=True
     ):
-        planes, measured = problem.dataset.planes, goal.measured_in(problem.dataset.planes)
-        by_stated, by = (select_compared(one[0], planes, axis=-2) for one in (by_stated, by))
-        place = goal.pose, select_compared(simulated[0], planes), measured
+        by_stated, by = (goal.select(one[0], axis=-2) for one in (by_stated, by))
+        measured, place = goal.target, (goal.pose, goal.select(simulated[0]), goal.target)
         drawn = _draw_errors(problem, insertion, goal, values, shared, rng)
         if drawn is not None:
             drawn = drawn + np.einsum("bt,kit->bki", spreads, by_stated[..., columns])
@@ -148,21 +146,21 @@ def _draw_errors(
     measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES)
     if measured is None:
         return None
-    along = insertion.measure_arc(1)
+    along = insertion.measure_arc("plane")
     scale = along[-1] / insertion.depth if problem.dataset.pose == "known" else 1
     at = along[-1] - (insertion.depth - goal.s) * scale
     drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)
-    planes = problem.dataset.planes
-    if planes == 2:
+    if goal.compared == "space":
         across = draw_errors_across(problem.dataset, insertion, rng, REPLICATES)
         rolls = insertion.roll_sd * rng.standard_normal((REPLICATES, 1))
-        turned = np.stack([0.0 * goal.out_of_plane, -goal.out_of_plane, goal.measured[:, 1]], axis=-1)
+        _, y, z = goal.measured.T
+        turned = np.stack([0.0 * z, -z, y], axis=-1)
         drawn = np.concatenate([drawn, _interpolate(at, along, across)[..., None]], axis=-1)
         drawn = drawn + rolls[..., None] * turned
     nodes = make_nodes(insertion, goal.s, "linear")
     model = PreparedModel(problem.medium, nodes.insertions)
     points = model.read_points([values], list(nodes.s))
-    curves = np.stack([select_compared(one[0], planes) for one in points])  # (m, K, 2 or 3)
+    curves = np.stack([goal.select(one[0]) for one in points])  # (m, K, 2 or 3)
     for axis, effect in zip(nodes.axes, np.tensordot(nodes.linear[1:], curves, axes=1), strict=True):
         deviation = axis.own * rng.standard_normal(REPLICATES)
         if axis.surface:

@@ -10,7 +10,6 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
 from needlefit.inference.compared_points import ComparedPoints, align, align_points, differentiate_align
@@ -100,11 +99,11 @@ class Problem:
         return evaluate(self._objective_gradients, np.asarray(theta))
 
     def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
-        goals, total, planes = self.compared_points, np.zeros(len(thetas)), self.dataset.planes
+        goals, total = self.compared_points, np.zeros(len(thetas))
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)
         for goal, simulated, weights in zip(goals, points, self._station_weights, strict=True):
-            measured, simulated = goal.measured_in(planes), select_compared(simulated, planes)
-            total += metric_misfits(align(goal.pose, simulated, measured) - measured, weights)
+            aligned = align(goal.pose, goal.select(simulated), goal.target)
+            total += metric_misfits(aligned - goal.target, weights)
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
 
     def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
@@ -115,13 +114,12 @@ class Problem:
         return evaluate(self._distances, np.asarray(theta))
 
     def _distances(self, thetas: Floats, jobs: int) -> list[WeightedDistances]:
-        goals, planes, every = self.compared_points, self.dataset.planes, []
+        goals, every = self.compared_points, []
         found = self._model.differentiate(
             self._list_values(thetas), self.parameters, [goal.s for goal in goals], jobs
         )
         for goal, (simulated, by) in zip(goals, found, strict=True):
-            measured, simulated = goal.measured_in(planes), select_compared(simulated, planes)
-            by = select_compared(by, planes, axis=-2)
+            measured, simulated, by = goal.target, goal.select(simulated), goal.select(by, axis=-2)
             slopes = differentiate_align(goal.pose, simulated, measured, by)
             every.append((align(goal.pose, simulated, measured) - measured, slopes))
         off, slopes = (np.concatenate(part, axis=1) for part in zip(*every, strict=True))
@@ -131,8 +129,7 @@ class Problem:
     @cached_property
     def _station_weights(self) -> list[Floats]:
         """The weight (K,) of the distance at each station of each insertion."""
-        planes, weights = self.dataset.planes, self.weights
-        return [station_weights(goal.measured_in(planes), weights) for goal in self.compared_points]
+        return [station_weights(goal.target, self.weights) for goal in self.compared_points]
 
     def _list_values(self, thetas: Floats) -> list[dict[str, float]]:
         return [self.values(theta) for theta in thetas]
@@ -213,7 +210,8 @@ class Problem:
         """The measured points that each simulated needle is compared with; computed once."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
         return tuple(
-            select_points(pose, drop, insertion, planes=self.dataset.planes) for insertion in self.insertions
+            select_points(pose, drop, insertion, compared=self.dataset.compared)
+            for insertion in self.insertions
         )
 
     @cached_property

@@ -73,7 +73,7 @@ def predict_runs(
         mean = curves[k][:, 0] + np.einsum("bnk,bk->bn", shared, best)
         total = covariance + shared @ found @ shared.transpose(0, 2, 1)
         # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
-        first = np.tile(np.arange(len(one.measured)) < count, one.planes)
+        first = np.tile(np.arange(len(one.measured)) < count, one.directions)
         above, below = total[:, first], total[:, ~first]
         cross = above[..., ~first]
         gain = np.linalg.solve(above[..., first], cross)  # (B, k, n - k)

@@ -1,4 +1,7 @@
-"""Error metrics, here or of a plugin. Whatever shows errors iterates over them."""
+"""Error metrics, here or of a plugin. Whatever shows errors iterates over them.
+
+They are of the coordinates that are compared: of points in the plane of the needle, or in space.
+"""
 
 import math
 from collections.abc import Callable
@@ -28,8 +31,6 @@ class Metric:
     headline: bool = False
     #: whether it is relative to the measured deflection, and so means little where that is within the noise
     relative: bool = False
-    #: whether it counts what leaves the plane too; it stands in for the one of the plane where needles turn
-    in_space: bool = False
     of_curve: bool = False  #: whether it needs a measured curve: of a tip alone it is NaN
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
     order: int = 100  #: its place in tables, from the left
@@ -43,9 +44,9 @@ def list_metrics() -> tuple[Metric, ...]:
     return tuple(sorted(METRICS.values(), key=lambda metric: (metric.order, metric.name)))
 
 
-def headline_metrics(*, in_space: bool = False) -> tuple[Metric, ...]:
-    """Return the metrics of sentences and comparisons, in the plane or in space."""
-    return tuple(one for one in list_metrics() if one.headline and one.in_space == in_space)
+def headline_metrics() -> tuple[Metric, ...]:
+    """Return the metrics of sentences and comparisons."""
+    return tuple(one for one in list_metrics() if one.headline)
 
 
 def compute_metrics(curves: ComparedCurves) -> dict[str, float]:
@@ -65,7 +66,7 @@ MEDIAN = Metric(
     "median_err_mm",
     "Median",
     "mm",
-    "Median of the in-plane error over the points of a curve.",
+    "Median of the distance between simulated and measured points over the points of a curve.",
     compute=lambda curves: float(np.median(curves.distances)),
     of_curve=True,
     order=10,
@@ -87,7 +88,7 @@ IPE_SPREAD = Metric(
     "ipe_std_mm",
     "SD of IPE",
     "mm",
-    "Standard deviation of the in-plane error over the points of a curve (no correction for their number).",
+    "Standard deviation of that distance over the points of a curve (no correction for their number).",
     compute=lambda curves: float(np.std(curves.distances)),
     has_floor=False,
     spread_of="ipe_mean_mm",
@@ -99,22 +100,10 @@ MAX_IPE = Metric(
     "ipe_max_mm",
     "Max IPE",
     "mm",
-    "Largest in-plane error of the points of a curve.",
+    "Largest of these distances over the points of a curve.",
     compute=lambda curves: float(np.max(curves.distances)),
     of_curve=True,
     order=30,
-)
-
-IPE_3D = Metric(
-    "ipe_3d_mm",
-    "IPE 3D",
-    "mm",
-    "Mean distance in space between simulated and measured points at equal fractions of the length.",
-    compute=lambda curves: float(np.mean(curves.distances_3d)),
-    headline=True,
-    in_space=True,
-    of_curve=True,
-    order=35,
 )
 
 TE = Metric(
@@ -128,23 +117,11 @@ TE = Metric(
 )
 
 
-TE_3D = Metric(
-    "te_3d_mm",
-    "TE 3D",
-    "mm",
-    "Distance between the simulated and the measured tip in space.",
-    compute=lambda curves: float(curves.distances_3d[-1]),
-    headline=True,
-    in_space=True,
-    order=45,
-)
-
-
 def _relate(error: float, deflection: float) -> float:
-    """Return 100 error / |deflection|; infinite where the measured needle stayed straight."""
+    """Return 100 error / deflection; infinite where the measured needle stayed straight."""
     if not deflection:
         return np.inf if error else 0.0
-    return 100 * error / abs(deflection)
+    return 100 * error / deflection
 
 
 EDP = Metric(
@@ -156,16 +133,4 @@ EDP = Metric(
     has_floor=False,
     relative=True,
     order=50,
-)
-
-EDP_3D = Metric(
-    "edp_3d_percent",
-    "EDP 3D",
-    "%",
-    "Tip error in space as a percentage of the tip's measured displacement across the entry axis.",
-    compute=lambda curves: _relate(float(curves.distances_3d[-1]), curves.deflection_3d),
-    has_floor=False,
-    relative=True,
-    in_space=True,
-    order=55,
 )

@@ -95,7 +95,7 @@ def extrapolation_warnings(
     """
     if z_unfitted:
         what = "z is predicted, but the needles were fitted in one plane: no error along z was compared"
-        yield ResultWarning("extrapolation", what, fix="fit them in space: `planes = 2` in the study or fit")
+        yield ResultWarning("extrapolation", what, fix='write `compared = "space"` in the study or fit')
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
         what = f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm"
         fix = "check its unit, mm; that the model may not hold there is not included"

@@ -619,10 +619,10 @@ init_store();NONE={kind:"band",x:[]}}});function computeErrors(session,measured2
 let{s,x,y,z,pose}=measured2.target;other=x.map((one,i)=>[one,y[i],z[i]]),simulated=readPoints(session,s.map(one=>one+
 beyond)),simulated=ALIGN[pose](simulated,other)}else if(measured2.target.pose!=="free"){let s=Array.from({length:101},
 (_,i)=>upto*i/100);other=interpolate(measured2,s),simulated=ALIGN[measured2.target.pose](readPoints(session,s),
-other)}else return null;let finite=Object.entries(METRICS).map(([name,compute])=>{let axes=name.includes("3d")?
-[0,1,2]:[0,1],distances=simulated.map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-other[i][axis])));return[
-name,compute(distances,Math.hypot(...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])))]}).map(([name,
-value])=>[name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
+other)}else return null;let axes=AXES[measured2.compared],distances=simulated.map((point,i)=>Math.hypot(...axes.
+map(axis=>point[axis]-other[i][axis]))),deflection=Math.hypot(...axes.slice(1).map(axis=>other.at(-1)[axis]-other[0][axis])),
+finite=Object.entries(METRICS).map(([name,compute])=>[name,compute(distances,deflection)]).map(([name,value])=>[
+name,Number.isFinite(value)?value:null]);return{...Object.fromEntries(finite),upto_mm:upto,whole,floor_mm:measured2.
 floor_mm}}function readPoints(session,s){let{x,depth,planes}=session.shape,points=session.positions(s.map(one=>Math.
 min(Math.max(one,x[0]),depth)));return s.map((_,i)=>[points[(1+planes)*i],points[(1+planes)*i+1],planes===1?0:
 points[3*i+2]])}function interpolate({s,...axes},at2){let i=0;return at2.map(one=>{for(;i<s.length-2&&s[i+1]<one;)
@@ -632,13 +632,13 @@ i+=1;let share=Math.min(Math.max((one-s[i])/(s[i+1]-s[i]),0),1);return["x","y","
 let centre=points=>[0,1].map(axis=>mean(points.map(one=>one[axis]))),[m,f]=[centre(moving),centre(fixed)],[across,
 along]=[0,0];moving.forEach(([x,y],i)=>{let[a,b,c2,d]=[x-m[0],y-m[1],fixed[i][0]-f[0],fixed[i][1]-f[1]];across+=
 a*d-b*c2,along+=a*c2+b*d});let angle2=Math.atan2(across,along),[c,s]=[Math.cos(angle2),Math.sin(angle2)];return moving.
-map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,ALIGN,init_errors=__esm(
+map(([x,y,z])=>[c*(x-m[0])-s*(y-m[1])+f[0],s*(x-m[0])+c*(y-m[1])+f[1],z])}var mean,relate,METRICS,AXES,ALIGN,init_errors=__esm(
 {"needlefit/viewer/page/model/errors.js"(){mean=values=>values.reduce((sum,one)=>sum+one,0)/values.length,relate=
-(d,deflection)=>deflection?100*d.at(-1)/Math.abs(deflection):d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.
-toSorted((one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/
+(d,deflection)=>deflection?100*d.at(-1)/deflection:d.at(-1)?1/0:0,METRICS={median_err_mm:d=>{let sorted=d.toSorted(
+(one,other)=>one-other),half=sorted.length>>1;return sorted.length%2?sorted[half]:(sorted[half-1]+sorted[half])/
 2},ipe_mean_mm:mean,ipe_std_mm:d=>{let middle=mean(d);return Math.sqrt(mean(d.map(one=>(one-middle)**2)))},ipe_max_mm:d=>Math.
-max(...d),te_mm:d=>d.at(-1),edp_percent:relate,ipe_3d_mm:mean,te_3d_mm:d=>d.at(-1),edp_3d_percent:relate};ALIGN=
-{known:simulated=>simulated,direction:shiftAcross,free:alignRigid}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
+max(...d),te_mm:d=>d.at(-1),edp_percent:relate},AXES={plane:[0,1],space:[0,1,2]};ALIGN={known:simulated=>simulated,
+direction:shiftAcross,free:alignRigid}}});function computeValidity({x,u,slope:slope2,planes,constraints,track},{boundaries,thickness,spacing}){let last=x.
 length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray(p*x.length,(p+1)*x.length))),
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
 begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;

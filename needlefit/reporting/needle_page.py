@@ -118,13 +118,13 @@ class PageData:
         return compress(json.dumps(content, separators=(",", ":"), allow_nan=False).encode())
 
 
-#: errors that the page shows and computes itself: of needles in their planes, and in space
-SHOWN_METRICS = ("ipe_mean_mm", "te_mm", "edp_percent", "ipe_3d_mm", "te_3d_mm", "edp_3d_percent")
+#: errors that the page shows and computes itself
+SHOWN_METRICS = ("ipe_mean_mm", "te_mm", "edp_percent")
 
 
-def encode_metrics(in_space: bool) -> list[list[str]]:
+def encode_metrics() -> list[list[str]]:
     """Return name, label, unit and explanation of the errors that the page shows: IPE, TE, EDP."""
-    shown = [one for one in list_metrics() if one.name in SHOWN_METRICS and one.in_space == in_space]
+    shown = [one for one in list_metrics() if one.name in SHOWN_METRICS]
     return [[one.name, one.label, one.unit, one.explanation] for one in shown]
 
 

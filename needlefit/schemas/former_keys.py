@@ -29,6 +29,8 @@ RENAMED_KEYS: Mapping[str, Mapping[str, str]] = MappingProxyType(
 _SEARCH = "remove it: a fit always searches by least squares; `starts` and `evaluations` are its length"
 _SAMPLER = "remove it; write `independent_draws` (how many are wanted) and `densities` (computed at most)"
 
+_PLANES = 'write `compared = "plane"` in place of 1, `compared = "space"` in place of 2'
+
 # Former key that no other one replaces -> what to do.
 REMOVED_KEYS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
@@ -41,6 +43,8 @@ REMOVED_KEYS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "approach": _SEARCH,
             "metric_algorithm": "remove it: `metric = true` is enough",
         },
+        "FitRecord": {"planes": _PLANES},
+        "TrackFitRecord": {"planes": _PLANES},
         "SampleRecord": dict.fromkeys(
             ("ensembles", "moves", "steps", "burn_in", "every", "check_interval"), _SAMPLER
         ),

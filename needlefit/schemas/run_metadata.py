@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler
 
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import Compared
 
 Table = dict[str, Any]  #: what is stored for a reader alone
 Other = TypeVar("Other", bound="RunMetadata")
@@ -130,8 +131,8 @@ class AdvanceMetadata(_Metadata):
     """The other rule of advance, which fits better: its tip error beside that of the stated one."""
 
     advance: str
-    te_3d_mm: float
-    stated_te_3d_mm: float
+    te_mm: float
+    stated_te_mm: float
 
 
 # ---- runs
@@ -174,7 +175,7 @@ class JobMetadata(RunMetadata):
     recipe: RecipeRecord
     hand_tuned: dict[str, float] | None
     rules: Table  #: of the model; fits with other rules cannot be compared
-    planes: int
+    compared: Compared
 
 
 class FitMetadata(JobMetadata):

@@ -8,6 +8,7 @@ from needlefit.schemas.base import FileRecord, Record
 from needlefit.schemas.medium import spell_parameter
 
 LayerCountRule = Literal["listed", "alternative"]
+Compared = Literal["plane", "space"]  #: where needles are compared: in their planes, or in space
 
 
 class SelectionRecord(Record):
@@ -56,9 +57,9 @@ class FitRecord(FileRecord):
     are in docs/fitting.md."""
     fix: dict[str, float] = {}
     """Parameters that are held at a value (Pa, mm, degrees): `{ alpha1 = 2.0 }`."""
-    planes: Literal[1, 2] | None = None
-    """Planes in which needles are simulated and compared: 1, that of x and the bevel at contact, or 2, in
-    space. Without it, 2 if any needle was turned out of its plane, or left it by more than its errors."""
+    compared: Compared | None = None
+    """Where needles are simulated and compared: in the "plane" of x and the bevel at contact, or in "space".
+    Without it, in space if any needle was turned out of its plane, or left it by more than its errors."""
     tune: SelectionRecord = Field(default=SelectionRecord())
     """Insertions that are fitted."""
     specimens: Literal["others", "training only"] = "others"

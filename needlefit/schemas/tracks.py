@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from needlefit.schemas.analyses import QuestionRecord
 from needlefit.schemas.base import FileName, Record
-from needlefit.schemas.study import FitRecord, SelectionRecord
+from needlefit.schemas.study import Compared, FitRecord, SelectionRecord
 
 
 class TrackSelectionRecord(Record):
@@ -37,9 +37,9 @@ class TrackFitRecord(Record):
     """Runs that are fitted."""
     validate_: TrackSelectionRecord = Field(alias="validate")
     """Runs that are predicted; they are not fitted to."""
-    planes: Literal[1, 2] | None = None
-    """Planes that are fitted: 1, what was tracked along y, or 2, along y and z. Without it, 2 if the guide
-    moved along z, or the bevel was turned there. Predicted is all that was tracked."""
+    compared: Compared | None = None
+    """What is fitted: in the "plane", what was tracked along y, or in "space", along y and z. Without it, in
+    space if the guide moved along z, or the bevel was turned there. Predicted is all that was tracked."""
     folds: int | None = Field(default=None, ge=2)
     """Groups into which the runs of `validate` are divided, as many as runs at most; each is predicted by a
     fit to all others."""
@@ -79,7 +79,7 @@ class TrackStudyRecord(QuestionRecord):
             medium=fit.medium,
             recipe=self.recipe,
             priors=fit.priors,
-            planes=fit.planes,
+            compared=fit.compared,
             tune=fit.tune.selection(),
             same_specimen=True,
         )

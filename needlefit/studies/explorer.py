@@ -194,7 +194,7 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     names = tuple(f"layer {layer}" for layer in stored.sequence)
     scene = Scene(needle, tissue, steps, rules, layer_names=names)
     lattice = make_lattice(steps, rules)
-    measured = _encode_measured(scene, lattice, stored, row, curve, metadata.planes == 2)
+    measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
     encoded = encode_scene(scene, lattice.first_cell) | {
         "title": f"{name} · {run.dataset_title}",
         "target": name,
@@ -214,7 +214,7 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
 
 
 def _encode_measured(
-    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats, in_space: bool
+    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats, compared: str
 ) -> dict[str, Any]:
     """Return the measured needle as the page draws and compares it, and the needle that the run stored.
 
@@ -237,12 +237,13 @@ def _encode_measured(
     return {
         "id": row["insertion"],
         "depth_mm": stored.depth,
-        "metrics": encode_metrics(in_space),
+        "metrics": encode_metrics(),
+        "compared": compared,
         "x": drawn_x,
         "y": drawn_y,
         "z": z,
         "s": s.tolist(),
-        "floor_mm": row["floor_te_3d_mm" if in_space else "floor_te_mm"],
+        "floor_mm": row["floor_te_mm"],
         "target": {"pose": pose, "s": s.tolist(), "x": x, "y": y, "z": z},
         "stored": dict(zip("xyz", simulated.T.tolist(), strict=True)),
     }

@@ -76,25 +76,25 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts) if parts else bands
 
 
-def _title_panels(errors: pd.DataFrame, metric: str) -> dict[forms.InsertionKey, str]:
-    """Return by fold and insertion what stands above its panel: its tip error, a `metric`."""
+def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
+    """Return by fold and insertion what stands above its panel: its tip error."""
     titles = {}
     for row in to_records(errors):
-        error = f"{format_mm(row[metric], 3 if row['comparison'] == 'aligned' else 2)} mm"
+        error = f"{format_mm(row[scores.TE], 3 if row['comparison'] == 'aligned' else 2)} mm"
         titles[row["fold"], row["insertion"]] = error if row["converged"] else "did not converge"
     return titles
 
 
 def draw_first_page(run: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
-    method, metric = choose_method(run), scores.name_tip_error(run)
+    method = choose_method(run)
     fitted = select_fitted(run.frames["errors"], role, method)
-    ranked = fitted[fitted["converged"].astype(bool)].sort_values(metric, kind="stable")
+    ranked = fitted[fitted["converged"].astype(bool)].sort_values(scores.TE, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
     curves = curves.merge(chosen[forms.INSERTION_KEYS], on=forms.INSERTION_KEYS)
     frame = pd.concat([curves, pd.DataFrame(_list_tip_errors(run, role))], ignore_index=True)
-    options = {"heads": _title_panels(chosen, metric), "method": method}
+    options = {"heads": _title_panels(chosen), "method": method}
     return Drawing(forms.first_page, frame.assign(origin=run.origin), options)
 
 
@@ -108,7 +108,7 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
     names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
     for key, name in names.items():
         rows = here[(here["method"] == key) & here["converged"].astype(bool)]
-        for row in to_records(rows.assign(**{scores.TE: rows[group.tip]})[["fold", "insertion", scores.TE]]):
+        for row in to_records(rows[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
     for one in scores.list_held_out_groups(run):
         if (printed := one.get(scores.TE, "paper")) is not None:
@@ -118,14 +118,14 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
                 "name": "paper, own needles",
                 scores.TE: printed,
             }
-    if (floor := group.get(group.tip, "floor")) is not None:
+    if (floor := group.get(scores.TE, "floor")) is not None:
         yield {"curve": forms.TIP_ERROR, "method": "noise", "name": "noise", scores.TE: floor}
 
 
 def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     """Return all insertions, seen from the side or from above."""
-    ours, metric = choose_method(run), scores.name_tip_error(run)
-    titles = _title_panels(select_fitted(run.frames["errors"], role, ours), metric)
+    ours = choose_method(run)
+    titles = _title_panels(select_fitted(run.frames["errors"], role, ours))
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(run, role, names, every, from_above=from_above)
@@ -152,11 +152,11 @@ def _list_group_errors(run: Run) -> Iterator[Row]:
         layers, study = labels.group_name(group.head["medium"], group.head["layers"]), group.head["study"]
         name = f"study {study}" if isinstance(study, int) else study  # of the paper's five the number
         about = {"group": f"{name}, {layers}", "origin": run.origin}
-        for tip in to_records(scores.select_group(errors, group)[["insertion", group.tip]]):
-            yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[group.tip]}
+        for tip in to_records(scores.select_group(errors, group)[["insertion", scores.TE]]):
+            yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[scores.TE]}
         curve = find_closest_curve(group)
-        means = {"curve": group.get(group.tip, method=curve) if curve else None}
-        means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(group.tip, "floor")}
+        means = {"curve": group.get(scores.TE, method=curve) if curve else None}
+        means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(scores.TE, "floor")}
         yield from ({**about, "mark": mark, scores.TE: mean} for mark, mean in means.items() if mean)
 
 

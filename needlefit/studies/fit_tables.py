@@ -134,20 +134,18 @@ def _lay_out_groups(
     """
     rows: list[Row] = []
     for number, (group, kinds) in enumerate(blocks):
-        noise = group.get(group.tip, "floor")
+        noise = group.get(scores.TE, "floor")
         for row in _list_rows(group, kinds):
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
-    in_space = bool(blocks) and all(group.in_space for group, _ in blocks)
     shown = {row["metric"] for row in rows if row["value"] is not None and not math.isnan(row["value"])}
-    metrics = [one for one in list_metrics() if one.in_space == in_space and not one.spread_of]
-    metrics = [one for one in metrics if one.name in shown]
+    metrics = [one for one in list_metrics() if one.name in shown and not one.spread_of]
     if short:
         metrics = [one for one in metrics if one.headline or one.relative]
     floors = [one.name for one in metrics if one.headline and one.has_floor]
     last: list[Any] = ["noise_of_te"] if short else [part("over_floor", metric=name) for name in floors]
     if short:
-        metrics.sort(key=lambda one: one.name not in (scores.TE, scores.TE_IN_SPACE))
+        metrics.sort(key=lambda one: one.name != scores.TE)
     columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
@@ -203,7 +201,7 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
                     **_head(group),
                     "study": scores.study_label(run),
                     "te_mm": judged and judged.error_mm,
-                    "noise_of_te": group.get(group.tip, "floor"),
+                    "noise_of_te": group.get(scores.TE, "floor"),
                     "baseline_te_mm": judged and judged.curve_mm,
                     "paper_te_mm": group.get(scores.TE, "paper"),
                     "verdict": "" if number else verdict.outcome if verdict else "not scored",
@@ -253,8 +251,7 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
         }
         for row in to_records(compared)
     ]
-    metrics = headline_metrics(in_space=scores.is_in_space(run))
-    errors = (one.name for one in metrics if compared[one.name].notna().any())
+    errors = (one.name for one in headline_metrics() if compared[one.name].notna().any())
     columns = ("method", "insertions", *errors, "te_difference", "better_of")
     return _lay_out(Table("baselines", rows, columns, strong="first"), role=role)
 
@@ -262,10 +259,8 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
 def lay_out_insertions(run: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
     method = choose_method(run) if role == "validate" else "fitted"
-    # beside the errors in the plane those in space; the paper's EDP is of the plane alone
     chosen = select_fitted(run.frames["errors"], role, method)
-    metrics = [one for one in list_metrics() if not (one.spread_of or (one.in_space and one.relative))]
-    metrics = [one for one in metrics if chosen[one.name].notna().any()]
+    metrics = [one for one in list_metrics() if not one.spread_of and chosen[one.name].notna().any()]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in metrics),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.planes import leaves_plane, set_planes
+from needlefit.datasets.planes import leaves_plane, set_compared
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
@@ -15,7 +15,7 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
-from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.schemas.study import Compared, FitRecord, StudyRecord
 from needlefit.studies.job import Fold, Job, Settings, load_study
 
 MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
@@ -39,12 +39,12 @@ def plan_folds(job: Job) -> Job:
     """
     folds = make_folds(job.record, job.dataset)
     chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
-    with add_key_context("planes"):
-        planes = _choose_planes(job, chosen)
-        dataset = set_planes(job.dataset, chosen, planes)
+    with add_key_context("compared"):
+        stated = _choose_compared(job, chosen)
+        dataset = set_compared(job.dataset, chosen, stated)
     folds = tuple(fold.of_dataset(dataset) for fold in folds)
     warnings = [*job.warnings]
-    if planes == 1 and dataset.pose == "known":
+    if stated == "plane" and dataset.pose == "known":
         warnings += _warn_left_planes(job, chosen)
     if isinstance(job.record, StudyRecord) and not job.record.same_specimen:
         key = "validate" if job.record.leave_out is None else "leave_out"
@@ -61,13 +61,14 @@ def plan_folds(job: Job) -> Job:
 
 def print_notes(job: Job, settings: Settings) -> None:
     """Print what a user wants to know of the data before the work, which takes long."""
-    planes = job.dataset.planes
+    in_space = job.dataset.compared == "space"
     doubtful = job.dataset.pose == "known" and "bevel_plane" in {one.kind for one in job.dataset.warnings}
-    if job.record.planes is None and (doubtful or planes == 2):
+    if job.record.compared is None and (doubtful or in_space):
         settings.note(
-            "needles are fitted in space, since some leave their planes (`planes = 1`: in one plane)"
-            if planes == 2
-            else "needles are fitted in one plane: errors explain what is out of it (`planes = 2`: in space)"
+            'needles are fitted in space, since some leave their planes (`compared = "plane"`: in one plane)'
+            if in_space
+            else "needles are fitted in one plane: errors explain what is out of it "
+            '(`compared = "space"`: in space)'
         )
     for one in dict.fromkeys(job.warnings):
         if one.kind in DATA_WARNINGS:
@@ -169,14 +170,14 @@ def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, 
 # ---- what is refused or doubted before the work
 
 
-def _choose_planes(job: Job, chosen: Iterable[Insertion]) -> int | None:
-    """Return the number of planes that a study asks for, or its tissue model needs; None: either will do."""
+def _choose_compared(job: Job, chosen: Iterable[Insertion]) -> Compared | None:
+    """Return where a study asks to compare needles, or its tissue model needs to; None: either will do."""
     if not (job.medium.torsional_friction_n and any(one.turns for one in chosen)):
-        return job.record.planes
-    if job.record.planes == 1:
+        return job.record.compared
+    if job.record.compared == "plane":
         why = "torsional friction leads needles that were turned out of their planes"
-        raise ConfigError(why, expected="2, or no torsional_friction_n of the medium")
-    return 2  # while the tip follows the hub even a half turn bends it to the side
+        raise ConfigError(why, expected='"space", or no torsional_friction_n of the medium')
+    return "space"  # while the tip follows the hub even a half turn bends it to the side
 
 
 def _warn_left_planes(job: Job, chosen: Sequence[Insertion]) -> list[ResultWarning]:
@@ -188,8 +189,8 @@ def _warn_left_planes(job: Job, chosen: Sequence[Insertion]) -> list[ResultWarni
     what = f"compared in the plane of their bevels, which they leave: {named}"
     if any(one.curvature is not None for one in chosen):
         what += ", and by their curvatures along y alone"
-    fix = "leave `planes` out, or state 2: needles are then simulated and compared in space"
-    return [ResultWarning("bevel_plane", what, job.place("planes"), fix)]
+    fix = 'leave `compared` out, or write "space": needles are then simulated and compared in space'
+    return [ResultWarning("bevel_plane", what, job.place("compared"), fix)]
 
 
 def _check_layers(job: Job) -> None:

@@ -19,8 +19,8 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.planes import select_compared
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
+from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve, align, turn_about_x
 from needlefit.inference.likelihood.observation import Observation
@@ -143,10 +143,11 @@ class _Predictor:
 
     def predict(self, insertion: Insertion) -> HeldOutPrediction | None:
         """Return the prediction of an insertion; None where too few draws have a solution."""
-        known, job, planes = self.known, self.known.job, self.known.job.dataset.planes
+        known, job = self.known, self.known.job
         draws = known.draws_in(insertion)
         # in space the roll is drawn: it turns the needle as a whole
-        points = replace(insertion, curvature=None, roll_sd=0.0 if planes == 2 else insertion.roll_sd)
+        drawn = job.dataset.compared == "space"
+        points = replace(insertion, curvature=None, roll_sd=0.0 if drawn else insertion.roll_sd)
         observation = make_observation(job.dataset, points, likelihood=self.likelihood)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = append_sensors(insertion, observation.nodes.s[0])
@@ -188,7 +189,7 @@ class _Predictor:
         """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
-        planes = job.dataset.planes
+        compared = job.dataset.compared
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
@@ -197,9 +198,9 @@ class _Predictor:
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
         needles = found.points[solved]
-        if planes == 2:
+        if compared == "space":
             needles = turn_about_x(needles, insertion.roll_sd * rng.standard_normal(len(needles)))
-        needles = select_compared(needles, planes)
+        needles = select_compared(needles, compared)
         needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
@@ -229,7 +230,7 @@ class _Predictor:
         row |= score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
         across: Floats = quantile(mixture, (0.5,)).T
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
-        if planes == 2:
+        if compared == "space":
             across = find_geometric_median(aligned[..., 1:])
             tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
             errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
@@ -240,7 +241,7 @@ class _Predictor:
         if self.bands:
             band = tuple({**where, **point} for point in tabulate_band(mixture, observation.measured))
             middle = np.zeros((len(s), 3))
-            middle[:, 0], middle[:, 1 : 1 + planes] = np.median(aligned[..., 0], axis=0), across
+            middle[:, 0], middle[:, 1 : 1 + across.shape[1]] = np.median(aligned[..., 0], axis=0), across
             if s[0] > 0:  # of a tip alone; the needle begins at the entry
                 s, middle = np.append(0.0, s), np.vstack([np.zeros(3), middle])
             median = partial(_interpolate, s, middle)
@@ -278,7 +279,7 @@ class _Predictor:
         tip = len(observation.measured) - 1
         planned = self._plan(insertion, observation.nodes.s[0], further, rng)
         found, again = planned.simulate(sd=float(first.sd[tip])), np.full(len(sets), np.nan)
-        points = select_compared(found.points[found.solved], job.dataset.planes)
+        points = select_compared(found.points[found.solved], job.dataset.compared)
         aligned = align(observation.pose, points, observation.measured)
         again[found.solved] = aligned[:, -1, 1]
         errors = first.sd[tip] * rng.standard_normal((2, len(sets)))

@@ -78,11 +78,11 @@ def choose_method(run: Run) -> str:
 def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
     method = choose_method(run)
-    error = group.get(group.tip, method=method)
+    error = group.get(TE, method=method)
     if error is None:
         return None
-    ratio, curve = group.over_floor(group.tip, method=method), find_closest_curve(group)
-    nearest = None if curve is None else group.get(group.tip, method=curve)
+    ratio, curve = group.over_floor(TE, method=method), find_closest_curve(group)
+    nearest = None if curve is None else group.get(TE, method=curve)
     fits = run.frames["errors"]["fold"].nunique()
     if fits > 1:
         errors = select_group(run.frames["errors"], group)
@@ -90,7 +90,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         if method == MEDIAN_METHOD:
             scores = run.frames["predictive"][["fold", "insertion", CRPS]]
             held = held.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
-        outcome = judge_fits(held, method, group.tip)
+        outcome = judge_fits(held, method, TE)
     else:
         outcome = describe_fit(error, ratio, nearest)
     return Judgement(outcome, error, ratio, curve or "", nearest, fits if fits > 1 else None)
@@ -172,7 +172,7 @@ def join_trials(rows: pd.DataFrame) -> list[int]:
 
 def find_closest_curve(group: ScoredGroup) -> str | None:
     """Return the curve without mechanics with the smallest tip error."""
-    errors = {name: group.get(group.tip, method=name) for name in BASELINES.names()}
+    errors = {name: group.get(TE, method=name) for name in BASELINES.names()}
     known = {name: error for name, error in errors.items() if error is not None}
     return min(known, key=lambda name: known[name], default=None)
 
@@ -194,7 +194,7 @@ def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
         passed = CLOSER.get(judged.outcome, None if curve is None else error < curve)
         if role == "tune" and ratio is not None and ratio <= 1:
             passed = None
-        curves = (group.get(group.tip, method=name) for name in BASELINES.names()) if group else ()
+        curves = (group.get(TE, method=name) for name in BASELINES.names()) if group else ()
         closer = sum(one is not None and one < error for one in curves)
         one = Finding(Check.CURVES, passed, error, curve, judged.curve, fits=judged.fits, closer=closer)
         found.append(one)

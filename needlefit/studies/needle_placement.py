@@ -91,13 +91,12 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
     if pose == "known":
         return points
     if pose == "free":
-        along = insertion.measure_arc(1)
+        along = insertion.measure_arc("plane")
         at = along[-1] - (insertion.depth - s)
         measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
     else:
-        planes = dataset.planes
-        goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), planes)
-        measured = goal.measured_in(planes)
+        goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.compared)
+        measured = goal.target
     placed, compared = points.copy(), slice(measured.shape[1])
     placed[:, compared] = align(pose, points[:, compared], measured)
     return placed

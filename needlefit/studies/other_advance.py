@@ -18,19 +18,19 @@ from needlefit.studies.score import Row, make_scorer, model_predictor
 
 
 def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> AdvanceMetadata | None:
-    """Return the other rule and its mean TE_3D beside the stated rule's, mm, where it fits better.
+    """Return the other rule and its mean tip error beside the stated rule's, mm, where it fits better.
 
     It is tried where the fit of the first fold misses tips by more than the noise. `errors` are rows of that
     table.
     """
     fold, recipe = job.folds[0], job.recipe
-    turned = job.dataset.planes == 2 and any(turns_out_of_plane(one) for one in fold.tune)
+    turned = job.dataset.compared == "space" and any(turns_out_of_plane(one) for one in fold.tune)
     free = recipe.minimize == "posterior" and job.medium.bevel_parameter in job.parameters.free
     place = {"fold": fold.name, "role": "tune", "method": "fitted"}
     own = [row for row in errors if place.items() <= row.items()]
     if not (turned and free and own):
         return None
-    missed, noise = (float(np.mean([row[name] for row in own])) for name in ("te_3d_mm", "floor_te_3d_mm"))
+    missed, noise = (float(np.mean([row[name] for row in own])) for name in ("te_mm", "floor_te_mm"))
     if not noise < missed < math.inf:
         return None
     medium = change_advance(job.medium)
@@ -41,7 +41,7 @@ def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> 
     if not math.isfinite(fit.objective):
         return None
     curves, scorer = model_predictor(fit.values, medium, job.dataset), make_scorer(job)
-    error = np.mean([row["te_3d_mm"] for one in fold.tune for row in scorer.score(place, one, curves).errors])
+    error = np.mean([row["te_mm"] for one in fold.tune for row in scorer.score(place, one, curves).errors])
     if not error < missed:
         return None
-    return AdvanceMetadata(advance=medium.advance, te_3d_mm=float(error), stated_te_3d_mm=missed)
+    return AdvanceMetadata(advance=medium.advance, te_mm=float(error), stated_te_mm=missed)

@@ -49,7 +49,7 @@ def describe_configuration(job: Job) -> JobMetadata:
             for fold in job.folds
         ],
         rules=describe_model_options(job.medium),
-        planes=job.dataset.planes,
+        compared=job.dataset.compared,
     )
 
 

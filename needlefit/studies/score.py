@@ -38,7 +38,7 @@ Row = dict[str, Any]
 #: for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise floor.
 ERROR_COLUMNS = (
     *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "depth_mm"),
-    *("method", "estimate", "boundaries", "comparison"),
+    *("method", "estimate", "boundaries", "comparison", "compared"),
     *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
 )
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
@@ -102,7 +102,7 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     @cache
     def fit(needle: Needle) -> Mapping[str, FittedBaseline]:
         alike = select_same_needle(problem.insertions, needle)
-        return fit_baselines(dataset.pose, dataset.drop_proximal, alike, dataset.planes)
+        return fit_baselines(dataset.pose, dataset.drop_proximal, alike, dataset.compared)
 
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
@@ -147,7 +147,7 @@ class Scorer:
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
-            goal = select_points(pose, drop, insertion, planes=self.dataset.planes)
+            goal = select_points(pose, drop, insertion, compared=self.dataset.compared)
             simulated, measured = align_points(goal, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
             shapes += _shape_rows(where, simulated, measured)
@@ -166,20 +166,19 @@ class Scorer:
             "layers": count_layers(insertion, self.layer_count_rule),
             "depth_mm": insertion.depth,
             "comparison": COMPARISONS[find_pose(self.dataset.pose, insertion)],
+            "compared": self.dataset.compared,
             **floor,
         }
 
     def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
-        curves = compare_curves(simulated, measured)
+        curves = compare_curves(simulated, measured, self.dataset.compared)
         side = insertion.side
-        in_space = self.dataset.planes == 2
-        floor = self.floors[insertion.id]["te_3d_mm" if in_space else "te_mm"]
-        bend = curves.deflection_3d if in_space else abs(curves.deflection)
         return {
             **compute_metrics(curves),
-            "deflection_mm": side * curves.deflection,
+            "deflection_mm": side * float(measured[-1, 1] - measured[0, 1]),
             "predicted_deflection_mm": side * float(simulated[-1, 1] - simulated[0, 1]),
-            "edp_flagged": bool(bend < floor),  # never where no floor is stated (NaN)
+            # never where no floor is stated (NaN)
+            "edp_flagged": bool(curves.deflection < self.floors[insertion.id]["te_mm"]),
             "converged": True,
         }
 

@@ -57,12 +57,7 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
 
 def is_in_space(run: Run) -> bool:
     """Whether needles were simulated and compared in space."""
-    return run.knows(JobMetadata).planes == 2
-
-
-def name_tip_error(run: Run) -> str:
-    """Return the metric of the tip error that a run is judged by."""
-    return TE_IN_SPACE if is_in_space(run) else TE
+    return run.knows(JobMetadata).compared == "space"
 
 
 def compare_methods(run: Run, role: str) -> pd.DataFrame:
@@ -80,15 +75,14 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
     """
     errors = run.frames["errors"]
     errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
-    names = [metric.name for metric in headline_metrics(in_space=is_in_space(run))]
-    tip = name_tip_error(run)
+    names = [metric.name for metric in headline_metrics()]
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
     means = values.where(np.isfinite(values)).groupby(keys, sort=False).mean()
     found, rows = set(errors["method"]), []
     for method in [name for name in list_methods() if {name, "fitted"} <= found]:
         theirs = means.loc[method]
-        gaps = (theirs[tip] - means.loc["fitted"][tip]).dropna()
+        gaps = (theirs[TE] - means.loc["fitted"][TE]).dropna()
         averages = {name: float(theirs.loc[gaps.index, name].mean()) for name in names}
         row = {"method": method, "insertions": len(gaps), **averages}
         row |= {"difference_mm": gaps.mean(), "difference_se_mm": gaps.sem(), "better": int((gaps > 0).sum())}
@@ -117,10 +111,10 @@ def _average_finite(rows: Floats) -> Floats:
 
 _GROUP_COLUMNS = ("study", "grouping", "medium", "layers")
 _SCORE_COLUMNS = ("method", "boundaries", *AGGREGATE_COLUMNS, "paper", "paper_insertions")
-_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "planes", "origin")
+_DESCRIPTION_COLUMNS = ("layer_count_rule", "comparison", "compared", "origin")
 COLUMNS = (*_GROUP_COLUMNS, *_SCORE_COLUMNS, *_DESCRIPTION_COLUMNS)  #: columns of both tables
-#: the metric of verdicts, of warnings about them, and of every comparison of methods in words; and in space
-TE, TE_IN_SPACE = "te_mm", "te_3d_mm"
+#: the metric of verdicts, of warnings about them, and of every comparison of methods in words
+TE = "te_mm"
 #: values of `grouping`: insertions held out, or fitted to, by medium and number of layers
 HELD_OUT, BY_LAYERS = "held_out", "layers"
 
@@ -131,15 +125,6 @@ class ScoredGroup:
 
     head: Row  #: the first row of the fit with measured boundaries: what all have in common, and its counts
     rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
-
-    @property
-    def in_space(self) -> bool:
-        return bool(self.head["planes"] == 2)
-
-    @property
-    def tip(self) -> str:
-        """The metric of the tip error that it is judged by."""
-        return TE_IN_SPACE if self.in_space else TE
 
     def get(
         self, metric: str, column: str = "value", method: str = "fitted", boundaries: str = "measured"
@@ -219,7 +204,7 @@ def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
         return None
     grouping = HELD_OUT if role == "validate" else BY_LAYERS
     head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
-    return ScoredGroup({**fitted, **head, "planes": run.knows(JobMetadata).planes}, by_place)
+    return ScoredGroup({**fitted, **head, "compared": run.knows(JobMetadata).compared}, by_place)
 
 
 def _make_frame(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
@@ -239,12 +224,13 @@ def _list_rows(run: Run, grouping: str) -> list[Row]:
             continue
         about = {"study": study_label(run), "grouping": grouping, "medium": medium, "layers": layers}
         printed, insertions = _find_paper_row(about)
+        printed = {} if is_in_space(run) else printed  # the paper compares needles in their planes
         beside = {
             "paper_insertions": insertions,
             "layer_count_rule": run.record.layer_count_rule,
             "origin": run.origin,
             "comparison": str(errors["comparison"].iloc[0]),
-            "planes": run.knows(JobMetadata).planes,
+            "compared": run.knows(JobMetadata).compared,
         }
         found += [{**about, **row, "paper": printed.get(row["metric"]), **beside} for row in rows]
     return found

@@ -12,10 +12,10 @@ import scipy
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.planes import select_compared
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
 from needlefit.inference.compared_points import turn_about_x
@@ -78,7 +78,7 @@ def simulate_measurement(
     if known is not None:
         s = known.s
     else:
-        along = insertion.measure_arc(dataset.planes)
+        along = insertion.measure_arc(dataset.compared)
         s = along * (insertion.depth / along[-1])
     deep = insertion.depth_sd * rng.standard_normal()
     wrong = nodes.draw_boundary_errors(insertion, errors, rng)
@@ -92,36 +92,38 @@ def simulate_measurement(
         return None
     if insertion.curvature is not None:
         insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
-    points, planes = read_points(true, shape, at), dataset.planes
-    if planes == 2:
+    points, in_space = read_points(true, shape, at), dataset.compared == "space"
+    if in_space:
         points = turn_about_x(points, insertion.roll_sd * rng.standard_normal())
-    points = select_compared(points, planes)
-    x, across = points[:, 0], points[:, 1:]  # (K,), (K, planes)
+    points = select_compared(points, dataset.compared)
+    x, across = points[:, 0], points[:, 1:]  # (K,), (K, 1 or 2)
     # the roll, which turned the needle as a whole, is none of these
-    sds = (pose_sds if planes == 1 else pose_sds_in_space)(insertion, dataset.noise)[:5]
+    sds = (pose_sds_in_space if in_space else pose_sds)(insertion, dataset.noise)[:5]
     if known is not None:
         slopes = np.gradient(across, x, axis=0)
         modes = _pose_modes(points, slopes)
         moved = modes @ (sds * rng.standard_normal(len(sds)))
-        return _measure_sections(insertion, known, x, across + moved.reshape(planes, -1).T, scale, rng)
+        return _measure_sections(
+            insertion, known, x, across + moved.reshape(dataset.directions, -1).T, scale, rng
+        )
     # x such that arc lengths are kept: the model's own, of small slopes, keeps them to their fourth power.
     # They are those of the needle, whatever the noise of its points.
     along_x = np.diff(s) ** 2 - np.sum(np.diff(across, axis=0) ** 2, axis=1)
     if np.any(along_x <= 0):
         return None
     cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
-    cov = cov if planes == 1 else scipy.linalg.block_diag(cov, cov)
+    cov = scipy.linalg.block_diag(*[cov] * dataset.directions)
     if dataset.pose == "known":
         spread = _pose_modes(points) * sds
         cov = cov + spread @ spread.T
     noise = np.linalg.cholesky(cov) @ rng.standard_normal(len(cov))
-    across = across + noise.reshape(planes, -1).T
+    across = across + noise.reshape(dataset.directions, -1).T
     planar = np.column_stack([points[0, 0] + np.cumsum([0.0, *np.sqrt(along_x)]), across[:, 0]])
     if dataset.pose == "free":  # turned by any angle, and moved
         angle = rng.uniform(0.0, 2 * np.pi)
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
-    return insertion.with_planar(planar, across[:, 1] if planes == 2 else None)
+    return insertion.with_planar(planar, across[:, 1] if in_space else None)
 
 
 def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.Generator) -> Floats:
@@ -163,7 +165,7 @@ def _measure_sections(
     scale: float,
     rng: np.random.Generator,
 ) -> Insertion:
-    """Return the insertion with cross-sections at `x` (K,) and `across` (K, planes), and the spline through
+    """Return the insertion with cross-sections at `x` (K,) and `across` (K, 1 or 2), and the spline through
     them, with noise.
     """
     stored = known.stored

@@ -37,7 +37,7 @@ from needlefit.studies.run import Frames, Run
 RESULTS_FILE, RUN_FILE = "results.json.gz", "run.json"
 DATA_FOLDER = "dataset"  #: of a copy of the data that were fitted to
 
-FORMAT_VERSION = 9  #: of the file of results
+FORMAT_VERSION = 10  #: of the file of results
 #: largest size of the text in the file; the studies of the paper have some MB
 MAX_UNPACKED_BYTES = 256 * 2**20
 MAX_DATA_BYTES = 64 * 2**20  #: of the data that are copied; the synthetic dataset has 0.8 MB

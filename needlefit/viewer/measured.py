@@ -7,7 +7,7 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.datasets.noise import estimate_noise_floor
-from needlefit.datasets.planes import set_planes
+from needlefit.datasets.planes import set_compared
 from needlefit.datasets.read import read_shapes, require_shapes
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Placement, move_frame
@@ -50,7 +50,7 @@ class ShownInsertion:
 def open_dataset(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion of a dataset, by default the first; errors as of `opening.open_target`."""
     dataset = read_shapes(view_target.path)
-    dataset = set_planes(dataset, dataset.insertions, None)
+    dataset = set_compared(dataset, dataset.insertions, None)
     one = _choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
     begun = choose_start_parameters(one)
     seed = load(find_file("recipe", "default"), RecipeRecord).seed
@@ -113,7 +113,6 @@ def _show_insertion(
     scene = make_scene(record, f"{name}/{insertion.id}")
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
-    error = "te_3d_mm" if dataset.planes == 2 else "te_mm"
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the
     # measured one, and what is steered from then on lies in the frame in which it came to lie.
     frame, placed = insertion.frame, dataset.pose == "known" or shape.converged
@@ -132,7 +131,7 @@ def _show_insertion(
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
         synthetic=dataset.origin == "synthetic",
-        measured=make_measured_overlay(dataset, insertion, floor[error], shape),
+        measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
         choices=choices,
         warnings=dataset.warnings,
     )
@@ -158,7 +157,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     run = restore_run(view_target.path)
     dataset = require_shapes(read_data(run, str(view_target.path)))
     stated = run.knows(FitMetadata)
-    dataset = set_planes(dataset, (), stated.planes)
+    dataset = set_compared(dataset, (), stated.compared)
     folds = stated.folds  # held-out insertions come first
     held = {id_: (fold.name, "without this insertion") for fold in folds for id_ in fold.held_out}
     tuned = {id_: (fold.name, "with this insertion") for fold in folds for id_ in fold.tune}
@@ -192,7 +191,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     warnings += viewed_scene.warnings
     viewed_scene = replace(
         viewed_scene, verdict=recall(run), faults=run.faults, warnings=tuple(warnings),
-        fitted_depths=tuple(one.depth for one in fitted), fitted_planes=stated.planes,
+        fitted_depths=tuple(one.depth for one in fitted), fitted_along_z=stated.compared == "space",
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():
         return viewed_scene

@@ -51,12 +51,13 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
     target = measured.target
     x, y = measured.points.T.tolist()
-    compared = dict(zip("xyz", target.in_space.T.tolist(), strict=True))
+    points = dict(zip("xyz", target.measured.T.tolist(), strict=True))
     return {
-        "metrics": needle_page.encode_metrics(measured.in_space),
+        "metrics": needle_page.encode_metrics(),
+        "compared": target.compared,
         **{"x": x, "y": y, "z": measured.out_of_plane.tolist(), "s": measured.s.tolist()},
         "floor_mm": measured.floor,
-        "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
+        "target": {"pose": target.pose, "s": target.s.tolist(), **points},
     }
 
 

@@ -77,7 +77,6 @@ class MeasuredOverlay:
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
     out_of_plane: Floats  #: (N,) z of the points, mm
-    in_space: bool  #: whether errors are those in space
 
 
 def make_measured_overlay(
@@ -91,16 +90,15 @@ def make_measured_overlay(
     from needlefit.inference.compared_points import align
     from needlefit.inference.likelihood.observations import select_points
 
-    aim = select_points(dataset.pose, dataset.drop_proximal, insertion, planes=dataset.planes)
-    points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.planes)
+    aim = select_points(dataset.pose, dataset.drop_proximal, insertion, compared=dataset.compared)
+    points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.compared)
     s = s * (insertion.depth / s[-1])
     if dataset.pose == "free":
-        points, z, s = aim.measured, aim.out_of_plane, aim.s
+        points, z, s = aim.measured[:, :2], aim.measured[:, 2], aim.s
         if shape.converged:
             points = align_rigid(points, compute_positions(shape, s)[:, :2])
     elif aim.pose == "direction" and shape.converged:
         moved = align(aim.pose, np.column_stack([points, z]), compute_positions(shape, s))
         points, z = moved[:, :2], moved[:, 2]
     stated = None if math.isnan(floor) else floor
-    spatial = dataset.planes == 2
-    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated, z, spatial)
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated, z)

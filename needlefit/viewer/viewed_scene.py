@@ -34,7 +34,7 @@ class ViewedScene:
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     fitted_depths: tuple[float, ...] = ()  #: of the insertions that a run has fitted, mm
-    fitted_planes: int = 2  #: in which a run has fitted: 1 states nothing along z
+    fitted_along_z: bool = True  #: whether a run has fitted along z too
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from

@@ -115,7 +115,7 @@ def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     stated = problem.dataset.noise if problem.noise is None else problem.noise
     if stated.stated:
         return problem
-    across = slice(1, 1 + problem.dataset.planes)
+    across = slice(1, 1 + problem.dataset.directions)
     squares = [np.mean((sim - measured)[:, across] ** 2) for sim, measured in problem.points(theta)]
     # 1e-6 mm: a fit without residuals must not give a noise of 0
     rms = max(math.sqrt(float(np.mean(squares))), 1e-6)
@@ -257,7 +257,7 @@ def estimate_model_error(problem: Problem, at: Linearized) -> Discrepancy:
     squares = float(at.residuals @ at.residuals)
     excess = squares * (1.0 - 1.0 / at.chi_square) if at.chi_square > 1 else 0.0
     added = sum(
-        float(np.sum((one.whitening @ block_diag(*[unit.covariance(s)] * one.planes)) * one.whitening))
+        float(np.sum((one.whitening @ block_diag(*[unit.covariance(s)] * one.directions)) * one.whitening))
         for one in problem.density.observations
         for s in one.nodes.s[:1]
     )

@@ -178,13 +178,13 @@ class Observation:
         return self.nodes.insertions[0]
 
     @property
-    def planes(self) -> int:
+    def directions(self) -> int:
         """1 where deflections are compared along y, 2 along y and z."""
         return self.measured.shape[1] - 1
 
     def stack(self, points: Floats) -> Floats:
         """Return the deflections (..., K) of points (..., K, 3), in space (..., 2 K): along y, then z."""
-        return np.concatenate([points[..., 1 + plane] for plane in range(self.planes)], axis=-1)
+        return np.concatenate([points[..., 1 + n] for n in range(self.directions)], axis=-1)
 
     def covariance(self, scale: float = 1.0) -> Floats:
         """Return the covariance (K, K) of the errors of the measured y, mm^2, with a scale of the noise."""
@@ -254,7 +254,7 @@ def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floa
     """Return the derivatives (..., R, P) of `whiten_residuals`, given those of the points, (..., K, 3, P)."""
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated[..., :2], observation.measured, slopes[..., :2, :])
-    across = [slopes[..., 1 + plane, :] for plane in range(observation.planes)]
+    across = [slopes[..., 1 + n, :] for n in range(observation.directions)]
     return observation.whitening @ np.concatenate(across, axis=-2)
 
 
@@ -271,8 +271,8 @@ def no_errors_error(dataset: Dataset, insertion: Insertion) -> DataError:
 def list_pose_modes(
     insertion: Insertion, errors: StatedErrors, measured: Floats, slopes: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the changes (C, c) by errors of a known pose, and their deviations (c,), in one plane or two."""
-    if errors.dataset.planes == 2:
+    """Return the changes (C, c) by errors of a known pose, and their deviations (c,), of what is compared."""
+    if errors.dataset.compared == "space":
         return pose_modes_in_space(measured, slopes), pose_sds_in_space(insertion, errors.noise)
     slope = None if slopes is None else slopes[:, 0]
     return pose_modes(measured, slope), pose_sds(insertion, errors.noise)
@@ -310,9 +310,9 @@ def complete_observation(
 
 def join_observations(one: Observation, other: Observation) -> Observation:
     """Return the observation of an insertion by both; errors of its pose do not change the `other`."""
-    planes, counts = one.planes, [len(one.measured), len(other.measured)]
-    is_other = np.tile(np.repeat([False, True], counts), planes)
-    whitening = np.zeros((one.rows + other.rows, planes * sum(counts)))
+    directions, counts = one.directions, [len(one.measured), len(other.measured)]
+    is_other = np.tile(np.repeat([False, True], counts), directions)
+    whitening = np.zeros((one.rows + other.rows, directions * sum(counts)))
     whitening[: one.rows, ~is_other] = one.whitening
     whitening[one.rows :, is_other] = other.whitening
     nothing = np.zeros((len(one.pose_curves), other.rows))

@@ -242,12 +242,12 @@ def _fit_specimen(
     problem = job.problem(Fold(specimen, insertions, ()))
     fit = find_fit(job, problem, (specimen,), settings)
     theta = np.array(fit.theta)
-    sds, converged = posterior_sds(problem, theta), not fit.fault
+    sds, converged, compared = posterior_sds(problem, theta), not fit.fault, job.dataset.compared
     rows: list[Row] = [
         {"parameter": one, "value": fit.values[one], "sd": sd, "at_bound": bool(end), "converged": converged}
         for (one, sd), end in zip(sds.items(), find_bounds(problem, theta), strict=True)
     ]
-    every = pd.DataFrame([compute_metrics(compare_curves(*pair)) for pair in problem.points(theta)])
+    every = pd.DataFrame([compute_metrics(compare_curves(*pair, compared)) for pair in problem.points(theta)])
     return rows, {"converged": converged, **{str(name): value for name, value in every.mean().items()}}
 
 

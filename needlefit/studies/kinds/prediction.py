@@ -236,7 +236,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
-    in_space = job.dataset.planes == 2 or bool(points[..., 2].any())
+    in_space = job.dataset.compared == "space" or bool(points[..., 2].any())
     if in_space:
         roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
         points = turn_about_x(points, roll_sd * rng.standard_normal(len(points)))
@@ -362,7 +362,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
     depths, in_space = [one.depth for one in job.folds[0].tune], found.across.shape[2] == 2
-    warned += extrapolation_warnings(scene.depth, depths, z_unfitted=in_space and job.dataset.planes == 1)
+    warned += extrapolation_warnings(
+        scene.depth, depths, z_unfitted=in_space and job.dataset.compared == "plane"
+    )
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     if changed:

@@ -211,13 +211,15 @@ def _count_placed(track: Insertion, placed_by: float) -> int:
 
 def restore_directions(job: Job, dataset: Dataset) -> Job:
     """Return a job with its runs as the dataset has them, in space if all of them were tracked along z."""
-    if job.dataset.planes == 2:
+    if job.dataset.compared == "space":
         return job
     whole, (fold,) = {one.id: one for one in dataset.insertions}, job.folds
     tune, validate = (tuple(whole[one.id] for one in part) for part in (fold.tune, fold.validate))
     if any(one.directions == 1 for one in (*tune, *validate)):
         return job
-    return replace(job, dataset=replace(job.dataset, planes=2), folds=(Fold(fold.name, tune, validate),))
+    return replace(
+        job, dataset=replace(job.dataset, compared="space"), folds=(Fold(fold.name, tune, validate),)
+    )
 
 
 def _predict_runs(
@@ -227,15 +229,15 @@ def _predict_runs(
 
     Curves predict each direction by itself.
     """
-    (fold,), runs, readings, planes = job.folds, list[Row](), list[Row](), job.dataset.planes
+    (fold,), runs, readings, compared = job.folds, list[Row](), list[Row](), job.dataset.compared
     placed = [_count_placed(track, placed_by) for track in fold.validate]
     # curves are of readings in a frame whose slope they estimate from their own residuals
     exact = {"measurement": "points", "bevel_spread": 0.0, "tip_tracks": TrackErrorsRecord()}
     plain = job.recipe.likelihood.model_copy(update=exact)
-    flat = replace(job.dataset, planes=1)
+    flat = replace(job.dataset, compared="plane")
     tuned, held = (
         [
-            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, planes)]
+            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, compared)]
             for track in tracks
         ]
         for tracks in (fold.tune, fold.validate)
@@ -254,8 +256,8 @@ def _predict_runs(
             ahead = predict_runs(*simulate_runs(job, draws, jobs, rng), placed, rng)
         certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
-            parts = np.split(predicted, planes, axis=1)
-            for direction, one, part in zip("yz", list_directions(track, planes), parts, strict=False):
+            parts = np.split(predicted, job.dataset.directions, axis=1)
+            for direction, one, part in zip("yz", list_directions(track, compared), parts, strict=False):
                 row, rows = _score_run(one, count, part, certified)
                 about = {"fit": job.name, "method": method, "direction": direction}
                 runs.append({**about, **row})

@@ -4,7 +4,7 @@ import { rollOf, wrap } from "./model/inputs.js";
 
 export const writeError = (value, unit) => (value === null ? "–" : unit === "%" ? brief(value, 3) : value.toFixed(3));
 
-/** Errors with their names and units, those of which a measured needle names the metrics: in its plane or in space. */
+/** Errors with their names and units, those of which a measured needle names the metrics. */
 export const listErrors = (errors, { metrics }) =>
   metrics.map(([name, label, unit]) => `${label} ${writeError(errors[name], unit)} ${unit}`);
 

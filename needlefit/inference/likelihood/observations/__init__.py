@@ -29,6 +29,7 @@ from needlefit.mechanics.batch import (
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
 from needlefit.registry import Registry
 from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.study import Compared
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,10 @@ class ObservationType:
     on_the_way: bool = False
 
     def select_points(
-        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
     ) -> ComparedPoints:
         """Return the measured points that a curve is compared with; see the function of that name."""
-        along = insertion.measure_arc(planes)
+        along = insertion.measure_arc(compared)
         if pose == "known":
             fractions = np.linspace(0.0, 1.0, stations)
             s, at = insertion.depth * fractions, fractions * along[-1]
@@ -54,7 +55,7 @@ class ObservationType:
         measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
         measured = measured if pose == "known" else rotate_to_entry_axes(measured)
         z = np.interp(at, along, insertion.out_of_plane)
-        return ComparedPoints(s, measured, find_pose(pose, insertion), z)
+        return ComparedPoints(s, np.column_stack([measured, z]), find_pose(pose, insertion), compared)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return the simulated points (K, 3) at beam coordinates `s` (K,), mm."""
@@ -116,7 +117,11 @@ def make_observation(
 
 
 def select_points(
-    pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS, planes: int = 1
+    pose: Pose,
+    drop: float,
+    insertion: Insertion,
+    stations: int = COMPARISON_POINTS,
+    compared: Compared = "plane",
 ) -> ComparedPoints:
     """Return the measured points that a curve is compared with, entry side first, tip last.
 
@@ -130,7 +135,7 @@ def select_points(
     rigid motion that fits them best. Both are shown in the axes of the measured entry side: x along the
     least-squares line through the first fifth of the scored points, from which deflections are measured.
     """
-    return OBSERVATIONS[insertion.observed].select_points(pose, drop, insertion, stations, planes)
+    return OBSERVATIONS[insertion.observed].select_points(pose, drop, insertion, stations, compared)
 
 
 def read_points(insertion: Insertion, shape: NeedleShape, s: Floats) -> Floats:

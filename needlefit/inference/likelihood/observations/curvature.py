@@ -47,15 +47,15 @@ class _Curvature(ObservationType):
         """
         require_curvature(insertion)
         assert insertion.curvature is not None
-        (_, *kappa, sd), planes, step = insertion.curvature.T, errors.dataset.planes, SENSOR_STEP_MM
+        (_, *kappa, sd), count, step = insertion.curvature.T, errors.dataset.directions, SENSOR_STEP_MM
         sensors, s = len(sd), append_sensors(insertion, np.empty(0))
         shape = np.kron(np.ones(sensors), 0.5 * step**2 * np.array([1.0, 0.0, 1.0]))
-        measured = np.column_stack([s, *(shape * np.repeat(part, 3) for part in kappa[:planes])])
-        cov = np.diag(np.tile(sd**2, planes))
-        if planes == 2:  # an error of the roll turns all curvatures alike
+        measured = np.column_stack([s, *(shape * np.repeat(part, 3) for part in kappa[:count])])
+        cov = np.diag(np.tile(sd**2, count))
+        if count == 2:  # an error of the roll turns all curvatures alike
             turned = insertion.roll_sd * np.concatenate([-kappa[1], kappa[0]])
             cov += np.outer(turned, turned)
-        second = np.kron(np.eye(planes * sensors), np.array([1.0, -2.0, 1.0]) / step**2)
+        second = np.kron(np.eye(count * sensors), np.array([1.0, -2.0, 1.0]) / step**2)
         free, nothing = np.empty((len(cov), 0)), np.empty((0, len(cov)))
         whitening, log_norm = whiten(cov, free)
         pose = find_pose(errors.dataset.pose, insertion)

@@ -48,9 +48,9 @@ class _Points(ObservationType):
         """Return the observation of an insertion by its points; DataError if no noise is stated."""
         dataset, noise = errors.dataset, errors.noise
         measurement = dataset.measurement if errors.smoothed else DEFAULT_MEASUREMENT
-        along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.planes)
-        arc, axes = insertion.measure_arc(dataset.planes), [*insertion.planar.T, insertion.out_of_plane]
-        measured = np.column_stack([np.interp(along, arc, axis) for axis in axes[: 1 + dataset.planes]])
+        along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.compared)
+        arc, axes = insertion.measure_arc(dataset.compared), [*insertion.planar.T, insertion.out_of_plane]
+        measured = np.column_stack([np.interp(along, arc, axis) for axis in axes[: 1 + dataset.directions]])
         measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
         sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
         cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn
@@ -63,7 +63,7 @@ class _Points(ObservationType):
         operator = points_operator(measurement, s)
         if operator is not None and measurement.operator == "spline":
             cov, free = operator @ cov @ operator.T, operator @ free
-        if dataset.planes == 2:
+        if dataset.compared == "space":
             cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
             operator = None if operator is None else block_diag(operator, operator)
         pose = np.empty((len(cov), 0))

@@ -72,12 +72,12 @@ class _Sections(ObservationType):
         """Return the observation of an insertion by the coefficients of the spline through its sections."""
         known, dataset, model_error = select_sections(insertion), errors.dataset, errors.model_error
         assert known is not None
-        operator = block_diag(*[known.operator] * dataset.planes)
+        operator = block_diag(*[known.operator] * dataset.directions)
         cov = known.covariance[: len(operator), : len(operator)]
         if model_error is not None:
-            misfit = block_diag(*[model_error.covariance(known.s)] * dataset.planes)
+            misfit = block_diag(*[model_error.covariance(known.s)] * dataset.directions)
             cov = cov + operator @ misfit @ operator.T
-        if dataset.planes == 2:
+        if dataset.compared == "space":
             measured = known.places
             # the roll turns the needle, not what sections share; the modes turn both
             quarter = operator @ np.kron(

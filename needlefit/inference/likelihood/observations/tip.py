@@ -22,18 +22,19 @@ from needlefit.inference.likelihood.observation import (
 from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.schemas.study import Compared
 
 
 @dataclass(frozen=True)
 class _Tip(ObservationType):
     def select_points(
-        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
     ) -> ComparedPoints:
         """Return the entry, where the needle has no deflection, and the tip."""
         s = np.array([0.0, insertion.depth])
-        measured = np.column_stack([s, [0.0, insertion.planar[-1, 1]]])
-        z = np.array([0.0, insertion.out_of_plane[-1]])
-        return ComparedPoints(s, measured, find_pose(pose, insertion), z)
+        ends = np.array([insertion.planar[-1, 1], insertion.out_of_plane[-1]])
+        measured = np.column_stack([s, np.vstack([np.zeros(2), ends])])
+        return ComparedPoints(s, measured, find_pose(pose, insertion), compared)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return the deflections, each at its beam coordinate."""
@@ -55,12 +56,12 @@ class _Tip(ObservationType):
 
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of the tip, whose slope is taken as that of constant curvature."""
-        s, planes = np.array([insertion.depth]), errors.dataset.planes
-        across = np.append(insertion.planar[-1:, 1], insertion.out_of_plane[-1])[None, :planes]  # (1, planes)
+        s, count = np.array([insertion.depth]), errors.dataset.directions
+        across = np.append(insertion.planar[-1:, 1], insertion.out_of_plane[-1])[None, :count]  # (1, 1 or 2)
         cov = points_covariance(s, errors.noise, None if insertion.sd is None else insertion.sd[-1:])
         if errors.model_error is not None:
             cov = cov + errors.model_error.covariance(s)
-        cov, measured = block_diag(*[cov] * planes), np.column_stack([s, across])
+        cov, measured = block_diag(*[cov] * count), np.column_stack([s, across])
         modes, sds = list_pose_modes(insertion, errors, measured, 2 * across / s)
         pose, free = split_pose_modes(insertion, modes, sds)
         return complete_observation(insertion, errors, s, measured, cov, pose, free)

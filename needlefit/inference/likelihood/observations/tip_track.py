@@ -27,6 +27,7 @@ from needlefit.inference.likelihood.observations import ObservationType
 from needlefit.mechanics.batch import Jacobians, NeedleShapes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.recipe import TrackErrorsRecord
+from needlefit.schemas.study import Compared
 
 #: length over which the direction of a simulated path is taken, mm: shorter than constraints are apart
 HEADING_STEP_MM = 0.25
@@ -56,14 +57,14 @@ class _TipTrack(ObservationType):
     on_the_way: bool = True
 
     def select_points(
-        self, pose: Pose, drop: float, insertion: Insertion, stations: int, planes: int
+        self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
     ) -> ComparedPoints:
         """Return the readings, whatever `stations`, without the line through the first of them."""
         depth, *tips = *insertion.planar.T, insertion.out_of_plane
         frame = make_tracker_columns(depth)
         first = frame[: count_entry_side(len(depth))]
         tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
-        return ComparedPoints(depth, np.column_stack([depth, tip]), pose, across)
+        return ComparedPoints(depth, np.column_stack([depth, tip, across]), pose, compared)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return depths and tips (K, 3) at depths `s` (K,), mm."""
@@ -104,7 +105,7 @@ class _TipTrack(ObservationType):
         dataset, noise, likelihood = errors.dataset, errors.noise, errors.likelihood
         if likelihood.measurement == "points":
             noise = replace(noise, heading_sd=0.0, slope_sd=0.0)
-        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.planes)
+        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.compared)
         with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
         axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
         for number, one in enumerate(directions):
@@ -205,9 +206,9 @@ def list_session_axes(
     return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
 
-def list_directions(track: Insertion, planes: int) -> tuple[Insertion, ...]:
-    """Return what was read along y and, in two planes, in place of that what was read along z."""
-    if planes == 1 or track.directions == 1 or track.guide is None:
+def list_directions(track: Insertion, compared: Compared) -> tuple[Insertion, ...]:
+    """Return what was read along y and, in space, in place of that what was read along z."""
+    if compared == "plane" or track.directions == 1 or track.guide is None:
         return (track,)
     along_z = replace(
         track,

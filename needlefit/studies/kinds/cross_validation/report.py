@@ -34,7 +34,7 @@ from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Ver
 from needlefit.studies.fit_frames import find_scored_role, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import CRPS, STATUS, choose_method, judge, limit_status, list_checks
+from needlefit.studies.judge import CRPS, STATUS, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
@@ -100,14 +100,9 @@ def find_answer(run: Run) -> Answer:
     if group is None or judged is None:
         return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
     determined, intervals = _list_determined(run)
-    flat, space = (group.get(one, method=choose_method(run)) for one in (scores.TE, scores.TE_IN_SPACE))
-    noise = group.get(scores.TE_IN_SPACE, "floor") or 0.0
-    if values["in_space"] or flat is None or space is None or space - flat <= noise:
-        space = None  # beside the error in the plane it states nothing more
     words = {
         **values,
         "judged": judged,
-        "space_mm": space,
         "insertions": group.head["insertions"],
         "determined": determined,
         "intervals": intervals,
@@ -116,13 +111,12 @@ def find_answer(run: Run) -> Answer:
     }
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
-        group.tip: judged.error_mm,
-        f"floor_{group.tip}": group.get(group.tip, "floor"),
+        scores.TE: judged.error_mm,
+        f"floor_{scores.TE}": group.get(scores.TE, "floor"),
         "te_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
         "insertions": group.head["insertions"],
-        **({} if space is None else {scores.TE_IN_SPACE: space}),
     }
     if role == "tune":
         words["opening"], status = _open_fit(run, [word for word, _ in determined])

@@ -6,9 +6,9 @@ const POINTS = 101;
 
 const mean = (values) => values.reduce((sum, one) => sum + one, 0) / values.length;
 
-const relate = (d, deflection) => (deflection ? (100 * d.at(-1)) / Math.abs(deflection) : d.at(-1) ? Infinity : 0);
+const relate = (d, deflection) => (deflection ? (100 * d.at(-1)) / deflection : d.at(-1) ? Infinity : 0);
 
-/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm; those with 3d in space. */
+/** By metric, from the distances of compared points (mm), entry first, and the measured deflection, mm. */
 const METRICS = {
   median_err_mm: (d) => {
     const sorted = d.toSorted((one, other) => one - other);
@@ -23,10 +23,10 @@ const METRICS = {
   ipe_max_mm: (d) => Math.max(...d),
   te_mm: (d) => d.at(-1),
   edp_percent: relate,
-  ipe_3d_mm: mean,
-  te_3d_mm: (d) => d.at(-1),
-  edp_3d_percent: relate,
 };
+
+/** The axes of the coordinates that are compared. */
+const AXES = { plane: [0, 1], space: [0, 1, 2] };
 
 /**
  * The errors of a session's needle against `measured` of the scene, or null where they are undefined.
@@ -50,11 +50,10 @@ export function computeErrors(session, measured) {
     other = interpolate(measured, s);
     simulated = ALIGN[measured.target.pose](readPoints(session, s), other);
   } else return null;
-  const values = Object.entries(METRICS).map(([name, compute]) => {
-    const axes = name.includes("3d") ? [0, 1, 2] : [0, 1];
-    const distances = simulated.map((point, i) => Math.hypot(...axes.map((axis) => point[axis] - other[i][axis])));
-    return [name, compute(distances, Math.hypot(...axes.slice(1).map((axis) => other.at(-1)[axis] - other[0][axis])))];
-  });
+  const axes = AXES[measured.compared];
+  const distances = simulated.map((point, i) => Math.hypot(...axes.map((axis) => point[axis] - other[i][axis])));
+  const deflection = Math.hypot(...axes.slice(1).map((axis) => other.at(-1)[axis] - other[0][axis]));
+  const values = Object.entries(METRICS).map(([name, compute]) => [name, compute(distances, deflection)]);
   const finite = values.map(([name, value]) => [name, Number.isFinite(value) ? value : null]);
   return { ...Object.fromEntries(finite), upto_mm: upto, whole, floor_mm: measured.floor_mm };
 }
