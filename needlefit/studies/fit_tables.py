@@ -260,7 +260,9 @@ def lay_out_insertions(run: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
     method = choose_method(run) if role == "validate" else "fitted"
     chosen = select_fitted(run.frames["errors"], role, method)
-    metrics = [one for one in list_metrics() if not one.spread_of and chosen[one.name].notna().any()]
+    # a metric that was added since the run has no column
+    known = [one for one in list_metrics() if not one.spread_of and one.name in chosen]
+    metrics = [one for one in known if chosen[one.name].notna().any()]
     columns = (
         *("insertion", "medium", "layers", "depth_mm", "deflection_mm", "predicted_deflection_mm"),
         *(one.name for one in metrics),
