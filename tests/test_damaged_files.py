@@ -96,6 +96,8 @@ def test_results_that_cannot_be_read_are_refused(content, tmp_path):
         ("frames.errors.types.te_mm", "U999999999"),
         ("frames.errors.columns.te_mm", [1.0]),
         ("run.folds", ["all"]),
+        ("run.planes", "two"),
+        ("run.nonsense", 1),
         ("posteriors", ["all"]),
     ],
 )

@@ -25,9 +25,14 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import find_outside_validity
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
+from needlefit.project.checkpoint import NO_CHECKPOINT
+from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.folds import make_folds
+from needlefit.studies.folds import make_folds, plan_folds
+from needlefit.studies.job import load_study
+from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
@@ -315,6 +320,23 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
     assert pairs == [(f"without {id_}", id_) for id_ in ids]
     tuned = results.frames["errors"].query("role == 'tune' and method == 'straight'")
     assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> None:
+    (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
+    record = study(tune={}, validate=[], leave_out="insertion")
+    job = plan_folds(load_study("loo", record, Settings()))
+
+    def run_folds(numbers: tuple[int, ...]) -> FoldResult:
+        services = FoldServices(Settings(), NO_CHECKPOINT, StudyProgress(job, no_progress))
+        return [run_fold(job, job.folds[number], services) for number in numbers][-1]
+
+    alone, after = run_folds((1,)), run_folds((0, 1))
+    for name in ("errors", "starts", "parameters", "predictive", "draws"):
+        pd.testing.assert_frame_equal(pd.DataFrame(getattr(alone, name)), pd.DataFrame(getattr(after, name)))
+    assert alone.validity == after.validity and not alone.interrupted
+    assert {row["insertion"] for row in alone.errors if row["role"] == "validate"} == {"needle-2"}
 
 
 @pytest.mark.usefixtures("few_draws")
