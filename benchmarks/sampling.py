@@ -62,14 +62,14 @@ def main() -> None:
         fit = minimize(problem, job.recipe, stream, Callbacks(jobs=options.jobs))
         begin = sample_about_fit(problem, fit, random_stream(1, target, "importance"), options.jobs)
         for name in options.moves:
-            own = sampler.make_moves
+            own = sampler.make_sampler_moves
             if MOVES[name] is not None:
-                sampler.make_moves = lambda _, name=name: MOVES[name]
+                sampler.make_sampler_moves = lambda _, name=name: MOVES[name]
             clock = time.process_time()
             rng = random_stream(1, target, "posterior")
             found = sampler.sample(problem, begin, settings, rng, Callbacks(jobs=options.jobs))
             spent = time.process_time() - clock
-            sampler.make_moves = own
+            sampler.make_sampler_moves = own
             steps, tau = found.draws.shape[1], float(np.max(found.autocorrelation_time))
             draws, densities = float(np.min(found.ess)), steps * len(found.draws)
             accepted, each = float(np.mean(found.acceptance_fraction)), 1000 * spent / densities

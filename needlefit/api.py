@@ -148,9 +148,9 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
         If there is no insertion into such a medium.
     """
     from needlefit.synthetic.build import build_unscanned
-    from needlefit.synthetic.design import list_planned_insertions
+    from needlefit.synthetic.design import list_designs
 
-    plan = [one for one in list_planned_insertions() if not media or one.medium in media]
+    plan = [one for one in list_designs() if not media or one.medium in media]
     if missing := set(media) - {one.medium for one in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
     return read(build_unscanned(Path(folder), seed, plan))
@@ -171,10 +171,10 @@ def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:
     ConfigError
         If there is no such insertion.
     """
-    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.design import select_designs
     from needlefit.synthetic.insertion import TWIN_SEED, needle_points, simulate_insertion
 
-    (planned,) = select_planned_insertions([name])
+    (planned,) = select_designs([name])
     made = simulate_insertion(planned, TWIN_SEED)
     shape, frame = made.true_insertion.shape, made.true_insertion.frame
     return needle_points(shape, frame, made.deviations, shape.depth - np.asarray(from_tip, dtype=np.float64))

@@ -16,7 +16,7 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, make_lattice, plan_stops
+from needlefit.mechanics.plan import Lattice, list_stops, make_lattice
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
 
@@ -68,7 +68,7 @@ def follow(
     lattice = lattice or make_lattice(steps, rules)
     still = np.zeros(2, dtype=complex)
     c, rays, tip, slopes, cut = {0: still}, {}, (0.0, still, still), {}, still
-    for stop in plan_stops(steps, lattice, needle.length):
+    for stop in list_stops(steps, lattice, needle.length):
         if stop.starts_ray:
             rays[stop.ray] = *tip[:2], rules.tangent * tip[2]
             if rules.path_angle:

@@ -7,7 +7,7 @@ from mechanics_cases import random_batch, random_needle, random_rules, random_st
 
 from needlefit.mechanics import native
 from needlefit.mechanics.batch import DERIVATIVE_KINDS, DERIVATIVE_KINDS_ALONG_Z, _evaluate, find_columns
-from needlefit.mechanics.packing import pack_problem, plan_insertion
+from needlefit.mechanics.packing import pack_insertion, pack_problem
 
 
 def make_problem(rng: np.random.Generator) -> native.KernelProblem:
@@ -18,7 +18,7 @@ def make_problem(rng: np.random.Generator) -> native.KernelProblem:
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     steps = random_steps(rng, int(rng.integers(0, 4)))
-    lattice, packed = plan_insertion(steps, needle.length, rules)
+    lattice, packed = pack_insertion(steps, needle.length, rules)
     kinds = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if rng.random() < 0.5 else DERIVATIVE_KINDS
     columns = find_columns(kinds, tissue, steps, rules)
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)

@@ -62,7 +62,7 @@ def test_the_docstrings_print_what_they_show():
 @pytest.mark.usefixtures("blank_figures")
 def test_a_run_is_saved_loaded_and_predicted_from(sampled, tmp_path, monkeypatch):
     monkeypatch.setattr(prediction, "PREDICTION_DRAWS", 100)
-    assert needlefit.load_run(sampled.save(tmp_path / "run")).run == sampled.run
+    assert needlefit.load_run(sampled.save(tmp_path / "run")).metadata == sampled.metadata
     here = needlefit.predict(sampled, "chicken")
     there = needlefit.predict(needlefit.load_run(tmp_path / "run"), find_file("scene", "chicken"), jobs=1)
     assert here.kind == "prediction" and here.metadata.draw_source == "posterior"

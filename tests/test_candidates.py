@@ -7,7 +7,7 @@ import numpy as np
 from needlefit.inference.sampling.importance import Effort
 from needlefit.schemas.study import FitRecord
 from needlefit.studies import candidates
-from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_candidates, rank_candidates
+from needlefit.studies.candidates import CANDIDATE_COLUMNS, list_insertion_candidates, rank_candidates
 from needlefit.studies.folds import prepare
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.simulated_data import choose_reference_values, simulate_design
@@ -20,13 +20,13 @@ def prepare_chicken(*ids: str) -> Job:
 
 def test_candidates_are_the_other_insertions_into_the_medium_and_a_repeat(monkeypatch) -> None:
     job = prepare_chicken("chicken-01", "chicken-04")
-    *others, (role, repeated) = list_candidates(job, job.folds[0])
+    *others, (role, repeated) = list_insertion_candidates(job, job.folds[0])
     assert (role, repeated.id) == ("repeat", "chicken-01")  # the deeper of the two
     assert len(others) == 10 and {one.medium for _, one in others} == {"chicken"}
     depths = [one.depth for _, one in others]
     assert depths == sorted(depths)
     monkeypatch.setattr(candidates, "MAX_CANDIDATES", 3)
-    fewer = [one.depth for role, one in list_candidates(job, job.folds[0]) if role == "candidate"]
+    fewer = [one.depth for role, one in list_insertion_candidates(job, job.folds[0]) if role == "candidate"]
     assert len(fewer) == 3 and (fewer[0], fewer[-1]) == (depths[0], depths[-1])
 
 

@@ -32,9 +32,9 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.draw_simulation import DrawSimulation
 from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Settings
-from needlefit.studies.planned_draws import PlannedInsertion
 from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement
 
@@ -243,7 +243,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
 def test_draws_that_are_simulated_one_by_one_lie_in_space_too():
     sets, s = [TRUTH, {**TRUTH, "mu1_pa": 4e5}], np.linspace(5.0, 40.0, 4)
     args = sets, medium(), turned(), s, np.zeros(2), np.zeros((2, 9))
-    planned = PlannedInsertion(*args)
+    planned = DrawSimulation(*args)
     each, together = planned.simulate_each(np.arange(2)).points, planned.simulate().points
     assert each.shape == (2, 4, 3) and np.abs(each[..., 2]).max() > 0.1
     np.testing.assert_allclose(each, together, atol=1e-6)

@@ -13,7 +13,7 @@ from native_cases import compute, make_problem, read_numbers, to_bytes
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.packing import pack_problem, plan_insertion
+from needlefit.mechanics.packing import pack_insertion, pack_problem
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -77,7 +77,7 @@ def test_functions_at_the_ends_of_their_range() -> None:
 
 def test_failed_sets_have_canonical_nans() -> None:
     steps = (Step(14.0, Bevel(0.1), Controls(base_y=0.3)),)
-    lattice, packed = plan_insertion(steps, NEEDLE.length, ModelOptions())
+    lattice, packed = pack_insertion(steps, NEEDLE.length, ModelOptions())
     mu = np.full((8, 2), 0.2)
     mu[1], mu[3], mu[5], mu[6] = np.nan, -np.nan, np.inf, -1.0
     problem = pack_problem(NEEDLE, TISSUE, steps, lattice, ModelOptions(), packed, sets=8, values={"mu": mu})

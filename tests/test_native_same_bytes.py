@@ -35,7 +35,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.batch import DERIVATIVE_KINDS, DERIVATIVE_KINDS_ALONG_Z, find_columns
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.packing import pack_problem, plan_insertion
+from needlefit.mechanics.packing import pack_insertion, pack_problem
 
 pytestmark = pytest.mark.on_demand
 INSERTIONS, SPATIAL_EACH = 2000, 4
@@ -103,7 +103,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bo
     kinds = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if spatial else DERIVATIVE_KINDS
     columns = find_columns(kinds, tissue, steps, rules)
     columns = columns if rng.random() < 0.3 else None
-    lattice, packed = plan_insertion(steps, needle.length, rules)
+    lattice, packed = pack_insertion(steps, needle.length, rules)
     problem = pack_problem(
         needle, tissue, steps, lattice, rules, packed, sets=sets, values=values, columns=columns
     )

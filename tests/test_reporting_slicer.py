@@ -27,7 +27,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.studies.folds import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.needle_placement import place_needles
-from needlefit.studies.needles_in_scan import read_needles
+from needlefit.studies.needles_in_scan import read_needles_in_scan
 from needlefit.studies.slicer import write_needles
 
 __all__ = ["project"]  # a fixture
@@ -115,7 +115,7 @@ def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
 
 @pytest.mark.sweep
 def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
-    world = read_needles(run("needles", study(), Settings()).frames["needles"])
+    world = read_needles_in_scan(run("needles", study(), Settings()).frames["needles"])
     file = project / "data" / "needles" / "dataset.toml"  # by a half turn about z and a shift
     motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
     file.write_text(file.read_text().replace("[frame]", f"[frame]\n{motion}"))
@@ -150,7 +150,7 @@ def test_free_shapes_lie_on_the_measured_ones(project):
     i, j = text.index("[media"), text.index("[checksums]")
     file.write_text(text[:i] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n")
     assert j > i and read(file).pose == "free"
-    for one in read_needles(run("needles", study(), Settings()).frames["needles"]).values():
+    for one in read_needles_in_scan(run("needles", study(), Settings()).frames["needles"]).values():
         gaps = np.linalg.norm(one.fitted[:, None] - one.measured[None], axis=2).min(axis=1)
         assert gaps.max() < 0.1
         assert one.band is not None

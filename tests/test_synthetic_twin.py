@@ -19,12 +19,7 @@ from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import LocalPool
 from needlefit.synthetic import design
 from needlefit.synthetic.build import build_dataset
-from needlefit.synthetic.design import (
-    POPULATION,
-    TRUE_MEDIA,
-    list_planned_insertions,
-    select_planned_insertions,
-)
+from needlefit.synthetic.design import POPULATION, TRUE_MEDIA, list_designs, select_designs
 from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion, stated_frame
 from needlefit.synthetic.scans import WHOLE_BOX_SETUP, expose
 
@@ -42,7 +37,7 @@ SCANNER = ("psf_mm", "noise_hu", "bloom", "streaks", "cupping_hu")
 def rebuilt(tmp_path_factory):
     """Insertions of the shipped twin, made again from the seed, through their scans."""
     folder, steps = tmp_path_factory.mktemp("rebuilt"), []
-    plan = select_planned_insertions(FEW)
+    plan = select_designs(FEW)
     build_dataset(folder, TWIN_SEED, plan, LocalPool(2), progress=lambda *step: steps.append(step))
     assert steps[0] == ("reconstructing", 0, len(FEW))
     assert steps[-1] == (f"reconstructed {FEW[-1]}", len(FEW), len(FEW))
@@ -75,7 +70,7 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt):
 
 @pytest.mark.sweep
 def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, tmp_path):
-    build_dataset(tmp_path, TWIN_SEED, select_planned_insertions(FEW[-1:]))
+    build_dataset(tmp_path, TWIN_SEED, select_designs(FEW[-1:]))
     file = f"centerlines/{FEW[-1]}.csv"
     assert (tmp_path / file).read_bytes() == (rebuilt / file).read_bytes()
 
@@ -83,7 +78,7 @@ def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processe
 def test_every_insertion_is_simulated_to_the_digits_of_the_shipped_truth(truth):
     """Needle, layers, bevel, pose and scanner of all 47."""
     rows = {row["id"]: row for row in truth["insertions"]}
-    for planned in list_planned_insertions():
+    for planned in list_designs():
         twin = simulate_insertion(planned, TWIN_SEED)
         true, scene = twin.true_insertion, expose(twin, WHOLE_BOX_SETUP, TWIN_SEED)
         (needle,) = scene.scene.needles
@@ -115,7 +110,7 @@ def test_fitting_code_never_reads_the_truth():
 
 # ---- the plan, phantoms and truth
 
-PLAN = {planned.id: planned for planned in list_planned_insertions()}
+PLAN = {planned.id: planned for planned in list_designs()}
 
 
 def paper(name):

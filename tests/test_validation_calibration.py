@@ -22,10 +22,10 @@ from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import calibration
 from needlefit.studies.kinds.calibration import (
     CalibrationRecord,
+    design_synthetic,
     find_stiff_direction,
     infer_posterior,
     is_inside_bounds,
-    plan_synthetic,
     replicate,
 )
 from needlefit.studies.rank_statistics import (
@@ -38,12 +38,12 @@ from needlefit.studies.rank_statistics import (
     probability_inside,
     rank_truth,
     share_by_truth,
-    tabulate_coverage,
+    tabulate_covered_shares,
     tabulate_ecdfs,
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study_file
-from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_planned_insertions
+from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
 
 STIFF = {"mu1_pa": 0.3, "bevel_mm": 0.95}
 
@@ -73,7 +73,7 @@ def run(job: Job, count: int) -> dict[str, np.ndarray]:
 
 
 def failures(found: dict[str, np.ndarray]) -> list[str]:
-    return find_failing(tabulate_coverage(found), tabulate_ecdfs(found))
+    return find_failing(tabulate_covered_shares(found), tabulate_ecdfs(found))
 
 
 @pytest.mark.sweep
@@ -190,7 +190,7 @@ def test_tips_of_one_replicate_count_as_one_trial():
     """Copies of the same ranks change no count; half of each replicate covered is half of the replicates."""
     alone = np.random.default_rng(1).integers(0, RANK_DRAWS + 1, 60)
     copies = {"a": alone, "b": np.column_stack([alone] * 7)}
-    for table, keys in ((tabulate_coverage(copies), ["covered"]), (tabulate_ecdfs(copies), ["below"])):
+    for table, keys in ((tabulate_covered_shares(copies), ["covered"]), (tabulate_ecdfs(copies), ["below"])):
         one, other = (table[table["quantity"] == name] for name in ("a", "b"))
         for key in [*keys, "count_low", "count_high"]:
             assert one[key].to_numpy(dtype=float) == pytest.approx(other[key].to_numpy(dtype=float))
@@ -222,7 +222,7 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
     job = prepare_study("study1")
     (fold,) = job.folds
     specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
-    planned = {one.id: one for one in list_planned_insertions()}
+    planned = {one.id: one for one in list_designs()}
     deviations = [draw_deviations(9, planned[one.id]).bevel for one in fold.tune]
     expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
     found = find_true_value(job.problem(fold), "bevel_mm", 9, POPULATION)
@@ -233,7 +233,7 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
 
 def test_truths_outside_the_bounds_of_the_medium_are_drawn_again():
     job = prepare("study5", load_study_file(find_file("study", "study5")), Settings())
-    plan, bounds = plan_synthetic(job), job.parameters.bounds
+    plan, bounds = design_synthetic(job), job.parameters.bounds
     record = job.medium.model_dump(by_alias=True, exclude_unset=True)
     record["parameters"]["bevel_mm"] = {"bounds": [1e-3, 0.25]}
     narrow = Parameters.from_record(type(job.medium).model_validate(record))

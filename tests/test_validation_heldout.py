@@ -24,12 +24,12 @@ from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
+from needlefit.studies.draw_simulation import DrawSimulation, draw_depth_errors
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
-from needlefit.studies.planned_draws import PlannedInsertion, draw_depth_errors
 from needlefit.studies.prediction_scores import find_end_error
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
@@ -141,14 +141,14 @@ def test_needles_with_depths_of_their_own_are_those_of_single_simulations(job, k
     other = [*sets[:-1], {**sets[-1], "alpha1": 1.5 * sets[-1]["alpha1"]}]
     typical = job.parameters.values(known.thetas.mean(axis=0))
     for drawn, tolerance in ((other, 0.05), ([typical] * len(sets), 0.02)):
-        together = PlannedInsertion(drawn, medium, insertion, s, *errors).simulate()
+        together = DrawSimulation(drawn, medium, insertion, s, *errors).simulate()
         assert together.solved.all() and together.valid.all()
         for n in [*range(3, 299, 37), 299]:  # of which most are not simulated with other depths
             deep, wrong = (one[n] for one in errors)
             alone = predict_alone(drawn[n], medium, insertion, s, wrong, deep)
             assert together.points[n] == pytest.approx(alone, abs=tolerance)
     failing = [*sets[:-1], {**sets[-1], "mu1_pa": np.nan}]
-    found = PlannedInsertion(failing, medium, insertion, s, *errors).simulate()
+    found = DrawSimulation(failing, medium, insertion, s, *errors).simulate()
     assert found.solved[:-1].all() and not found.solved[-1]
 
 
@@ -158,7 +158,7 @@ def test_needles_that_cannot_be_interpolated_over_depths_are_simulated_each():
     moduli = TRUTH["mu1_pa"] * np.exp(0.3 * rng.standard_normal(200))
     sets = [{**TRUTH, "mu1_pa": mu} for mu in moduli.tolist()]
     errors = draw_depth_errors(planned, len(sets), rng)
-    needles = PlannedInsertion(sets, medium(), planned, np.linspace(0.0, 55.0, 5), *errors)
+    needles = DrawSimulation(sets, medium(), planned, np.linspace(0.0, 55.0, 5), *errors)
     each = needles.simulate_each(np.arange(len(sets)))
     np.testing.assert_allclose(needles.simulate().points, each.points, atol=1e-9)
     assert np.ptp(each.points[:, -1, 1]) > 1.0

@@ -12,7 +12,7 @@ from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.studies.needle_placement import NEEDLE_POINTS
-from needlefit.studies.needles_in_scan import read_needles
+from needlefit.studies.needles_in_scan import read_needles_in_scan
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording
@@ -60,4 +60,6 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
     s = select_points(*(("free", 2.0) if pose == "free" else ("known", 0.0)), one, NEEDLE_POINTS).s
     found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
-    np.testing.assert_allclose(found, read_needles(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        found, read_needles_in_scan(results.frames["needles"])[ID].fitted, rtol=0, atol=1e-6
+    )

@@ -232,7 +232,7 @@ def predict(
     --set or --specimen the folder is named after these too: predict-study3-study3-depth_mm=60.
     """
     with begin(context) as execution:
-        from needlefit.inference.parameter_changes import load_medium
+        from needlefit.inference.parameter_changes import load_changed_medium
         from needlefit.project.input_files import is_file
         from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
@@ -245,7 +245,7 @@ def predict(
         fit = load_target(target)
         target_name, fitted, inputs, file, run = fit
         with add_file_context(file):
-            medium = inputs.medium or load_medium(fitted)[0]
+            medium = inputs.medium or load_changed_medium(fitted)[0]
             like = plan_like_deepest(fitted, inputs, medium) if scene is None else None
         if like is not None:
             scene, table, source = like

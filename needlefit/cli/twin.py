@@ -59,11 +59,11 @@ def render_ct(
     OUT, by default twin_ct, is replaced if it holds nothing but such scans.
     """
     from needlefit.project.folders import replace_folder
-    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.design import select_designs
     from needlefit.synthetic.insertion import TWIN_SEED
     from needlefit.synthetic.scans import write_scans
 
-    seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
+    seed, plan = TWIN_SEED if seed is None else seed, select_designs(ids or ())
     out, asked = out or Path("twin_ct"), context.find_root().obj
     with replace_folder(out) as fresh, show_progress(asked.quiet) as report, open_pool(asked) as pool:
         write_scans(fresh, plan, seed, pool, report, form == "dicom")

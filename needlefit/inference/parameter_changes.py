@@ -30,7 +30,7 @@ FREED_BOUNDS = {
 }
 
 
-def load_medium(record: FitRecord) -> tuple[MediumRecord, Path]:
+def load_changed_medium(record: FitRecord) -> tuple[MediumRecord, Path]:
     """Return the medium that a fit names, with its priors and what it frees and fixes, and its file."""
     file = find_named("medium", record.medium)
     medium = set_priors(load(file, MediumRecord), record.priors)

@@ -249,7 +249,7 @@ class Shapes(ctypes.Structure):
         return made
 
 
-def plan_moves(first_cell: float, spacing: float, moves: Sequence[tuple[float, int, int]]) -> np.ndarray:
+def divide_moves(first_cell: float, spacing: float, moves: Sequence[tuple[float, int, int]]) -> np.ndarray:
     """Return the stops (S,) of type `STOP` of moves from first contact on.
 
     Constraint points lie at `first_cell` and every `spacing` from there, mm; a move is the depth that it

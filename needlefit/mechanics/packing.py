@@ -166,7 +166,7 @@ class PackedStops(NamedTuple):
         return tuple(steps[i].bevel for i in self.bevels), tuple(steps[i].controls for i in self.controls)
 
 
-def plan_insertion(
+def pack_insertion(
     steps: Sequence[Step], length: float, rules: ModelOptions, lattice: Lattice | None = None
 ) -> tuple[Lattice, PackedStops]:
     """Return the lattice of constraint points, by default the usual one, and the stops of a needle (mm long).
@@ -182,10 +182,10 @@ def plan_insertion(
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def _pack_moves(moves: tuple[Move, ...], lattice: Lattice) -> PackedStops:
-    return pack_plan(make_stops(moves, lattice))
+    return pack_stops(make_stops(moves, lattice))
 
 
-def pack_plan(stops: Sequence[TipStop]) -> PackedStops:
+def pack_stops(stops: Sequence[TipStop]) -> PackedStops:
     """Return stops in the form that the kernel reads."""
     bevels = tuple(dict.fromkeys(stop.bevel_id for stop in stops))
     controls = tuple(dict.fromkeys(stop.controls_id for stop in stops))
@@ -397,7 +397,7 @@ class PreparedInsertion:
         if columns is not None:
             rules = replace(rules, tolerance=min(rules.tolerance, MAX_TOLERANCE_MM))
         self.needle, self.tissue, self.steps, self.rules, self.columns = needle, tissue, steps, rules, columns
-        self.lattice, self._packed = plan_insertion(steps, needle.length, rules, lattice)
+        self.lattice, self._packed = pack_insertion(steps, needle.length, rules, lattice)
         self.points, self._inputs = self._packed.last.cell + 1, self._packed.list_inputs(steps)
         self.depth = self._packed.last.tip
         # about: it orders insertions by their cost

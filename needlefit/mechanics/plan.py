@@ -139,7 +139,7 @@ class Lattice:
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
 
-def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
+def list_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
     """Return the stops of all steps of a needle of `length` (mm), from first contact on.
 
     Their `bevel_id` and `controls_id` are numbers: of the first step with that bevel, and with those
@@ -166,7 +166,7 @@ def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
-    found = native.plan_moves(lattice.first_cell, lattice.spacing, moves).tolist()
+    found = native.divide_moves(lattice.first_cell, lattice.spacing, moves).tolist()
     return tuple(
         TipStop(
             tip, cell, bool(flags & native.PERMANENT), ray, bool(flags & native.STARTS_RAY), bevel, controls,

@@ -15,7 +15,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, St
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
+from needlefit.mechanics.plan import Lattice, TipStop, list_stops, make_lattice
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
@@ -49,7 +49,7 @@ def simulate_steps(
     track: dict[int, tuple[Floats, Floats]] = {}
     x_tip, u_tip, slope_tip, c_tip = 0.0, np.zeros(2), np.zeros(2), np.zeros(2)
     iterations = 0
-    for stop in plan_stops(steps, lattice, needle.length):
+    for stop in list_stops(steps, lattice, needle.length):
         if stop.starts_ray:
             if rules.path_angle:
                 if x_tip == 0:

@@ -14,7 +14,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, is_bounded, require_type
-from needlefit.mechanics.packing import count_planes, pack_plan, pack_problem, plan_insertion
+from needlefit.mechanics.packing import count_planes, pack_insertion, pack_problem, pack_stops
 from needlefit.mechanics.plan import Lattice, TipStop, check_reach
 from needlefit.mechanics.shape import NeedleShape, Status, compute_scales, list_planes
 from needlefit.mechanics.tissue import Tissue
@@ -84,7 +84,7 @@ def find_last_shape(
     """Do what `simulate_steps` does, for inputs whose units were judged where they were read."""
     steps = turn_tip(needle, tissue, steps)
     require_type("rules", rules, ModelOptions)
-    lattice, packed = plan_insertion(steps, needle.length, rules, lattice)
+    lattice, packed = pack_insertion(steps, needle.length, rules, lattice)
     problem = pack_problem(needle, tissue, steps, lattice, rules, packed)
     shapes = native.make_shapes(problem, packed.last.cell + 1)
     native.simulate(problem, shapes, 0, 1)
@@ -135,7 +135,7 @@ def pack_equilibrium(
     step = Step(max(depth, spacing), Bevel(), controls)
     first_cell = float(depths[1]) if len(depths) > 1 else spacing
     return pack_problem(
-        needle, tissue, (step,), Lattice(spacing, spacing), rules, pack_plan([stop]),
+        needle, tissue, (step,), Lattice(spacing, spacing), rules, pack_stops([stop]),
         planes=planes, first_cell=first_cell,
         deepest=max(len(depths) * spacing, depth) + first_cell + 2 * spacing,
     )  # fmt: skip

@@ -21,7 +21,7 @@ def to_json_values(value: object) -> object:
     return [to_json_values(inner) for inner in value] if isinstance(value, Iterable) else str(value)
 
 
-def parse_json(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
+def parse_json_text(text: str | bytes) -> Any:  # noqa: ANN401 - JSON
     """Return the value in a JSON text.
 
     ValueError if it is none, nests too deeply, or has half of a pair of surrogates: no text is made of that.

@@ -26,14 +26,14 @@ from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.planned_draws import (
+from needlefit.studies.draw_simulation import (
     Sets,
     choose_draws,
     interpolate_draws,
     make_coordinates,
     vary_bevels,
 )
+from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.simulated_data import simulate_design
 
 CANDIDATE_COLUMNS = (
@@ -51,7 +51,7 @@ DROPPED_WEIGHT = 1e-3  #: the lightest draws, of this weight together, are left 
 MIN_ESS = 10.0  #: with fewer draws left, in the median, a gain is rough
 
 
-def list_candidates(job: Job, fold: Fold) -> Iterator[tuple[str, Insertion]]:
+def list_insertion_candidates(job: Job, fold: Fold) -> Iterator[tuple[str, Insertion]]:
     """Yield role and insertion: those that are not tuned on, by depth, then the deepest of those that are."""
     tuned, media = {one.id for one in fold.tune}, {one.medium for one in fold.tune}
     others = [one for one in job.dataset.insertions if one.medium in media and one.id not in tuned]
@@ -83,7 +83,7 @@ def rank_candidates(
     worst = away @ np.linalg.eigh((away * weights[:, None]).T @ away)[1][:, -1]  # (B,) the widest axis
     outer = rng.choice(len(weights), size=OUTER_DRAWS, p=weights)
     values, rows = problem.values(theta), list[Row]()
-    for role, insertion in list_candidates(job, fold):
+    for role, insertion in list_insertion_candidates(job, fold):
         if settings.stop():
             break
         row: Row = {"role": role, "insertion": insertion.id, "depth_mm": insertion.depth}

@@ -111,7 +111,7 @@ def find_bevel_sd(job: "Job", fold: "Fold") -> float:
     return find_new_bevel_sd(job.dataset, fold.tune, new_specimen=new and len(tuned) > 1)
 
 
-def choose_specimen(run: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
+def choose_drawn_specimen(run: Run, specimen: str, tuned: set[str], chosen: str = "shown") -> str:
     """Return in which specimen the draws for an insertion are, by its name in the table of draws.
 
     `specimen` is that of the insertion, `tuned` are those that were fitted to; `chosen`: of a `ViewTarget`.
@@ -205,7 +205,7 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     }
     fold = next(one for one in metadata.folds if one.name == row["fold"])
     tuned = {metadata.insertions[one].specimen for one in fold.tune}
-    specimen = choose_specimen(run, stored.specimen, tuned)
+    specimen = choose_drawn_specimen(run, stored.specimen, tuned)
     draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():
         varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])

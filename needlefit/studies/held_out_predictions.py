@@ -40,15 +40,15 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.fold_draws import Specimens, describe_specimen
-from needlefit.studies.job import Job
-from needlefit.studies.planned_draws import (
-    PlannedInsertion,
-    PlannedNeedles,
+from needlefit.studies.draw_simulation import (
+    DrawnNeedles,
+    DrawSimulation,
     draw_depth_errors,
     scale_bevels,
     vary_bevels,
 )
+from needlefit.studies.fold_draws import Specimens, describe_specimen
+from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
     SPATIAL_COLUMNS,
     find_end_error,
@@ -183,7 +183,7 @@ class _Predictor:
         insertion: Insertion,
         observation: Observation,
         draws: Draws,
-        found: PlannedNeedles,
+        found: DrawnNeedles,
         max_end_error: float = math.inf,
     ) -> HeldOutPrediction | None:
         """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
@@ -255,10 +255,10 @@ class _Predictor:
         s: Floats,
         sets: Sequence[Mapping[str, float]],
         rng: np.random.Generator,
-    ) -> PlannedInsertion:
+    ) -> DrawSimulation:
         """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
         deep, wrong = draw_depth_errors(insertion, len(sets), rng)
-        return PlannedInsertion(sets, self.known.job.medium, insertion, s, deep, wrong, self.jobs)
+        return DrawSimulation(sets, self.known.job.medium, insertion, s, deep, wrong, self.jobs)
 
     def _estimate_after_one(
         self,

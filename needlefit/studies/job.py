@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
-from needlefit.inference.parameter_changes import load_medium
+from needlefit.inference.parameter_changes import load_changed_medium
 from needlefit.inference.parameters import (
     Parameters,
     with_hyperparameters,
@@ -184,7 +184,7 @@ def load_study(
     """
     given = settings.inputs
     dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
-    medium, medium_file = (given.medium, None) if given.medium else load_medium(record)
+    medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
     recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})

@@ -41,7 +41,7 @@ class NeedleInScan:
     band: Band | None = None  # None where no draws are certified, or none of them has a solution
 
 
-def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
+def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
     """Return needles point by point: columns `NEEDLE_COLUMNS`."""
     rows = []
     for one in needles:
@@ -58,8 +58,8 @@ def tabulate_needles(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(NEEDLE_COLUMNS))
 
 
-def read_needles(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
-    """Return the needles that `tabulate_needles` tabulated, by insertion."""
+def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
+    """Return the needles that `tabulate_needles_in_scan` tabulated, by insertion."""
     found = {}
     for name, rows in frame.groupby("insertion", sort=False):
         curves = {

@@ -35,7 +35,7 @@ def describe_configuration(job: Job) -> JobMetadata:
     return JobMetadata(
         name=job.name,
         versions=package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
-        dataset=describe_dataset(job.dataset),
+        dataset=summarize_dataset(job.dataset),
         study=job.record.model_dump(mode="json", by_alias=True),
         medium=job.medium,
         recipe=job.recipe,
@@ -53,7 +53,7 @@ def describe_configuration(job: Job) -> JobMetadata:
     )
 
 
-def find_changes(job: Job, recorded: RunMetadata) -> list[str]:
+def compare_configuration(job: Job, recorded: RunMetadata) -> list[str]:
     """Return what of a job is another one than a run recorded: dataset, medium, folds, likelihood."""
     ours = describe_configuration(job)
     likelihood = None if recorded.recipe is None else recorded.recipe.likelihood
@@ -68,7 +68,7 @@ def find_changes(job: Job, recorded: RunMetadata) -> list[str]:
 
 def require_same_configuration(job: Job, recorded: RunMetadata, where: str) -> None:
     """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
-    for key in find_changes(job, recorded):
+    for key in compare_configuration(job, recorded):
         raise ConfigError(
             f"its posterior is of another {key}",
             where=where,
@@ -77,7 +77,7 @@ def require_same_configuration(job: Job, recorded: RunMetadata, where: str) -> N
         )
 
 
-def describe_dataset(dataset: Dataset) -> DatasetMetadata:
+def summarize_dataset(dataset: Dataset) -> DatasetMetadata:
     """Return which data these are, their needles, and what their measurement does to shapes.
 
     A single needle stands alone; several stand by their names.

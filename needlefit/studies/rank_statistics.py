@@ -139,7 +139,7 @@ def single_check_error(quantities: int) -> float:
     return FAMILY_ERROR / (quantities * (1 + len(LEVELS)))
 
 
-def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
+def tabulate_covered_shares(ranks: Mapping[str, Counts]) -> pd.DataFrame:
     """Return the coverage as one row for every quantity and level."""
     error, rows = single_check_error(len(ranks)), []
     for name, placed in ranks.items():

@@ -11,7 +11,7 @@ import pandas as pd
 from needlefit.project.folders import replace_folder
 from needlefit.reporting.table_files import to_tidy, write_csv, write_json
 from needlefit.studies.fit_frames import FIT_KINDS
-from needlefit.studies.report import list_files
+from needlefit.studies.report import list_run_files
 from needlefit.studies.run import Run
 
 LENGTH_DECIMALS = 5  #: decimals of a length in mm
@@ -25,7 +25,7 @@ def write_reference(run: Run, folder: Path) -> Path:
     Raises ConfigError if `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
-        tables = {name: file for name, file in list_files(run).items() if not isinstance(file, str)}
+        tables = {name: file for name, file in list_run_files(run).items() if not isinstance(file, str)}
         for name in REVIEWED_TABLES.get(run.kind, tables):
             frame = to_tidy(tables.get(name, pd.DataFrame()))
             if 0 < len(frame) <= MAX_ROWS:

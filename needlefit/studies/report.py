@@ -224,7 +224,7 @@ def rebuild(stored: Path, folder: Path) -> Run:
         return run
 
 
-def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
+def list_run_files(run: Run) -> dict[str, pd.DataFrame | str]:
     """Return the checks and the files of a result, as `StudyReport.files`."""
     return {"checks": tabulate_checks(run.answer.checks), **find_kind(run.kind).report.files(run)}
 
@@ -237,7 +237,7 @@ def write_files(run: Run, folder: Path) -> None:
     with draw_together() as begin_drawing:
         figures = page.draw(run, folder)
         begin_drawing()
-        for name, file in list_files(run).items():
+        for name, file in list_run_files(run).items():
             if isinstance(file, str):
                 (folder / name).write_text(file, encoding="utf-8")
             elif name not in figures and len(file.columns):

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.studies.report import list_files
+from needlefit.studies.report import list_run_files
 from needlefit.studies.store import restore_run
 
 #: columns that name a row, in any table
@@ -30,7 +30,7 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     if runs[0].kind != runs[1].kind:
         what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
         raise DataError(what, where=str(after), expected=expected, fix="compare runs of the same command")
-    first, second = ({f"{name}.csv": one for name, one in list_files(run).items()} for run in runs)
+    first, second = ({f"{name}.csv": one for name, one in list_run_files(run).items()} for run in runs)
     first[RUN_JSON], second[RUN_JSON] = (pd.json_normalize(run.run_json) for run in runs)
     joined = []
     for table, one in first.items():

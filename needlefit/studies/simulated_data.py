@@ -40,13 +40,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Fold, Job
-from needlefit.synthetic.design import (
-    Population,
-    bevel_offset,
-    draw_deviations,
-    draw_specimen,
-    list_planned_insertions,
-)
+from needlefit.synthetic.design import TrueSpread, bevel_offset, draw_deviations, draw_specimen, list_designs
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
@@ -248,12 +242,12 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
     )
 
 
-def find_true_value(problem: Problem, name: str, seed: int, population: Population | None = None) -> float:
+def find_true_value(problem: Problem, name: str, seed: int, population: TrueSpread | None = None) -> float:
     """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
 
     NaN for what the truth has not: hyperparameters, exponents, the angle of a cut, needles of other data.
     """
-    planned = {one.id: one for one in list_planned_insertions()}
+    planned = {one.id: one for one in list_designs()}
     if any(one.id not in planned for one in problem.insertions):
         return math.nan
     tuned = [planned[one.id] for one in problem.insertions]

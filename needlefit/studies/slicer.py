@@ -19,7 +19,7 @@ from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.studies.needles_in_scan import NeedleInScan, read_needles
+from needlefit.studies.needles_in_scan import NeedleInScan, read_needles_in_scan
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
@@ -40,7 +40,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     """
     folder.mkdir(exist_ok=True)
     summary = " (synthetic)" if synthetic else ""
-    for needle in read_needles(needles).values():
+    for needle in read_needles_in_scan(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
         if needle.fitted is not None:
             comments = (f"needlefit: {needle.insertion}, needle{summary}, mm",)
@@ -48,7 +48,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
             write_ply(*body, folder / f"{needle.insertion}.needle.ply", comments)
 
 
-def write_scene(
+def write_slicer_scene(
     placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
 ) -> bool:
     """Write a simulated needle, base to tip, in patient coordinates.

@@ -26,7 +26,7 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool, run_in_order
 from needlefit.project.toml import dumps
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.design import PlannedInsertion, Population, TrueSpecimen, list_planned_insertions
+from needlefit.synthetic.design import InsertionDesign, TrueSpecimen, TrueSpread, list_designs
 from needlefit.synthetic.insertion import (
     SUBLAYER_THICKNESS_MM,
     TRUTH_OPTIONS,
@@ -200,7 +200,7 @@ _LAYER_NOTES = {
 }
 
 
-def describe_dataset(seed: int, more: str = "", population: Population | None = None) -> DatasetDescription:
+def describe_dataset(seed: int, more: str = "", population: TrueSpread | None = None) -> DatasetDescription:
     """Return the description of the twin built with `seed`; `more` is added to its notes."""
     return DatasetDescription(
         name="twin",
@@ -218,7 +218,7 @@ def describe_dataset(seed: int, more: str = "", population: Population | None = 
 def build_dataset(
     folder: Path,
     seed: int = TWIN_SEED,
-    plan: Sequence[PlannedInsertion] = list_planned_insertions(),
+    plan: Sequence[InsertionDesign] = list_designs(),
     pool: TaskPool = THIS_PROCESS,
     progress: Progress = no_progress,
 ) -> Path:
@@ -239,7 +239,7 @@ def build_dataset(
 
 
 def _build_insertion(
-    seed: int, recipe: ReconstructionRecord, planned: PlannedInsertion
+    seed: int, recipe: ReconstructionRecord, planned: InsertionDesign
 ) -> ReconstructedInsertion:
     """Render an insertion, reconstruct it from what was written, and keep no volume."""
     with TemporaryDirectory() as scratch:
@@ -264,9 +264,9 @@ UNSCANNED_NOTE = (
 def build_unscanned(
     folder: Path,
     seed: int,
-    plan: Sequence[PlannedInsertion] = list_planned_insertions(),
+    plan: Sequence[InsertionDesign] = list_designs(),
     *,
-    population: Population | None = None,
+    population: TrueSpread | None = None,
 ) -> Path:
     """Write the twin of `seed`, not scanned, into `folder`; return its `dataset.toml`."""
     recipe = make_recipe([WHOLE_BOX_SETUP])
@@ -278,10 +278,10 @@ def build_unscanned(
 
 def _simulate_reconstruction(
     folder: Path,
-    planned: PlannedInsertion,
+    planned: InsertionDesign,
     seed: int,
     recipe: ReconstructionRecord,
-    population: Population | None,
+    population: TrueSpread | None,
 ) -> Reconstruction:
     """Return what a scan of one insertion would tell."""
     insertion = simulate_insertion(planned, seed, population)

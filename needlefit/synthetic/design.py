@@ -1,7 +1,7 @@
 """The design of the synthetic dataset: its phantoms, the insertions planned into them, the true parameters.
 
 Drawn are the needle, the specimens, and the deviations of insertions from plan; of the truths of a
-calibration also the media (`Population`).
+calibration also the media (`TrueSpread`).
 """
 
 import math
@@ -78,7 +78,7 @@ def surface_file_name(medium: str, surface: Surface) -> str:
 
 
 @dataclass(frozen=True)
-class PlannedInsertion:
+class InsertionDesign:
     """One planned insertion."""
 
     # `id`, `medium`, `specimen`: `specimen` is the piece that is punctured
@@ -175,7 +175,7 @@ _CHICKEN = (
 )
 
 
-def list_planned_insertions() -> tuple[PlannedInsertion, ...]:
+def list_designs() -> tuple[InsertionDesign, ...]:
     """Return all 47 insertions, phantom by phantom; the plan is the same for every seed."""
     phantoms = (
         *(_in_phantom("phantom1", n, (*row, 3, 3)) for n, row in enumerate(_PHANTOM1, start=1)),
@@ -184,7 +184,7 @@ def list_planned_insertions() -> tuple[PlannedInsertion, ...]:
     )
     pieces = (1, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3)
     chicken = (
-        PlannedInsertion(
+        InsertionDesign(
             f"chicken-{n:02}", "chicken", f"chicken-piece{piece}", 1, 1, *row[:4], int(row[4]), row[5]
         )
         for n, piece, row in zip(count(1), pieces, _CHICKEN, strict=False)
@@ -193,27 +193,27 @@ def list_planned_insertions() -> tuple[PlannedInsertion, ...]:
 
 
 # A short insertion for the sample volume; it is none of the 47.
-SAMPLE_INSERTION = PlannedInsertion("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
+SAMPLE_INSERTION = InsertionDesign("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
 
 
-def select_planned_insertions(names: Sequence[str]) -> tuple[PlannedInsertion, ...]:
+def select_designs(names: Sequence[str]) -> tuple[InsertionDesign, ...]:
     """Return the insertions of these ids, in this order; all 47 if there are none.
 
     ConfigError if there is no such insertion; the nearest ids are listed.
     """
-    known = {planned.id: planned for planned in (*list_planned_insertions(), SAMPLE_INSERTION)}
+    known = {planned.id: planned for planned in (*list_designs(), SAMPLE_INSERTION)}
     for name in names:
         if name not in known:
             raise unknown_name_error("insertion of the twin", name, list(known), "")
-    return tuple(known[name] for name in dict.fromkeys(names)) or list_planned_insertions()
+    return tuple(known[name] for name in dict.fromkeys(names)) or list_designs()
 
 
 def _in_phantom(
     medium: str, n: int, row: tuple[float, float, float, float, int, int, int]
-) -> PlannedInsertion:
+) -> InsertionDesign:
     *pose, side, layers, alternative = row
     depth, tilt, y, z = pose
-    return PlannedInsertion(f"{medium}-{n:02}", medium, medium, layers, alternative, depth, tilt, y, z, side)
+    return InsertionDesign(f"{medium}-{n:02}", medium, medium, layers, alternative, depth, tilt, y, z, side)
 
 
 @dataclass(frozen=True)
@@ -271,7 +271,7 @@ TRUE_MEDIA = {
 
 
 @dataclass(frozen=True)
-class Population:
+class TrueSpread:
     """The population from which the media of each truth of a calibration are drawn, gel and muscle apart.
 
     A factor f stands for the standard deviation ln f of a logarithm. Of one truth the moduli are those of
@@ -294,7 +294,7 @@ class Population:
     friction_factor: float = 2.0  # friction is log-uniform between that of `TRUE_MEDIA` over and times this
 
 
-POPULATION = Population()
+POPULATION = TrueSpread()
 
 # The needle as the dataset states it.
 NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
@@ -329,7 +329,7 @@ class TrueSpecimen:
 
 
 @dataclass(frozen=True)
-class PlanDeviations:
+class DesignDeviations:
     """The deviations of one insertion from its plan."""
 
     shift: Floats  # (2,); of the entry, along the stated bevel direction and normal to it, mm
@@ -347,7 +347,7 @@ def draw_needle(seed: int) -> Needle:
     return Needle(NOMINAL_NEEDLE.length, NOMINAL_NEEDLE.flexural_rigidity * (1 + float(off)))
 
 
-def draw_medium(seed: int, name: str, population: Population | None = None) -> MediumTruth:
+def draw_medium(seed: int, name: str, population: TrueSpread | None = None) -> MediumTruth:
     """Draw a medium from a population; without one, media are those of `TRUE_MEDIA`."""
     nominal = TRUE_MEDIA[name]
     if population is None:
@@ -372,7 +372,7 @@ def draw_medium(seed: int, name: str, population: Population | None = None) -> M
     )
 
 
-def draw_specimen(seed: int, medium: str, name: str, population: Population | None = None) -> TrueSpecimen:
+def draw_specimen(seed: int, medium: str, name: str, population: TrueSpread | None = None) -> TrueSpecimen:
     truth, rng = draw_medium(seed, medium, population), random_stream(seed, "twin", "specimen", name)
     factors = np.exp(truth.layer_sd * rng.normal(size=len(truth.mu_pa)))
     shifts = LAYER_SD_MM * rng.normal(size=PHANTOMS[medium].boundaries)
@@ -395,10 +395,10 @@ def draw_specimen(seed: int, medium: str, name: str, population: Population | No
     )
 
 
-def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
+def draw_deviations(seed: int, planned: InsertionDesign) -> DesignDeviations:
     """Draw the deviations of an insertion from its plan; they are keyed by its id alone."""
     rng = random_stream(seed, "twin", "insertion", planned.id)
-    return PlanDeviations(
+    return DesignDeviations(
         shift=POSE_SHIFT_SD_MM * rng.normal(size=2),
         tilt=np.radians(POSE_ANGLE_SD_DEG) * rng.normal(size=2),
         roll=float(np.radians(ROLL_SD_DEG) * rng.normal()),
@@ -407,7 +407,7 @@ def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
     )
 
 
-def bevel_offset(specimen: TrueSpecimen, planned: PlannedInsertion, deviations: PlanDeviations) -> float:
+def bevel_offset(specimen: TrueSpecimen, planned: InsertionDesign, deviations: DesignDeviations) -> float:
     along = 2 * np.cos(np.radians(planned.fibre_angle)) ** 2
     by_fibres = 1 - specimen.fibre_dependence + specimen.fibre_dependence * along
     return float(specimen.bevel * by_fibres * np.exp(specimen.insertion_bevel_sd * deviations.bevel))

@@ -43,10 +43,10 @@ class TrueInsertion:
 
 
 def insert_needle(
-    planned: design.PlannedInsertion,
+    planned: design.InsertionDesign,
     needle: Needle,
     specimen: design.TrueSpecimen,
-    deviations: design.PlanDeviations,
+    deviations: design.DesignDeviations,
 ) -> TrueInsertion:
     """Simulate the needle; the layer depths are those at which its final shape crosses the surfaces.
 
@@ -81,7 +81,7 @@ def insert_needle(
     )
 
 
-def stated_frame(planned: design.PlannedInsertion) -> Frame:
+def stated_frame(planned: design.InsertionDesign) -> Frame:
     """Return the frame C as the stage and the bevel's mark state it."""
     return make_entry_frame(planned.origin, planned.direction, planned.toward)
 
@@ -91,7 +91,7 @@ def centerline_stations(depth: float) -> Floats:
     return np.linspace(0.0, depth, int(np.ceil(depth / MAX_POINT_SPACING_MM)) + 1)
 
 
-def needle_points(shape: NeedleShape, frame: Frame, deviations: design.PlanDeviations, s: Floats) -> Floats:
+def needle_points(shape: NeedleShape, frame: Frame, deviations: design.DesignDeviations, s: Floats) -> Floats:
     """Return the needle's world points (N, 3) at arc lengths `s` (N,), mm; negative before the tissue.
 
     In the tissue it is bent out of its plane the more the more it bends within.
@@ -129,14 +129,14 @@ TWIN_SEED = 1  # the seed of the twin that ships
 class SyntheticInsertion:
     """One insertion of the twin: its plan, and what really happened."""
 
-    planned: design.PlannedInsertion
+    planned: design.InsertionDesign
     specimen: design.TrueSpecimen
-    deviations: design.PlanDeviations
+    deviations: design.DesignDeviations
     true_insertion: TrueInsertion
 
 
 def simulate_insertion(
-    planned: design.PlannedInsertion, seed: int, population: design.Population | None = None
+    planned: design.InsertionDesign, seed: int, population: design.TrueSpread | None = None
 ) -> SyntheticInsertion:
     """Simulate one insertion; the result depends on its own plan, the seed and the population only."""
     specimen = design.draw_specimen(seed, planned.medium, planned.specimen, population)

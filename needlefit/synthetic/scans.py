@@ -32,7 +32,7 @@ from needlefit.synthetic.design import (
     POSE_ANGLE_SD_DEG,
     POSE_SHIFT_SD_MM,
     TRUE_MEDIA,
-    PlannedInsertion,
+    InsertionDesign,
     make_surfaces,
     surface_file_name,
 )
@@ -83,7 +83,7 @@ SAMPLE_SETUP = ScanSetup(
 )
 
 
-def choose_setup(planned: PlannedInsertion) -> ScanSetup:
+def choose_setup(planned: InsertionDesign) -> ScanSetup:
     return SAMPLE_SETUP if planned.id == design.SAMPLE_INSERTION.id else WHOLE_BOX_SETUP
 
 
@@ -204,7 +204,7 @@ class RenderedInsertion:
 @one_thread
 def write_scans(
     folder: Path,
-    plan: Sequence[PlannedInsertion],
+    plan: Sequence[InsertionDesign],
     seed: int,
     pool: TaskPool,
     progress: Progress,
@@ -231,7 +231,7 @@ def write_scans(
     return table
 
 
-def write_layers(folder: Path, plan: Sequence[PlannedInsertion]) -> None:
+def write_layers(folder: Path, plan: Sequence[InsertionDesign]) -> None:
     """Write the stated surfaces of the media in `plan`."""
     for medium in dict.fromkeys(planned.medium for planned in plan):
         for surface in make_surfaces(PHANTOMS[medium]):
@@ -239,7 +239,7 @@ def write_layers(folder: Path, plan: Sequence[PlannedInsertion]) -> None:
 
 
 def render_insertion(
-    folder: Path, planned: PlannedInsertion, seed: int, dicom: bool = False
+    folder: Path, planned: InsertionDesign, seed: int, dicom: bool = False
 ) -> RenderedInsertion:
     """Simulate an insertion and write its volume and its markers into `folder`."""
     name, setup = planned.id, choose_setup(planned)
@@ -270,11 +270,11 @@ def make_recipe(setups: Sequence[ScanSetup]) -> ReconstructionRecord:
     )
 
 
-def _render_scan(folder: Path, seed: int, dicom: bool, planned: PlannedInsertion) -> Scan:
+def _render_scan(folder: Path, seed: int, dicom: bool, planned: InsertionDesign) -> Scan:
     return render_insertion(folder, planned, seed, dicom).scan
 
 
-def make_stated_scan(folder: Path, planned: PlannedInsertion, volume: Path, markers: Path) -> Scan:
+def make_stated_scan(folder: Path, planned: InsertionDesign, volume: Path, markers: Path) -> Scan:
     """Return the stated data of a scan: the plan, not the truth; y of C points to +y of the phantom."""
     sources = (
         LayerSource(folder / surface_file_name(planned.medium, surface), surface.kind, surface.into)

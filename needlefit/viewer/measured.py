@@ -140,7 +140,7 @@ def _show_insertion(
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
-    from needlefit.studies.explorer import choose_specimen
+    from needlefit.studies.explorer import choose_drawn_specimen
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
     from needlefit.studies.report import recall
     from needlefit.studies.store import restore_run, unpack
@@ -179,7 +179,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     shown = ShownInsertion(dataset, insertion, stated.medium, values, stated.recipe.seed)
     (names,) = (set(one.tune) for one in folds if one.name == fold)
     fitted = [one for one in dataset.insertions if one.id in names]
-    specimen = choose_specimen(
+    specimen = choose_drawn_specimen(
         run, shown.insertion.specimen, {one.specimen for one in fitted}, view_target.specimen
     )
     draws = select_draws(run.frames["draws"], fold, specimen)

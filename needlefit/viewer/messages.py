@@ -12,7 +12,7 @@ from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.json_values import parse_json
+from needlefit.project.json_values import parse_json_text
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
@@ -163,7 +163,7 @@ def read_message(text: str) -> Message:
     is not finite; the reply names its number where it can be read.
     """
     try:
-        content = parse_json(text)
+        content = parse_json_text(text)
     except ValueError:
         content = None
     if not isinstance(content, dict):

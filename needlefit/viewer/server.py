@@ -18,7 +18,7 @@ from aiohttp.typedefs import Handler
 from aiohttp.web_protocol import RequestHandler
 
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.project.json_values import parse_json
+from needlefit.project.json_values import parse_json_text
 
 if TYPE_CHECKING:
     from needlefit.viewer.steering_page import SteeringPage
@@ -178,7 +178,7 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
     async def answer(request: web.Request) -> web.Response:
         """Return what the page asks for; a fault is one that it shows."""
         try:
-            content = await request.json(loads=parse_json)
+            content = await request.json(loads=parse_json_text)
             if not isinstance(content, dict):
                 raise ValueError
         except (ValueError, LookupError):  # no JSON, or of no known charset
@@ -233,7 +233,7 @@ async def _attend(access: AccessControl, page: "SteeringPage", request: web.Requ
     await socket.prepare(request)
     try:
         hello = await socket.receive_str(timeout=TOKEN_TIMEOUT_S)
-        content = parse_json(hello)
+        content = parse_json_text(hello)
     except (TypeError, ValueError, TimeoutError):
         content = None
     if isinstance(content, dict) and access.is_token(content.get("token")):

@@ -67,7 +67,12 @@ def sample(
     backend.reset(walkers, len(problem.names))
     evaluator.failures = _restore_chain(backend, checkpoint.rows(work, BLOCK_KEYS))
     sampler = emcee.EnsembleSampler(
-        walkers, len(problem.names), evaluator, moves=make_moves(proposal), backend=backend, vectorize=True
+        walkers,
+        len(problem.names),
+        evaluator,
+        moves=make_sampler_moves(proposal),
+        backend=backend,
+        vectorize=True,
     )
     steps, stopped, found = int(sampler.iteration), callbacks.stop(), None
     while True:
@@ -129,7 +134,7 @@ def _restore_chain(backend: Any, rows: Iterable[Mapping[str, Any]]) -> int:  # n
     return failures
 
 
-def make_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
+def make_sampler_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:
     """Return emcee's moves, each with its share of the steps."""
     from emcee import moves
 

@@ -77,10 +77,10 @@ from needlefit.studies.simulated_data import (
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_unscanned
-from needlefit.synthetic.design import POPULATION, PlannedInsertion, draw_specimen, list_planned_insertions
+from needlefit.synthetic.design import POPULATION, InsertionDesign, draw_specimen, list_designs
 
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
-#: name of the dataset whose insertions `plan_synthetic` knows
+#: name of the dataset whose insertions `design_synthetic` knows
 SYNTHETIC_DATASET = "twin"
 PRINTED_LEVELS = (0.50, 0.95)  #: central intervals whose coverage is printed
 
@@ -245,7 +245,7 @@ PREDICTION_DRAWS = 13 * (RANK_DRAWS + 1) - 1
 MAX_TWIN_SEEDS = 100  #: seeds of a replicate among which one must have a solution
 
 
-def plan_synthetic(job: Job) -> tuple[PlannedInsertion, ...]:
+def design_synthetic(job: Job) -> tuple[InsertionDesign, ...]:
     """Return what each replicate simulates; ConfigError for several folds, or insertions not synthetic."""
     if len(job.folds) > 1:
         raise ConfigError(
@@ -253,7 +253,7 @@ def plan_synthetic(job: Job) -> tuple[PlannedInsertion, ...]:
             expected="a study with [tune] and [[validate]], or a fit",
         )
     wanted = {one.id for one in job.insertions}
-    chosen = tuple(one for one in list_planned_insertions() if one.id in wanted)
+    chosen = tuple(one for one in list_designs() if one.id in wanted)
     unknown = sorted(wanted - {one.id for one in chosen})
     if unknown:
         raise ConfigError(
@@ -263,7 +263,7 @@ def plan_synthetic(job: Job) -> tuple[PlannedInsertion, ...]:
     return chosen
 
 
-def replicate_synthetic(number: int, design: Job, plan: Sequence[PlannedInsertion]) -> FrameRows:
+def replicate_synthetic(number: int, design: Job, plan: Sequence[InsertionDesign]) -> FrameRows:
     """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these.
 
     `design` is the study whose insertions, `plan`, are simulated anew.
@@ -300,7 +300,7 @@ def replicate_synthetic(number: int, design: Job, plan: Sequence[PlannedInsertio
     return {name: [{"replicate": number, **one} for one in rows] for name, rows in every.items()}
 
 
-def _draw_study(number: int, job: Job, plan: Sequence[PlannedInsertion]) -> tuple[Job, int]:
+def _draw_study(number: int, job: Job, plan: Sequence[InsertionDesign]) -> tuple[Job, int]:
     """Return the study on the data of a replicate, and their seed."""
     for attempt in range(MAX_TWIN_SEEDS):
         rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", attempt)
@@ -322,7 +322,7 @@ def _draw_study(number: int, job: Job, plan: Sequence[PlannedInsertion]) -> tupl
 
 
 def is_inside_bounds(
-    seed: int, bounds: Mapping[str, tuple[float, float]], plan: Iterable[PlannedInsertion]
+    seed: int, bounds: Mapping[str, tuple[float, float]], plan: Iterable[InsertionDesign]
 ) -> bool:
     """Return whether moduli (Pa) and bevel offsets (mm) of all specimens lie inside the bounds, by name."""
     for medium, name in {(one.medium, one.specimen) for one in plan}:
@@ -340,7 +340,7 @@ def is_inside_bounds(
 def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     """Rank the truth in its posterior for `record.replicates` random insertions.
 
-    Raises ConfigError if nothing is free, or as `find_stiff_direction` and `plan_synthetic`.
+    Raises ConfigError if nothing is free, or as `find_stiff_direction` and `design_synthetic`.
     """
     target = target_name(record, settings).removesuffix("-tune")
     synthetic = record.truth == "synthetic"
@@ -348,7 +348,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     if not job.parameters.free:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
     if synthetic:
-        task = partial(replicate_synthetic, design=job, plan=plan_synthetic(job))
+        task = partial(replicate_synthetic, design=job, plan=design_synthetic(job))
         planned: Row = {"draws": PREDICTION_DRAWS}
     else:
         stiff = find_stiff_direction(job)
@@ -380,7 +380,7 @@ def _make_frames(rows: FrameRows, synthetic: bool) -> dict[str, pd.DataFrame]:
         name: replicates[each[0] if len(each) == 1 else each].to_numpy(dtype=np.int64)
         for name, each in columns.items()
     }
-    coverage, ecdfs = rank_statistics.tabulate_coverage(ranks), pd.DataFrame()
+    coverage, ecdfs = rank_statistics.tabulate_covered_shares(ranks), pd.DataFrame()
     if ranks:
         ecdfs = rank_statistics.tabulate_ecdfs(ranks)
         ecdfs["calibrated"] = ~ecdfs["quantity"].isin(rank_statistics.find_failing(coverage, ecdfs))
@@ -434,7 +434,7 @@ def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
 TEXT = KindText("calibration")
 
 
-def describe(run: Run) -> dict[str, Any]:
+def describe_calibration(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     coverage = to_records(run.frames["coverage"])
     quantities = run.frames["coverage"]["quantity"].nunique()
@@ -453,7 +453,7 @@ def describe(run: Run) -> dict[str, Any]:
     }
 
 
-def tabulate(run: Run) -> list[Table]:
+def tabulate_calibration(run: Run) -> list[Table]:
     """Return a row per quantity: the share of true values in central intervals, and ranks beyond chance."""
     outside = run.frames["ranks"].query("not passes").groupby("quantity").size()
     stated = run.knows(CalibrationMetadata)
@@ -472,7 +472,7 @@ def tabulate(run: Run) -> list[Table]:
     return [Table("calibration", pivot(rows, ["quantity"], ["level"]), columns)]
 
 
-def draw(run: Run) -> dict[str, Drawing]:
+def draw_calibration(run: Run) -> dict[str, Drawing]:
     """Return, for each quantity, the ECDF of the ranks minus that of uniform ranks, on the band by chance.
 
     A curve that is first above and then below: posteriors too narrow; the other way round: too wide.
@@ -491,7 +491,7 @@ def draw(run: Run) -> dict[str, Drawing]:
     return {"ranks": Drawing("steps_in_bands", frame, options, center_ecdfs)}
 
 
-def find_answer(run: Run) -> Answer:
+def answer_calibration(run: Run) -> Answer:
     """Return whether the uncertainties are correct."""
     stated = run.knows(CalibrationMetadata)
     status: Status = "pass" if stated.passes else "fail"
@@ -516,4 +516,4 @@ def _find_advice(run: Run) -> Advice | None:
     return advise(finding, {"target": run.record.target, "replicates": DEFAULT_REPLICATES})
 
 
-REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)
+REPORT = StudyReport(TEXT, describe_calibration, tabulate_calibration, draw_calibration, answer_calibration)

@@ -269,7 +269,7 @@ MAX_NAMED = 3  #: failures that the first sentence names
 MAX_BINS = 40  #: bins of a histogram
 
 
-def describe(run: Run) -> dict[str, Any]:
+def describe_cohort(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     metrics = [metric.name for metric in headline_metrics()]
     errors, failures = run.frames["errors"], run.frames["failures"]
@@ -290,7 +290,7 @@ def describe(run: Run) -> dict[str, Any]:
     }
 
 
-def find_answer(run: Run) -> Answer:
+def answer_cohort(run: Run) -> Answer:
     """Return the first sentence and the parameters; failures make it a warning."""
     failures = len(run.frames["failures"])
     return answer_in_words(run, "warn" if failures else "pass", failures=failures)
@@ -301,7 +301,7 @@ def _by_parameter(run: Run) -> Iterator[tuple[str, pd.DataFrame]]:
         yield str(name), rows
 
 
-def tabulate(run: Run) -> list[Table]:
+def tabulate_cohort(run: Run) -> list[Table]:
     """Return the parameters over specimens, and what could not be fitted."""
     rows = []
     for name, found in _by_parameter(run):
@@ -322,7 +322,7 @@ def tabulate(run: Run) -> list[Table]:
     return [Table("parameters", rows, columns), *failed]
 
 
-def draw(run: Run) -> dict[str, Drawing]:
+def draw_cohort(run: Run) -> dict[str, Drawing]:
     """Return a histogram of each parameter over specimens: edges of bins in units of files, and counts."""
     found = []
     for name, rows in _by_parameter(run):
@@ -336,4 +336,4 @@ def draw(run: Run) -> dict[str, Drawing]:
     return {"distributions": Drawing("histograms", bins, {"counts": "specimens"})}
 
 
-REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)
+REPORT = StudyReport(TEXT, describe_cohort, tabulate_cohort, draw_cohort, answer_cohort)

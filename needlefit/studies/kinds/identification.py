@@ -106,7 +106,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
 TEXT = KindText("identification")
 
 
-def describe(run: Run) -> dict[str, Any]:
+def describe_identification(run: Run) -> dict[str, Any]:
     """Return what the text prints: the free parameters by what the design determines of them."""
     design, candidates = run.frames["identify"], run.frames["candidates"]
     stated = run.knows(IdentificationMetadata)
@@ -123,9 +123,9 @@ def describe(run: Run) -> dict[str, Any]:
     }
 
 
-def find_answer(run: Run) -> Answer:
+def answer_identification(run: Run) -> Answer:
     """Return which parameters are identifiable from the design."""
-    values = describe(run)
+    values = describe_identification(run)
     count, total = len(values["known"]), sum(len(values[name]) for name in ("known", "together", "loose"))
     numbers = {"identifiable": count, "parameters": total}
     verdict = Verdict(TEXT.sentence("answer", values), "pass" if count == total else "warn", numbers=numbers)
@@ -135,14 +135,16 @@ def find_answer(run: Run) -> Answer:
     return Answer([verdict], REPORT.lay_out(run)[:1], about, advice=advice)
 
 
-def lay_out_tables(run: Run) -> list[Table | TableLayout]:
+def lay_out_design(run: Run) -> list[Table | TableLayout]:
     """Return the parameters, and the candidates for a further insertion."""
     parameters = lay_out_identification(run.frames["identify"], expected=True)
     return [parameters, *lay_out_candidates(run.frames["candidates"])]
 
 
-def draw(run: Run) -> dict[str, Drawing]:
+def draw_identification(run: Run) -> dict[str, Drawing]:
     return {"profiles": draw_profiles(run.frames["identify"], run.frames["profiles"], run.origin)}
 
 
-REPORT = StudyReport(TEXT, describe, lay_out_tables, draw, find_answer)
+REPORT = StudyReport(
+    TEXT, describe_identification, lay_out_design, draw_identification, answer_identification
+)

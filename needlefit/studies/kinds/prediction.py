@@ -50,11 +50,11 @@ from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
+from needlefit.studies.draw_simulation import simulate_scene_draws, vary_bevels
 from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.planned_draws import simulate_scene, vary_bevels
-from needlefit.studies.provenance import find_changes, require_same_configuration
+from needlefit.studies.provenance import compare_configuration, require_same_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
@@ -227,7 +227,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
-    found = simulate_scene(sets, job.medium, scene, s, deep, wrong)
+    found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong)
     points = found.points[found.solved]  # (B, K, 3)
     if not len(points):
         raise ModelError(
@@ -310,7 +310,7 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
 
 def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
     """Return a warning if the result that judges a fit is of other data, or of another fit."""
-    found = [] if judged is None else find_changes(job, judged.metadata)
+    found = [] if judged is None else compare_configuration(job, judged.metadata)
     found = [key for key in found if key != "folds"]  # a validation has more of them
     if judged is None or not found:
         return []
@@ -402,7 +402,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 TEXT = KindText("prediction")
 
 
-def describe(run: Run) -> dict[str, Any]:
+def describe_prediction(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     stated, study = run.knows(PredictionMetadata), run.record
     return {
@@ -425,9 +425,9 @@ def find_tip(run: Run) -> Row:
     return to_records(run.frames["forecast"])[-1]
 
 
-def find_answer(run: Run) -> Answer:
+def answer_prediction(run: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
-    values = describe(run)
+    values = describe_prediction(run)
     keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(median|95_low|95_high)_mm", name)]
     verdict = Verdict(
         TEXT.sentence("answer", values),
@@ -467,7 +467,7 @@ def _recall_advice(judged: Run) -> dict[str, Any] | None:
     return None if advice is None else asdict(advice)
 
 
-def tabulate(run: Run) -> list[Table]:
+def tabulate_prediction(run: Run) -> list[Table]:
     """Return the bands at some depths, the tip the last."""
     frame = run.frames["forecast"]
     places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
@@ -480,9 +480,9 @@ def tabulate(run: Run) -> list[Table]:
     return [Table("forecast", rows, columns)]
 
 
-def draw(run: Run) -> dict[str, Drawing]:
+def draw_prediction(run: Run) -> dict[str, Drawing]:
     """Return median, 50 and 95 % bands of the needle, mm."""
-    facts = describe(run)
+    facts = describe_prediction(run)
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
     table = run.frames["forecast"].assign(origin=run.origin, scene=title)
     bands = {"needle_95": ("95 % of needles", "#BFDBEC"), "needle_50": ("50 % of needles", "#7FB8D8")}
@@ -516,4 +516,4 @@ def draw(run: Run) -> dict[str, Drawing]:
     return {"forecast": Drawing("curves", table, options, list_bands)}
 
 
-REPORT = StudyReport(TEXT, describe, tabulate, draw, find_answer)
+REPORT = StudyReport(TEXT, describe_prediction, tabulate_prediction, draw_prediction, answer_prediction)

@@ -43,13 +43,13 @@ from needlefit.schemas.run_metadata import TracksMetadata
 from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, RunFault, Verdict, find_fault_kind
+from needlefit.studies.draw_simulation import vary_bevels
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.fold_draws import PREDICTION_DRAWS
 from needlefit.studies.folds import check_reach, prepare, print_notes
 from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.judge import CLOSER, STATUS, check_data, check_intervals, judge_tracks
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run

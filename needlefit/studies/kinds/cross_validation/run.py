@@ -23,7 +23,7 @@ from needlefit.studies.job import Job, Settings, load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
-from needlefit.studies.needles_in_scan import tabulate_needles
+from needlefit.studies.needles_in_scan import tabulate_needles_in_scan
 from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
@@ -75,7 +75,7 @@ def conclude_run(
     }
     needles = {needle.insertion: needle for one in results for needle in one.needles}
     frames = {name: _make_frame(job, name, results) for name in FRAMES if name != "needles"}
-    frames["needles"] = tabulate_needles(needles.values())
+    frames["needles"] = tabulate_needles_in_scan(needles.values())
     unconverged = [fault for posterior in posteriors.values() for fault in posterior.faults]
     faults = find_faults(frames["errors"], search_faults, unconverged)
     found: dict[str, Any] = {

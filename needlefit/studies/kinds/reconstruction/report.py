@@ -208,7 +208,7 @@ def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame
 # ---- the report
 
 
-def describe(run: Run) -> dict[str, Any]:
+def describe_batch(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
     rows, remarks = to_records(run.frames["reconstruction"]), to_records(run.frames["remarks"])
     passed = {row["id"]: list[dict[str, Any]]() for row in rows[:MAX_NAMED_SCANS]}
@@ -243,7 +243,7 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
     table = Table("reconstruction", rows, _COLUMNS)
-    return _TEXT.lay_out(table, describe(run), drop_empty=True)
+    return _TEXT.lay_out(table, describe_batch(run), drop_empty=True)
 
 
 def _lay_out_refused(run: Run) -> list[TableLayout]:
@@ -255,18 +255,18 @@ def _lay_out_refused(run: Run) -> list[TableLayout]:
     return [_TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
-def find_answer(run: Run) -> Answer:
+def answer_batch(run: Run) -> Answer:
     """Return how many scans were reconstructed; remarks make it a warning. The table fits a terminal."""
     answer = answer_in_words(run, "warn" if len(run.frames["remarks"]) else "pass")
     tables = [replace(lay_out_reconstructions(run), name="scans")]
-    values = describe(run)
+    values = describe_batch(run)
     lost = values["unregistered"]
     finding, scan = ("scan_unregistered", lost[0]["id"]) if lost else ("scans_reconstructed", "")
     advice = advise([finding], {"scan": scan}, run.name, results=".")
     return replace(answer, tables=tables, about=_TEXT.sentence("about", values), advice=advice)
 
 
-def draw(run: Run) -> dict[str, Drawing]:
+def draw_batch(run: Run) -> dict[str, Drawing]:
     """Return the deflection of each needle, with its 95 % band."""
     panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
@@ -275,10 +275,10 @@ def draw(run: Run) -> dict[str, Drawing]:
 
 REPORT = StudyReport(
     _TEXT,
-    describe,
+    describe_batch,
     lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
-    draw,
-    answer=find_answer,
+    draw_batch,
+    answer=answer_batch,
     keeps_files=True,
 )
 

@@ -63,7 +63,7 @@ Move = Callable[[Sets, Sequence[tuple[Floats, float]]], tuple[Floats, Bools]]
 
 
 @dataclass(frozen=True)
-class PlannedNeedles:
+class DrawnNeedles:
     """The needles of B draws: points (B, K, 3) in C, mm, and which are valid.
 
     Points are NaN where the solve at the middle depths failed; validity is of these depths too.
@@ -77,7 +77,7 @@ class PlannedNeedles:
         """Which draws have a solution, (B,)."""
         return np.asarray(np.isfinite(self.points).all(axis=(1, 2)), dtype=np.bool_)
 
-    def check(self, simulate: "Callable[[Ints], PlannedNeedles]", tip: int, sd: float) -> "PlannedNeedles":
+    def check(self, simulate: "Callable[[Ints], DrawnNeedles]", tip: int, sd: float) -> "DrawnNeedles":
         """Return these interpolated needles, or all of them simulated where some are far from these.
 
         `simulate` gives the needles of some draws, `tip` is the place of the tip among the points.
@@ -93,7 +93,7 @@ class PlannedNeedles:
             return self
         each, points, valid = simulate(solved), self.points.copy(), self.valid.copy()
         points[solved], valid[solved] = each.points, each.valid
-        return PlannedNeedles(points, valid)
+        return DrawnNeedles(points, valid)
 
 
 def draw_depth_errors(insertion: Insertion, count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -118,7 +118,7 @@ def scale_bevels(sets: Sets, deviations: Floats) -> list[dict[str, float]]:
     ]
 
 
-class PlannedInsertion:
+class DrawSimulation:
     """The needles of B sets of values at beam coordinates `s` (K,), through the layers that each meets.
 
     `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used. What all sets have in
@@ -179,7 +179,7 @@ class PlannedInsertion:
         pairs = zip(nodes, shapes, strict=True)
         return np.array([compute_batch_positions(shape, at) for (_, at), shape in pairs]), shapes[0].valid
 
-    def simulate(self, stride: int = 1, sd: float = 0.0) -> PlannedNeedles:
+    def simulate(self, stride: int = 1, sd: float = 0.0) -> DrawnNeedles:
         """Return the needles of every so many sets; `sd` is the deviation of a measured tip from one, mm."""
         rows = np.arange(0, len(self._sets), stride)
         if self._draws is None or self._draws.steps is None or self._table is None:
@@ -191,9 +191,9 @@ class PlannedInsertion:
         for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
             shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
         shifts = shifts + wrong[:, :count]
-        found = PlannedNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts, deep), valid)
+        found = DrawnNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts, deep), valid)
 
-        def simulate(some: Ints) -> PlannedNeedles:
+        def simulate(some: Ints) -> DrawnNeedles:
             for n in some:
                 if rows[n] not in self._kept:
                     moved = shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n])
@@ -202,7 +202,7 @@ class PlannedInsertion:
 
         return found.check(simulate, int(np.argmax(self._s)), sd)
 
-    def simulate_each(self, rows: Ints) -> PlannedNeedles:
+    def simulate_each(self, rows: Ints) -> DrawnNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
         found: list[tuple[Floats, bool]] = []
         for row in rows:
@@ -220,19 +220,19 @@ class PlannedInsertion:
         shape = predict(self._sets[row], self._medium, insertion)
         return read_points(insertion, shape, at), shape.valid
 
-    def _join(self, needles: Sequence[tuple[Floats, bool]]) -> PlannedNeedles:
+    def _join(self, needles: Sequence[tuple[Floats, bool]]) -> DrawnNeedles:
         points, valid = zip(*needles, strict=True)
-        return PlannedNeedles(np.array(points), np.array(valid))
+        return DrawnNeedles(np.array(points), np.array(valid))
 
 
-def simulate_scene(
+def simulate_scene_draws(
     sets: Sets,
     medium: MediumRecord,
     scene: Scene,
     s: Floats,
     deep: Floats,
     wrong: Floats,
-) -> PlannedNeedles:
+) -> DrawnNeedles:
     """Return the needles of B sets of values in a scene, at arc lengths `s` (K,), mm.
 
     `deep` (B,) are the errors of the entry, `wrong` (B, n - 1) those of the layers' depths, mm.
@@ -257,15 +257,15 @@ def simulate_scene(
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
     draws = _InterpolatedDraws(sets, move, reach, float(np.std(deep)))
 
-    def simulate(some: Ints) -> PlannedNeedles:
+    def simulate(some: Ints) -> DrawnNeedles:
         each = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
         points, valid = zip(*each, strict=True)
-        return PlannedNeedles(np.concatenate([one[0] for one in points]), np.concatenate(valid))
+        return DrawnNeedles(np.concatenate([one[0] for one in points]), np.concatenate(valid))
 
     if draws.steps is None:
         return simulate(np.arange(len(sets)))
     whole, valid = draws.take(np.arange(len(sets)))
-    return PlannedNeedles(whole.at(wrong, deep), valid).check(simulate, len(s) - 1, 0.0)
+    return DrawnNeedles(whole.at(wrong, deep), valid).check(simulate, len(s) - 1, 0.0)
 
 
 class _InterpolatedDraws:
