@@ -9,14 +9,12 @@ from needlefit.inference import predict
 from needlefit.inference.sampling.importance import EFFORT, sample_about_fit
 from needlefit.reporting.figures import style
 from needlefit.studies import fold_draws
-from needlefit.studies.kinds import tracks
 
 DRAWS, CURVES = 50, 100
 
 
 def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
-    for module in (fold_draws, tracks):
-        patch.setattr(module, "PREDICTION_DRAWS", DRAWS)
+    patch.setattr(fold_draws, "PREDICTION_DRAWS", DRAWS)
     patch.setattr(predict, "CURVES", CURVES)
 
 

@@ -100,7 +100,7 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
 @pytest.mark.parametrize(
     ("file", "old", "new", "key"),
     [
-        ("studies/mine.toml", "validate = { guided = true }", "validate = {}", "gel"),
+        ("studies/mine.toml", "validate = { guided = true }", "validate = {}", "fitted to"),
         ("data/mine/dataset.toml", "slope_sd_deg = 1.0", "", "slope_sd_deg"),
         ("studies/mine.toml", '"track_gel"', '"track_gel"\ncompared = "space"', "compared"),
     ],
@@ -113,8 +113,8 @@ def test_a_study_that_cannot_predict_is_refused(project, capsys, file, old, new,
 
 
 def test_a_study_of_several_fits_is_named_with_the_fit(project, capsys):
-    more = STUDY.split("[[fits]]")[1].replace('"gel"', '"again"', 1)
-    (project / "studies/mine.toml").write_text(f"{STUDY}\n[[fits]]{more}")
+    more = STUDY.split("[[folds]]")[1].replace('"gel"', '"again"', 1)
+    (project / "studies/mine.toml").write_text(f"{STUDY}\n[[folds]]{more}")
     for target in ("mine", "mine:other"):
         assert run("tune", target, "-q") == 3
         err = capsys.readouterr().err
@@ -154,14 +154,14 @@ def test_a_planned_needle_is_predicted_from_runs(project):
 
 @pytest.mark.sweep
 def test_steered_runs_are_left_out_in_folds(project):
-    folds = STUDY.replace("tune = { guided = false }", "tune = {}\nfolds = 2")
+    folds = STUDY.replace("tune = { guided = false }", "tune = {}\nparts = 2")
     (project / "studies/mine.toml").write_text(folds)
     assert run("validate", "mine", "--jobs", "1", "-q") in (0, 5)
     runs = pd.read_csv(project / "reports/mine/runs.csv")
     held = runs[runs["method"] == "steered_line"].drop_duplicates("run")
-    assert held.set_index("run")["fit"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
-    fits = json.loads((project / "reports/mine/run.json").read_text())["fits"]
-    assert set(fits["gel-1"]["folds"][0]["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
+    assert held.set_index("run")["fold"].to_dict() == {"moved0": "gel-1", "moved2": "gel-2"}
+    (fold, _) = json.loads((project / "reports/mine/run.json").read_text())["folds"]
+    assert set(fold["tune"]) == {"rest0", "rest1", "rest2", "rest3", "moved2"}
 
 
 def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project, capsys):

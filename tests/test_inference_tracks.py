@@ -42,8 +42,8 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
+from needlefit.studies.held_out_tracks import simulate_runs
 from needlefit.studies.job import Fold, Job
-from needlefit.studies.kinds import tracks
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])
@@ -295,7 +295,7 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,))
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     draws = Draws(np.zeros((300, 0)), "posterior")
-    _, _, _, (tuned, *held) = tracks.simulate_runs(job, draws, 1, np.random.default_rng(1))
+    _, _, _, (tuned, *held) = simulate_runs(job, fold, draws, 1, np.random.default_rng(1))
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]

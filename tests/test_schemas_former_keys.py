@@ -11,12 +11,12 @@ from needlefit.schemas.recipe import RecipeRecord, SampleRecord
 from needlefit.schemas.reconstruction import CenterlineRecord, MarkersRecord, ReconstructionEntryRecord
 from needlefit.schemas.recording import RecordingRecord
 from needlefit.schemas.scene import GuideMoveRecord, GuideRecord, SceneRecord
-from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.schemas.tracks import TrackFitRecord, TrackStudyRecord
+from needlefit.schemas.study import FitRecord, FoldsRecord, StudyRecord
 
 RECORDS = {
     "FitRecord": FitRecord,
-    "TrackStudyRecord": TrackStudyRecord,
+    "StudyRecord": StudyRecord,
+    "FoldsRecord": FoldsRecord,
     "NoiseRecord": NoiseRecord,
     "RecipeRecord": RecipeRecord,
     "SampleRecord": SampleRecord,
@@ -26,7 +26,6 @@ RECORDS = {
     "GuideRecord": GuideRecord,
     "GuideMoveRecord": GuideMoveRecord,
     "RecordingRecord": RecordingRecord,
-    "TrackFitRecord": TrackFitRecord,
 }
 
 

@@ -21,7 +21,6 @@ from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.schemas.tracks import TrackStudyRecord
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,6 @@ FILES = (
     FileKind("tracks_dataset", "Dataset of tip tracks", TrackDatasetRecord),
     FileKind("scene", "Scene", SceneRecord),
     FileKind("reconstruction", "Reconstruction", ReconstructionRecord),
-    FileKind("tracks_study", "Study of tip tracks", TrackStudyRecord),
 )
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 RENAMED_KEYS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "FitRecord": {"reading": "layer_count_rule", "hand_tuned": "paper_parameters"},
-        "TrackStudyRecord": {"observes": "observable", "placed_by_mm": "registration_depth_mm"},
+        "StudyRecord": {"placed_by_mm": "registration_depth_mm", "fits": "folds"},
         "MarkersRecord": {"known_sd_mm": "reference_sd_mm"},
         "ReconstructionEntryRecord": {"bend_mm": "entry_shift_sd_mm", "bend_deg": "entry_tilt_sd_deg"},
         "CenterlineRecord": {
@@ -38,13 +38,16 @@ REMOVED_KEYS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "correlation": "remove it: the error that neighbouring points share falls exponentially, "
             "over `correlation_length_mm`"
         },
+        "StudyRecord": dict.fromkeys(
+            ("observable", "observes"), "remove it: the dataset states what was measured"
+        ),
+        "FoldsRecord": dict.fromkeys(("medium", "planes", "priors"), "state it once, before [[folds]]"),
         "RecipeRecord": {
             "algorithm": _SEARCH,
             "approach": _SEARCH,
             "metric_algorithm": "remove it: `metric = true` is enough",
         },
         "FitRecord": {"planes": _PLANES},
-        "TrackFitRecord": {"planes": _PLANES},
         "SampleRecord": dict.fromkeys(
             ("ensembles", "moves", "steps", "burn_in", "every", "check_interval"), _SAMPLER
         ),

@@ -242,11 +242,3 @@ class CohortMetadata(RunMetadata):
 
     parts: list[Table]  #: tissue model, recipe and rules of the fits
     datasets_sha256: dict[str, str]
-
-
-class TracksMetadata(RunMetadata):
-    """What a study of tip tracks knows, by the names of its fits."""
-
-    fits: dict[str, Table]
-    draws: dict[str, Table] = {}
-    prediction_draws: int

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from needlefit.schemas.base import FileRecord, Record
+from needlefit.schemas.base import FileName, FileRecord, Record
 from needlefit.schemas.medium import spell_parameter
 
 LayerCountRule = Literal["listed", "alternative"]
@@ -87,8 +87,22 @@ class FitRecord(FileRecord):
         return self
 
 
+class FoldsRecord(Record):
+    """Insertions that are fitted, and some that are predicted by fits to all others of them."""
+
+    name: FileName
+    """Name of the fit in tables and files; with `parts`, NAME-1, NAME-2 and so on."""
+    tune: SelectionRecord = SelectionRecord()
+    """Insertions that are fitted."""
+    validate_: SelectionRecord = Field(alias="validate")
+    """Insertions that are predicted; they are not fitted to."""
+    parts: int | None = Field(default=None, ge=2)
+    """Groups into which those of `validate` are divided, as many as insertions at most; each is predicted by
+    a fit to all others."""
+
+
 class StudyRecord(FitRecord):
-    """`studies/<name>.toml`: a fit and its validation, by `[[validate]]` selections or `leave_out`."""
+    """`studies/<name>.toml`: a fit and its validation, by `[[validate]]`, `leave_out` or `[[folds]]`."""
 
     KIND: ClassVar[str] = "cross_validation"
 
@@ -101,13 +115,30 @@ class StudyRecord(FitRecord):
     leave_out: Literal["insertion", "specimen"] | None = None
     """Cross-validation in place of `[[validate]]`: every insertion or specimen of `tune` is predicted by a
     fit to the others."""
+    folds: tuple[FoldsRecord, ...] = ()
+    """Cross-validation with a selection of its own for each fit, in place of `tune`."""
+    registration_depth_mm: float | None = Field(default=None, gt=0)
+    """Tip tracks: depth up to which a predicted run's own readings place it in the tracker's frame; deeper
+    ones are scored."""
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        if bool(self.validate_) == (self.leave_out is not None):
-            raise ValueError("a study has either [[validate]] selections or leave_out, exactly one of them")
+        ways = (bool(self.validate_), self.leave_out is not None, bool(self.folds))
+        if sum(ways) != 1:
+            raise ValueError(
+                "a study has [[validate]] selections, leave_out or [[folds]], exactly one of them"
+            )
+        if self.folds and self.tune != SelectionRecord():
+            raise ValueError("each of [[folds]] has its own tune: remove that of the study")
+        names = [one.name for one in self.folds]
+        if len(set(names)) < len(names):
+            raise ValueError(f"every one of [[folds]] needs a name of its own, got {', '.join(names)}")
         return self
 
-    def tuning(self) -> FitRecord:
-        """Return the fit that this study begins with."""
-        return FitRecord.model_validate(self.model_dump(by_alias=True, include=set(FitRecord.model_fields)))
+    def tuning(self, folds: FoldsRecord | None = None) -> FitRecord:
+        """Return the fit that this study, or one of its folds, begins with."""
+        table = self.model_dump(by_alias=True, include=set(FitRecord.model_fields))
+        if folds is not None:
+            table["tune"] = folds.tune.model_dump()
+            table["title"] = f"{self.title}: {folds.name}" if self.title else ""
+        return FitRecord.model_validate(table)

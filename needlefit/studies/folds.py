@@ -1,7 +1,9 @@
 """Divide the insertions of a loaded study into folds; refuse, before hours of work, what cannot be fitted."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
@@ -9,13 +11,14 @@ from needlefit.datasets.planes import leaves_plane, set_compared
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.likelihood.observations.curvature import require_curvature
 from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import add_key_context
+from needlefit.project.toml import add_key_context, locate_key
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
-from needlefit.schemas.study import Compared, FitRecord, StudyRecord
+from needlefit.schemas.study import Compared, FitRecord, FoldsRecord, StudyRecord
 from needlefit.studies.job import Fold, Job, Settings, load_study
 
 MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
@@ -47,9 +50,10 @@ def plan_folds(job: Job) -> Job:
     if stated == "plane" and dataset.pose == "known":
         warnings += _warn_left_planes(job, chosen)
     if isinstance(job.record, StudyRecord) and not job.record.same_specimen:
-        key = "validate" if job.record.leave_out is None else "leave_out"
+        key = next(one for one in ("leave_out", "folds", "validate") if getattr(job.record, one, True))
         warnings += warn_shared_specimens(job.name, folds, job.place(key))
-    planned = replace(job, dataset=dataset, folds=folds, warnings=tuple(warnings))
+    planned = replace(job, dataset=dataset, folds=folds, warnings=tuple(warnings), measured=job.dataset)
+    _check_registration(planned)
     _check_layers(planned)
     if planned.recipe.likelihood.measurement == "curvature":
         for insertion in (each for fold in folds for each in fold.tune):
@@ -89,6 +93,11 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
         return (Fold("all", tune, ()),)
     if record.leave_out is not None:
         return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
+    if record.folds:
+        found = [
+            fold for n, one in enumerate(record.folds, start=1) for fold in _divide(n, one, record, dataset)
+        ]
+        return tuple(map(_require_no_copies, found))
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
         chosen = select_insertions(dataset, selection, record.layer_count_rule, f"validate.{n}")
@@ -102,6 +111,20 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
             key="validate",
         )
     return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
+
+
+def _divide(number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset) -> Iterator[Fold]:
+    """Yield the folds of one of [[folds]], by its number; insertions that are predicted are not fitted to."""
+    rule, key = record.layer_count_rule, f"folds.{number}"
+    held = select_insertions(dataset, one.validate_, rule, f"{key}.validate")
+    tuned = select_insertions(dataset, one.tune, rule, f"{key}.tune")
+    count = min(one.parts or 1, len(held))
+    for k in range(count):
+        left = held[k::count]
+        kept = tuple(each for each in tuned if each not in left)
+        if not kept:
+            raise ConfigError("all insertions are predicted, and none is fitted to", key=f"{key}.tune")
+        yield Fold(one.name if one.parts is None else f"{one.name}-{k + 1}", kept, left)
 
 
 def _require_no_copies(fold: Fold) -> Fold:
@@ -191,6 +214,50 @@ def _warn_left_planes(job: Job, chosen: Sequence[Insertion]) -> list[ResultWarni
         what += ", and by their curvatures along y alone"
     fix = 'leave `compared` out, or write "space": needles are then simulated and compared in space'
     return [ResultWarning("bevel_plane", what, job.place("compared"), fix)]
+
+
+MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
+
+
+def count_registered(track: Insertion, depth_mm: float) -> int:
+    """Return how many readings of a track, down to a depth, place it in the tracker's frame."""
+    return max(1, int(np.sum(track.planar[:, 0] <= depth_mm)))
+
+
+def _check_registration(job: Job) -> None:
+    """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
+    tracks = [one for fold in job.folds for one in fold.validate if OBSERVATIONS[one.observed].on_the_way]
+    if not tracks or not isinstance(job.record, StudyRecord):
+        return
+    if not job.dataset.noise.slope_sd:
+        raise ConfigError(
+            "by how much the slopes of runs differ in the tracker's frame is not stated",
+            where=locate_key(job.dataset.path, "noise.slope_sd_deg"),
+            expected="[noise] with slope_sd_deg above 0",
+        )
+    depth = job.record.registration_depth_mm
+    if depth is None:
+        raise ConfigError(
+            "tip tracks are predicted, and nothing places them in the tracker's frame",
+            key="registration_depth_mm",
+            expected="the depth up to which a run's own readings do, mm",
+        )
+    for fold in job.folds:
+        if other := {one.specimen for one in fold.validate} - {one.specimen for one in fold.tune}:
+            raise ConfigError(
+                f"runs into {', '.join(sorted(other))} would be predicted, and none is fitted to",
+                key="folds" if job.record.folds else "validate",
+                expected="runs into specimens that are fitted",
+            )
+    for track in tracks:
+        if count_registered(track, depth) > len(track.planar) - MIN_SCORED_READINGS:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be predicted: its readings end at "
+                f"{track.depth:g} mm, and those down to {depth:g} mm place it",
+                key="registration_depth_mm",
+                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
+                fix="lower registration_depth_mm, or leave the run out",
+            )
 
 
 def _check_layers(job: Job) -> None:

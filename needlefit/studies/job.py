@@ -113,6 +113,7 @@ class Job:
     recipe: RecipeRecord
     hand_tuned: Mapping[str, float] | None
     folds: tuple[Fold, ...] = ()  #: of `plan_folds`
+    measured: Dataset | None = None  #: as it was read, before the planes of `dataset` were chosen
     warnings: tuple[ResultWarning, ...] = ()
     file: Path | None = None
     medium_file: Path | None = None

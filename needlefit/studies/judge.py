@@ -98,9 +98,9 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
 
 def judge_tracks(runs: pd.DataFrame, error_mm: float, curve_mm: float) -> Outcome:
     """Judge predicted tip tracks by their table "runs"; describe one fit by its mean error and a curve's."""
-    if runs["fit"].nunique() == 1:
+    if runs["fold"].nunique() == 1:
         return describe_fit(error_mm, None, curve_mm)
-    named = {"fit": "fold", "run": "hole", "rms_mm": TE, "crps_mm": CRPS}
+    named = {"run": "hole", "rms_mm": TE, "crps_mm": CRPS}
     each = runs["run"] + runs["direction"]  # both directions of a run are one trial
     return judge_fits(runs.rename(columns=named).assign(insertion=each), "fitted")
 

@@ -94,7 +94,7 @@ def restore_run(folder: Path) -> Run:
         faults = [RunFault(FaultKind[one["kind"]], one["what"]) for one in table["faults"]]
         frames: Frames = {name: _unpack_frame(frame) for name, frame in table["frames"].items()}
         for name, wanted in kind.frames.items():
-            columns = frames.get(name, ())
+            columns = frames.setdefault(name, pd.DataFrame(columns=list(wanted)))  # one of a later version
             if missing := [column for column in wanted if column not in columns]:
                 raise ValueError(f"the table {name} lacks {', '.join(missing)}")
         require_schema(table["run"], kind.metadata, str(folder / RESULTS_FILE))

@@ -18,7 +18,6 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.schemas.tracks import TrackStudyRecord
 from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
@@ -76,8 +75,6 @@ def check_study(table: Mapping[str, Any], where: str) -> FileRecord:
 
 
 def _record_type(table: Mapping[str, Any]) -> type[FileRecord]:
-    if "observable" in table:
-        return TrackStudyRecord
     return find_kind(table["kind"]).record if "kind" in table else StudyRecord
 
 
@@ -109,7 +106,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
     with add_file_context(path):
         if not isinstance(record, FitRecord):
             _find_files(record.model_dump(mode="json", by_alias=True))
-            return StudyCheck(str(getattr(record, "kind", "tip tracks")))
+            return StudyCheck(str(record.kind))  # type: ignore[attr-defined]  # of every other kind
         job = prepare(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     return StudyCheck("cross-validation" if isinstance(record, StudyRecord) else "fit", folds, job.warnings)
@@ -153,7 +150,7 @@ class Target(NamedTuple):
 def load_target(target: str) -> Target:
     """Return the fit that a name, a path or the folder of a run means: what was fitted there.
 
-    Of a study of tip tracks with several fits, STUDY:FIT names one.
+    Of a study with several [[folds]], STUDY:NAME names one.
 
     Raises ConfigError if there is no such study or fit, or it does more than tune. DataError if a run is
     damaged, or its dataset is missing or was changed.
@@ -165,15 +162,15 @@ def load_target(target: str) -> Target:
     study, _, wanted = ("", "", "") if is_file(Path(target)) else target.rpartition(":")
     kind, path = find_study_or_fit(study or target)
     record = load_fit_file(path) if kind == "fit" else load_study_file(path)
-    if isinstance(record, TrackStudyRecord):
+    if isinstance(record, StudyRecord) and record.folds:
         wanted = wanted if study else ""
-        for one in record.fits:
-            if one.name == wanted or (not wanted and len(record.fits) == 1):
+        for one in record.folds:
+            if one.name == wanted or (not wanted and len(record.folds) == 1):
                 return Target(f"{path.stem}-{one.name}-tune", record.tuning(one), Inputs(), path)
         raise ConfigError(
-            f"is a study of {len(record.fits)} fits" + (f", none of them {wanted}" if wanted else ""),
+            f"is a study of {len(record.folds)} fits" + (f", none of them {wanted}" if wanted else ""),
             where=str(path),
-            expected=f"one of {', '.join(f'{path.stem}:{one.name}' for one in record.fits)}",
+            expected=f"one of {', '.join(f'{path.stem}:{one.name}' for one in record.folds)}",
             fix="name the study and the fit, with a colon between them",
         )
     if study:

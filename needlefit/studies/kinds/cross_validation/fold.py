@@ -20,6 +20,7 @@ from needlefit.inference.identifiability.identify import (
     identify,
     profile_parameters,
 )
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem, find_outside_validity
@@ -34,6 +35,7 @@ from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
+from needlefit.studies.held_out_tracks import predict_tracks
 from needlefit.studies.identification import (
     add_intervals,
     identify_parameters,
@@ -93,6 +95,8 @@ class FoldResult:
     predictive: Rows
     bands: Rows
     curvature: Rows
+    runs: Rows  #: of tip tracks that are held out, see `held_out_tracks`
+    readings: Rows
     draws: Rows
     population: Rows
     needles: tuple[NeedleInScan, ...]
@@ -142,6 +146,9 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     if fitted is not None:
         about_fit = _describe_fit(job, fold, fitted, found.profiles, drawn)
     scored = list(_score(job, fold, usable, predicted))
+    tracks = dict[str, list[Row]](runs=[], readings=[])
+    if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
+        tracks = predict_tracks(job, fold, drawn.draws, services.settings.jobs)
     return FoldResult(
         errors=tuple(_mark_estimate(row) for one in scored for row in one.errors),
         shapes=tuple(row for one in scored for row in one.shapes),
@@ -158,6 +165,8 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         predictive=tuple(one.row for one in predicted),
         bands=tuple(row for one in predicted for row in one.band),
         curvature=tuple(row for one in predicted for row in one.sensors),
+        runs=tuple(tracks["runs"]),
+        readings=tuple(tracks["readings"]),
         draws=tuple(_list_draws(job, fold, drawn)) if drawn else (),
         population=about_fit.population,
         needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
@@ -293,7 +302,8 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
     sampled(1)
     specimens = Specimens(job, fold, made.draws, settings.jobs, services.specimens)
     step(0)
-    predicted = () if specimens.faults else predict_held_out(specimens, bands=True, step=step)
+    known = () if specimens.faults or _holds_tracks(fold) else fold.validate
+    predicted = predict_held_out(specimens, bands=True, step=step) if known else ()
     shown = specimens.replace_mean(made.shown)
     outside = find_outside_validity(job.problem(fold), shown.thetas)
     return FoldDrawn(
@@ -304,6 +314,11 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
         tuple(predicted),
         CountMetadata(simulations=len(outside), outside=int(outside.sum())),
     )
+
+
+def _holds_tracks(fold: Fold) -> bool:
+    """Return whether the insertions that a fold holds out are read on the way, and predicted together."""
+    return any(OBSERVATIONS[one.observed].on_the_way for one in fold.validate)
 
 
 def _minimise_errors(
@@ -449,7 +464,9 @@ def _score(
     """Yield the scores of every method on every insertion, then of the predictive medians."""
     scorer = make_scorer(job)
     for method, curves in make_predictors(job.problem(fold), fits, job.hand_tuned).items():
-        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+        # a track that is held out is scored as it is predicted, not after the best shift and slope
+        held = () if _holds_tracks(fold) else fold.validate
+        for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}
             yield from (scorer.score(place, one, curves) for one in insertions)
     medians = {one.row["insertion"]: one.median for one in predicted if one.median is not None}

@@ -5,6 +5,7 @@ from types import MappingProxyType
 
 from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
 from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS
+from needlefit.studies.held_out_tracks import READING_COLUMNS, RUN_COLUMNS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
 from needlefit.studies.kinds.cross_validation.rows import (
     DIRECTION_COLUMNS,
@@ -29,6 +30,8 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "predictive": PREDICTIVE_COLUMNS,
         "bands": BAND_COLUMNS,
         "curvature": SENSOR_COLUMNS,
+        "runs": RUN_COLUMNS,
+        "readings": READING_COLUMNS,
         "draws": DRAW_COLUMNS,
         "population": POPULATION_COLUMNS,
         "needles": NEEDLE_COLUMNS,

@@ -20,7 +20,7 @@ from needlefit.reporting.number_format import format_bare_symbol, format_metric,
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies import fit_figures, fit_tables
+from needlefit.studies import fit_figures, fit_tables, track_report
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import (
     advise,
@@ -59,8 +59,12 @@ def collect_values(run: Run) -> dict[str, Any]:
         "in_space": scores.is_in_space(run),
         "dataset": stated.dataset.name,
         "media": {
-            name: list(dict.fromkeys(errors.loc[errors["role"] == name, "medium"]))
-            for name in ("tune", "validate")
+            "tune": list(dict.fromkeys(errors.loc[errors["role"] == "tune", "medium"])),
+            "validate": list(
+                dict.fromkeys(
+                    [*errors.loc[errors["role"] == "validate", "medium"], *frames["runs"]["medium"]]
+                )
+            ),
         },
         "folds": len(folds),
         "held_out": len({one for fold in folds for one in fold.held_out}),
@@ -71,6 +75,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
+        "tracks": track_report.judge_errors(run) if track_report.holds_tracks(run) else None,
         "floors": [
             f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
             for one, floor in floors.items()
@@ -95,6 +100,8 @@ def collect_values(run: Run) -> dict[str, Any]:
 def find_answer(run: Run) -> Answer:
     """Return the parts of the first page."""
     role, values = find_scored_role(run.frames["errors"]), collect_values(run)
+    if track_report.holds_tracks(run):
+        return track_report.find_track_answer(run, values)
     checks, group = list_checks(run, role), scores.pool_insertions(run, role)
     judged = None if group is None else judge(run, group)
     if group is None or judged is None:
@@ -215,6 +222,7 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
     # the parameters of which more is to say than their interval
     explained = frames["identification"][frames["identification"]["note"] != ""]
     found = [
+        *([track_report.lay_out_tracks(run)] if track_report.holds_tracks(run) else []),
         fit_tables.lay_out_summary(run),
         fit_tables.lay_out_validation(run),
         *([fit_tables.lay_out_coverage(run)] if len(frames["predictive"]) else []),
@@ -237,6 +245,8 @@ def list_figures(run: Run) -> dict[str, Drawing]:
         found["overlays"] = fit_figures.draw_overlays(run, role)
         if scores.is_in_space(run):
             found["overlays_above"] = fit_figures.draw_overlays(run, role, from_above=True)
+    if len(frames["readings"]):
+        found["readings"] = track_report.draw_tracks(run)
     if len(frames["predictive"]):
         found["predicted"] = fit_figures.draw_predictive_check(run)
     if len(frames["profiles"]):
@@ -256,7 +266,9 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
         "identify": run.frames["identification"],
         "posterior": fit_tables.tabulate_percentiles(run),
     }
-    names = ("predictive", "curvature", "error_fit", "population", "draws")
+    if track_report.holds_tracks(run):
+        written["methods"] = track_report.compare_methods_by_run(run.frames["runs"])
+    names = ("predictive", "runs", "readings", "curvature", "error_fit", "population", "draws")
     written |= {name: run.frames[name] for name in names}
     found: dict[str, pd.DataFrame | str] = {
         name: run.frames[name] for name in ("errors", "shapes", "starts", "directions")
@@ -266,7 +278,9 @@ def list_files(run: Run) -> dict[str, pd.DataFrame | str]:
 
 def fit_to_json(run: Run) -> dict[str, Any]:
     """Return the tables that are written as CSV, but for points and draws."""
-    frames = {name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws")}
+    frames = {
+        name: frame for name, frame in list_files(run).items() if name not in ("shapes", "draws", "readings")
+    }
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 

@@ -1,0 +1,106 @@
+"""The part of a report that is about tip tracks which were held out: answer, table and figure."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
+
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.table import Table, TableLayout
+from needlefit.reporting.table_files import to_records
+from needlefit.studies.advice import advise
+from needlefit.studies.answer import Answer, Check, Finding, Verdict
+from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.fit_tables import TEXT
+from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
+from needlefit.studies.run import Run
+
+# mean error over the runs into a medium; the method's error minus the fitted model's, and its 95 % interval
+# (Student)
+METHODS_COLUMNS = (
+    *("medium", "direction", "method", "runs", "rms_mm", "difference", "low", "high", "better"),
+)
+
+
+def holds_tracks(run: Run) -> bool:
+    """Return whether tip tracks were held out."""
+    return len(run.frames["runs"]) > 0
+
+
+def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
+    """Compare every method with the fitted model on the same predicted runs: the frame "methods"."""
+    rows = []
+    for place, group in runs.groupby(["medium", "direction"], sort=False):
+        wide = group.pivot_table(index="run", columns="method", values="rms_mm", sort=False)
+        for method in wide:
+            gap = (wide[method] - wide["fitted"]).to_numpy(dtype=np.float64)
+            n, half = len(gap), math.nan
+            if n > 1:  # half of the 95 % interval of a mean of few differences
+                half = float(stdtrit(n - 1, 0.975) * gap.std(ddof=1) / np.sqrt(n))
+            difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
+            known = (math.nan,) * len(difference) if method == "fitted" else difference
+            rows.append((*place, method, n, wide[method].mean(), *known))
+    return pd.DataFrame(rows, columns=METHODS_COLUMNS)
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """What the verdict on predicted tracks states: mean root mean square errors, mm."""
+
+    outcome: Outcome
+    rms_mm: float
+    curve: str  #: the curve without mechanics that is closest
+    curve_mm: float
+    runs: int
+    registration_depth_mm: float
+    faults: bool  #: whether a fit has no bands
+
+
+def judge_errors(run: Run) -> TrackErrors:
+    """Judge the predicted tracks by their errors and those of curves."""
+    runs = run.frames["runs"]
+    errors = runs.groupby("method")["rms_mm"].mean()
+    curve = str(errors.drop("fitted").idxmin())
+    rms, least = float(errors["fitted"]), float(errors[curve])
+    depth = float(run.record.registration_depth_mm)
+    outcome = judge_tracks(runs, rms, least)
+    return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults))
+
+
+def find_track_answer(run: Run, values: Mapping[str, object]) -> Answer:
+    """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
+    known, runs = judge_errors(run), run.frames["runs"]
+    status, closer = STATUS[known.outcome], CLOSER.get(known.outcome, known.rms_mm < known.curve_mm)
+    fits = runs["fold"].nunique()
+    checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve, fits=fits)]
+    ends = runs.query("method == 'fitted'").dropna(subset="tip_95_low_mm")
+    if len(ends):
+        checks += check_intervals(ends.rename(columns={"run": "hole"}), run.metadata.recipe)
+    about = asdict(known)
+    numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
+    words = {**values, "tracks": known}
+    return Answer(
+        [Verdict(TEXT.sentence("tracks_predicted", words), status, numbers=numbers)],
+        [lay_out_tracks(run)],
+        TEXT.sentence("about", words),
+        [*checks, check_data(run)],
+        None if status == "pass" else advise(["tracks_missed"], about | {"name": run.name}),
+    )
+
+
+def lay_out_tracks(run: Run) -> TableLayout:
+    """Return the errors of every method on the same runs."""
+    methods = compare_methods_by_run(run.frames["runs"])
+    rows = to_records(methods.replace({"method": {"fitted": MEDIAN_METHOD}}))  # it predicts by all its draws
+    keys = ["medium", "direction"] if methods["direction"].nunique() > 1 else ["medium"]
+    columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
+    table = Table("tracks", rows, columns, groups=tuple(keys), heads=1 + len(keys), strong="groups")
+    return TEXT.lay_out(table, {})
+
+
+def draw_tracks(run: Run) -> Drawing:
+    """Return every predicted run: the tip at each reading, and the guide below it."""
+    return Drawing("tracks", run.frames["readings"].assign(origin=run.origin))
