@@ -3,12 +3,13 @@
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from inference_cases import medium
 from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
 from reporting_results import skip_figures
@@ -16,10 +17,14 @@ from test_cli import run
 from test_datasets import write_mine
 
 from needlefit import plugins
+from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.problem import make_problem
 from needlefit.mechanics.laws import LAWS
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry
+from needlefit.schemas.recipe import WeightsRecord
 
 
 @pytest.fixture
@@ -137,6 +142,29 @@ def test_a_study_with_everything_of_a_plugin(
         assert rows[["value", "floor"]].gt(0).all(axis=None) and rows["paper"].isna().all()
     assert run("report", "mine", *options) == 0
     assert {"logarithmic", "ogden"} < {*LAWS.names()}
+
+
+def test_an_observation_is_one_file_of_a_plugin(
+    tmp_path: Path, plugin: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A column of the table of insertions names it; points that it hides change no density."""
+    monkeypatch.chdir(tmp_path)
+    dataset = write_mine(tmp_path / "mine")
+    table = pd.read_csv(dataset.parent / "insertions.csv")
+    table.assign(observed="ultrasound").to_csv(dataset.parent / "insertions.csv", index=False)
+    data = read(dataset)
+    assert set(data.to_frame()["observed"]) == {"ultrasound"}
+    one = data.insertions[0]
+    seen = one.measure_arc(1) > 10.0
+    assert make_observation(data, one).rows == seen.sum() < len(seen)
+    layers = max(len(each.sequence) for each in data.insertions)
+    moved = one.with_planar(one.planar + np.outer(~seen, [0.0, 0.3]), one.out_of_plane)
+    densities = []
+    for insertion in (one, moved, replace(moved, observed="points")):
+        asked = make_problem(data, [insertion], medium(layers), WeightsRecord())
+        densities.append(asked.log_posterior((asked.lower + asked.upper) / 2))
+    assert densities[1] == pytest.approx(densities[0], rel=1e-2)
+    assert densities[2] < densities[0] - 1.0
 
 
 @dataclass(frozen=True)

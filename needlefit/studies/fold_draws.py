@@ -107,8 +107,7 @@ def draw_fold_parameters(
     if not len(fit.theta):
         few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
         return FoldDraws(few, many)
-    # not keyed by the job's name: the same fit has the same draws, whichever command runs it
-    key, problem = (fold.name, "draws"), job.problem(fold)
+    key, problem = fold.draw_key, job.problem(fold)
     rng = random_stream(job.recipe.seed, *key)
     found = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result

@@ -40,7 +40,7 @@ def plan_folds(job: Job) -> Job:
 
     Raises ConfigError if the folds cannot be made, or an insertion cannot be fitted as the study states.
     """
-    folds = make_folds(job.record, job.dataset)
+    folds = make_folds(job.record, job.dataset, job.name)
     chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
     with add_key_context("compared"):
         stated = _choose_compared(job, chosen)
@@ -82,8 +82,8 @@ def print_notes(job: Job, settings: Settings) -> None:
 # ---- the folds
 
 
-def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
-    """Return the folds of a study, or the single fold of a fit, which scores nothing.
+def make_folds(record: FitRecord | StudyRecord, dataset: Dataset, study: str = "") -> tuple[Fold, ...]:
+    """Return the folds of a record, that of a `study`, or the single fold of a fit, which scores nothing.
 
     Raises ConfigError if a selection matches nothing, an insertion or a copy of it stands on both sides, or
     there is nothing to leave out.
@@ -94,10 +94,8 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
     if record.leave_out is not None:
         return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
     if record.folds:
-        found = [
-            fold for n, one in enumerate(record.folds, start=1) for fold in _divide(n, one, record, dataset)
-        ]
-        return tuple(map(_require_no_copies, found))
+        divided = (_divide(study, n, one, record, dataset) for n, one in enumerate(record.folds, start=1))
+        return tuple(_require_no_copies(fold) for folds in divided for fold in folds)
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
         chosen = select_insertions(dataset, selection, record.layer_count_rule, f"validate.{n}")
@@ -113,7 +111,9 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
     return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
 
 
-def _divide(number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset) -> Iterator[Fold]:
+def _divide(
+    study: str, number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset
+) -> Iterator[Fold]:
     """Yield the folds of one of [[folds]], by its number; insertions that are predicted are not fitted to."""
     rule, key = record.layer_count_rule, f"folds.{number}"
     held = select_insertions(dataset, one.validate_, rule, f"{key}.validate")
@@ -124,7 +124,9 @@ def _divide(number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset
         kept = tuple(each for each in tuned if each not in left)
         if not kept:
             raise ConfigError("all insertions are predicted, and none is fitted to", key=f"{key}.tune")
-        yield Fold(one.name if one.parts is None else f"{one.name}-{k + 1}", kept, left)
+        name = one.name if one.parts is None else f"{one.name}-{k + 1}"
+        # studies of tracks have always been keyed so: their numbers stay
+        yield Fold(name, kept, left, (study, name, "weighed"))
 
 
 def _require_no_copies(fold: Fold) -> Fold:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -38,12 +38,22 @@ class Fold:
     name: str
     tune: tuple[Insertion, ...]
     validate: tuple[Insertion, ...]
+    #: key of the random numbers of its draws, where it is not its name: see `draw_key`
+    stated_key: tuple[str, ...] = ()
+
+    @property
+    def draw_key(self) -> tuple[str, ...]:
+        """What the random numbers of its draws are keyed by.
+
+        No job's name is in it: the same fit has the same draws, whichever command runs it.
+        """
+        return self.stated_key or (self.name, "draws")
 
     def of_dataset(self, dataset: Dataset) -> "Fold":
         """Return the fold with the insertions of these ids as a dataset has them."""
         known = {one.id: one for one in dataset.insertions}
         tune, validate = (tuple(known[one.id] for one in part) for part in (self.tune, self.validate))
-        return Fold(self.name, tune, validate)
+        return replace(self, tune=tune, validate=validate)
 
 
 #: noise floors of insertions that are in use, by what else they depend on

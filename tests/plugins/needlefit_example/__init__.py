@@ -8,5 +8,6 @@ from needlefit_example.depth_study import KIND as DEPTH_STUDY
 from needlefit_example.file_format import XYZ
 from needlefit_example.law import LOGARITHMIC
 from needlefit_example.metric import END_ERROR
+from needlefit_example.observation import ULTRASOUND
 
-__all__ = ["DEPTH_STUDY", "END_ERROR", "LOGARITHMIC", "PARABOLA", "XYZ"]
+__all__ = ["DEPTH_STUDY", "END_ERROR", "LOGARITHMIC", "PARABOLA", "ULTRASOUND", "XYZ"]

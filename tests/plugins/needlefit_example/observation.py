@@ -1,0 +1,29 @@
+"""An observation: the needle in an ultrasound image, of which the first 10 mm are hidden."""
+
+from dataclasses import dataclass
+
+from needlefit.inference.likelihood.observation import (
+    complete_observation,
+    list_pose_modes,
+    points_covariance,
+    split_pose_modes,
+)
+from needlefit.inference.likelihood.observations import ObservationType
+
+HIDDEN_MM = 10.0
+
+
+@dataclass(frozen=True)
+class Ultrasound(ObservationType):
+    def observe(self, insertion, errors):
+        along = insertion.measure_arc(errors.dataset.planes)
+        seen = along > HIDDEN_MM
+        s = along[seen] * insertion.depth / along[-1]
+        measured = insertion.planar[seen]
+        modes, sds = list_pose_modes(insertion, errors, measured)
+        pose, free = split_pose_modes(insertion, modes, sds)
+        covariance = points_covariance(s, errors.noise)
+        return complete_observation(insertion, errors, s, measured, covariance, pose, free)
+
+
+ULTRASOUND = Ultrasound("ultrasound")
