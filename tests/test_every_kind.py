@@ -38,12 +38,13 @@ ELSEWHERE = {
 @EVERY
 def test_a_run_has_its_files_and_frames(world, kind):
     folder, frames = world.find(kind), world.restore(kind).frames
-    for name, columns in KINDS[kind].frames.items():
+    of = COMMANDS[kind].kind or kind
+    for name, columns in KINDS[of].frames.items():
         assert {*columns} <= {*frames[name]}, name
     names = {path.name for path in folder.iterdir()}
     assert names >= WRITTEN
     assert all(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    assert read_run(folder)["kind"] == kind
+    assert read_run(folder)["kind"] == of
 
 
 @EVERY

@@ -10,7 +10,7 @@ import json
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -43,6 +43,7 @@ class Command:
     folder: str
     codes: tuple[int, ...] = SHORT
     after: tuple[str, ...] = ()
+    kind: str = ""  #: of study, where it is not the command's name
 
 
 def _validate(name: str, *codes: int) -> Command:
@@ -63,10 +64,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             ("cross_validation",),
         ),
         "reconstruction": Command(("reconstruct", "sample_scan"), "scanned", (0,)),
-        "tracks": _validate("tracks"),
+        "tracks": replace(_validate("tracks"), kind="cross_validation"),
     }
 )
-"""By kind of study."""
+"""By kind of study, and of tip tracks, which are cross-validated."""
 
 
 def find_words(kind: str, reports: Path, jobs: int = 1) -> list[str]:

@@ -103,4 +103,4 @@ def lay_out_tracks(run: Run) -> TableLayout:
 
 def draw_tracks(run: Run) -> Drawing:
     """Return every predicted run: the tip at each reading, and the guide below it."""
-    return Drawing("tracks", run.frames["readings"].assign(origin=run.origin))
+    return Drawing("tip_track", run.frames["readings"].assign(origin=run.origin))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 class Drawing:
     """A figure of a report: a form and its frame."""
 
-    # The name of a function of `forms`, or one of another module: frame and options -> figure
+    # The name of a function of `forms`, or of a module beside it that has a function `draw`,
+    # as observations have, or such a function: frame and options -> figure
     form: "str | Callable[..., Figure]"
     frame: pd.DataFrame  # all that is drawn; it is saved as CSV beside the figure
     options: Mapping[str, Any] = field(default_factory=dict)  # keyword arguments of the form
@@ -28,5 +30,8 @@ class Drawing:
         import needlefit.reporting.figures.forms as forms
         from needlefit.reporting.figures.style import plot
 
-        paint = vars(forms)[self.form] if isinstance(self.form, str) else self.form
+        paint = self.form
+        if isinstance(paint, str):
+            here = vars(forms).get(paint)
+            paint = here or import_module(f"{__package__}.{paint}").draw
         return plot(path, self.frame, lambda frame: paint(self.prepare(frame), **self.options))

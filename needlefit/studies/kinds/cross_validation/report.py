@@ -75,6 +75,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
+        "tips": fit_figures.are_tips(run),
         "tracks": track_report.judge_errors(run) if track_report.holds_tracks(run) else None,
         "floors": [
             f"{one.label} {format_metric(one, floor, 3 if floor < 0.1 else 2)} {one.unit}"
@@ -240,7 +241,9 @@ def list_figures(run: Run) -> dict[str, Drawing]:
     role, frames = find_scored_role(run.frames["errors"]), run.frames
     found: dict[str, Drawing] = {}
     both = [frames[name] for name in ("errors", "shapes")]
-    if all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
+    if fit_figures.are_tips(run):
+        found["insertions"] = fit_figures.draw_tips(run, role)
+    elif all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(run, role)
         found["overlays"] = fit_figures.draw_overlays(run, role)
         if scores.is_in_space(run):
