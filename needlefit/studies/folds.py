@@ -125,8 +125,7 @@ def _divide(
         if not kept:
             raise ConfigError("all insertions are predicted, and none is fitted to", key=f"{key}.tune")
         name = one.name if one.parts is None else f"{one.name}-{k + 1}"
-        # studies of tracks have always been keyed so: their numbers stay
-        yield Fold(name, kept, left, (study, name, "weighed"))
+        yield Fold(name, kept, left, (study, name))
 
 
 def _require_no_copies(fold: Fold) -> Fold:

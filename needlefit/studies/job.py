@@ -38,8 +38,8 @@ class Fold:
     name: str
     tune: tuple[Insertion, ...]
     validate: tuple[Insertion, ...]
-    #: key of the random numbers of its draws, where it is not its name: see `draw_key`
-    stated_key: tuple[str, ...] = ()
+    #: study and fold, of those of [[folds]], whose random numbers have always been keyed by both
+    place: tuple[str, ...] = ()
 
     @property
     def draw_key(self) -> tuple[str, ...]:
@@ -47,7 +47,13 @@ class Fold:
 
         No job's name is in it: the same fit has the same draws, whichever command runs it.
         """
-        return self.stated_key or (self.name, "draws")
+        return (*self.place, "weighed") if self.place else (self.name, "draws")
+
+    def key_starts(self, search: str) -> tuple[str, ...]:
+        """Return what the random numbers of the starts of a search are keyed by."""
+        if self.place and search == "fitted":
+            return (*self.place, "starts")
+        return (self.name, search, "starts")
 
     def of_dataset(self, dataset: Dataset) -> "Fold":
         """Return the fold with the insertions of these ids as a dataset has them."""
