@@ -28,13 +28,12 @@ from needlefit.studies.kind import list_records
 
 PAGE = "reference/toml.md"
 EXAMPLES = {
-    "study": ("studies/study3.toml", "studies/stereo_insertions.toml"),
+    "study": ("studies/study3.toml", "studies/stereo_insertions.toml", "studies/guided_tip.toml"),
     "fit": ("configs/fits/phantom1.toml",),
     "medium": ("configs/media/phantom2.toml",),
     "dataset": ("data/twin/dataset.toml", "data/twin_turned/dataset.toml"),
     "tracks_dataset": ("data/guided_tips/dataset.toml",),
     "scene": ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml"),
-    "tracks_study": ("studies/guided_tip.toml",),
 }
 """Shipped examples of kinds of file, the best first; further ones are `docs/examples/NAME*.toml`."""
 
