@@ -205,12 +205,12 @@ def test_tracks_of_several_fits_are_judged_and_those_of_one_described():
     ours = pd.DataFrame({**about, "method": "fitted", "rms_mm": [0.5, 0.6, 0.5, 0.4], "crps_mm": 0.3})
     line = pd.DataFrame({**about, "method": "straight", "rms_mm": 1.0, "crps_mm": 0.8})
     runs = pd.concat([ours, line])
-    assert judge_tracks(runs.assign(fit=[*"1234"] * 2), 0.5, 1.0) == "generalises"
-    assert judge_tracks(runs.assign(fit=[*"1234"] * 2, specimen="p"), 0.5, 1.0) == "not shown"
-    both = pd.concat([runs.assign(fit=[*"1234"] * 2, direction=axis) for axis in "yz"])  # 4 trials still
+    assert judge_tracks(runs.assign(fold=[*"1234"] * 2), 0.5, 1.0) == "generalises"
+    assert judge_tracks(runs.assign(fold=[*"1234"] * 2, specimen="p"), 0.5, 1.0) == "not shown"
+    both = pd.concat([runs.assign(fold=[*"1234"] * 2, direction=axis) for axis in "yz"])  # 4 trials still
     assert judge_tracks(both, 0.5, 1.0) == "generalises"
-    assert judge_tracks(runs.assign(fit="all"), 0.5, 1.0) == "in part"
-    assert judge_tracks(runs.assign(fit="all"), 0.5, 0.4) == "does not predict"
+    assert judge_tracks(runs.assign(fold="all"), 0.5, 1.0) == "in part"
+    assert judge_tracks(runs.assign(fold="all"), 0.5, 0.4) == "does not predict"
 
 
 def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():
