@@ -155,7 +155,7 @@ def test_an_observation_is_one_file_of_a_plugin(
     data = read(dataset)
     assert set(data.to_frame()["observed"]) == {"ultrasound"}
     one = data.insertions[0]
-    seen = one.measure_arc(1) > 10.0
+    seen = one.measure_arc("plane") > 10.0
     assert make_observation(data, one).rows == seen.sum() < len(seen)
     layers = max(len(each.sequence) for each in data.insertions)
     moved = one.with_planar(one.planar + np.outer(~seen, [0.0, 0.3]), one.out_of_plane)

@@ -16,7 +16,7 @@ HIDDEN_MM = 10.0
 @dataclass(frozen=True)
 class Ultrasound(ObservationType):
     def observe(self, insertion, errors):
-        along = insertion.measure_arc(errors.dataset.planes)
+        along = insertion.measure_arc(errors.dataset.compared)
         seen = along > HIDDEN_MM
         s = along[seen] * insertion.depth / along[-1]
         measured = insertion.planar[seen]
