@@ -19,9 +19,9 @@ from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_cur
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.draw_simulation import vary_bevels
 from needlefit.studies.folds import count_registered
 from needlefit.studies.job import Fold, Job
-from needlefit.studies.planned_draws import vary_bevels
 from needlefit.studies.score import Row
 
 # a row per reading of a run predicted, direction and method; `measured_mm` counts from the run's first
