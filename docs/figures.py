@@ -22,11 +22,11 @@ from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
+from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
-from needlefit.viewer.steering import Change, SteeredNeedle
 
 FOLDER = Path(__file__).resolve().parent / "figures"
 NEEDLE, MEASURED, TISSUE, CUT = "#1f5fa8", "#c4601d", "#e9dcc3", "#a02c2c"

@@ -80,7 +80,6 @@ def take_ridge(address: str) -> None:
         page.click("#everything")
         page.locator("#scene-list button").last.click()
         page.locator(".ridge").wait_for()
-        page.wait_for_timeout(5000)  # the line is found
         box = page.locator(".ridge").bounding_box()
         page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.45 * box["height"])
         save(page, "view_ridge.png")

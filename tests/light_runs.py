@@ -31,4 +31,4 @@ def draw_blank(patch: pytest.MonkeyPatch) -> None:
     replaced would keep the replacement for the tests that follow.
     """
     save = style.save_figure
-    patch.setattr(style, "save_figure", lambda _, suffix: save(Figure(figsize=(1, 1)), suffix))
+    patch.setattr(style, "save_figure", lambda _, suffix, *__: save(Figure(figsize=(1, 1)), suffix))

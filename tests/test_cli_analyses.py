@@ -15,9 +15,9 @@ from test_cli import run
 from test_viewer_recording import recorded
 
 from needlefit.cli.exit_codes import STOP_SIGNALS
+from needlefit.planning.recording import read_recording
 from needlefit.studies import job
 from needlefit.viewer.opening import open_recording
-from needlefit.viewer.recording import read_recording
 
 
 @pytest.fixture

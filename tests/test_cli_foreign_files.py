@@ -17,14 +17,14 @@ from world import build_project
 
 from needlefit.cli.application import build
 from needlefit.mechanics import scene
+from needlefit.planning.recording import RecordedStep
+from needlefit.planning.steered_needle import Change
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.folders import MANIFEST, replace_folder, require_output_files, write_manifest
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.reporting.table_files import write_json
 from needlefit.studies import study_files as study_files  # bound before a test takes away what it imports
 from needlefit.studies.store import store_run
-from needlefit.viewer.recording import RecordedStep
-from needlefit.viewer.steering import Change
 
 SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
 FOREIGN = ("notes.md", "errors_mine.csv", "slicer/mine.mrk.json", "quality/mine.pdf", "sub/a/b.csv")

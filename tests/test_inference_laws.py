@@ -45,7 +45,7 @@ def test_information_verdict_and_scene_have_every_parameter_of_a_law(law):
     assert set(verdict.sds) == set(truth) and all(np.isfinite(sd) for sd in verdict.sds.values())
     for name, (low, high) in usual.items():
         assert name.endswith("2") or verdict.sds[name] <= 1.01 * (high - low) / np.sqrt(12)
-    record = make_scene_record(truth, p.medium, p.dataset, p.insertions[0])
+    record = make_scene_record(truth, p.medium, p.dataset.name, p.insertions[0])
     assert [layer.shape_values for layer in record.layers] == [
         {name[:-1]: value for name, value in SHAPE[law].items() if name.endswith(str(layer))}
         for layer in (1, 2, 1, 2)

@@ -232,7 +232,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     assert values[0] < 1e-4 < 0.01 < values[1]
     theta = p.parameters.theta({**TRUTH, "mu1_pa": 5e5, "bevel_mm": 0.1})
     assert_one_density(make_problem(data, made, known, WeightsRecord(), FREE), theta)
-    scene = make_scene_record(TRUTH, known, data, made[0])
+    scene = make_scene_record(TRUTH, known, data.name, made[0])
     again = Scene.from_record(scene)
     assert again.tissue.torsional_friction == 0.5
     np.testing.assert_allclose(

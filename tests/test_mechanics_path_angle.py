@@ -109,6 +109,6 @@ def test_gradient_and_batch_of_a_fitted_model(medium: MediumRecord) -> None:
         np.testing.assert_allclose(moves[:, :, p], slope, atol=1e-6 + 1e-5 * np.abs(slope).max())
     values = parameters.values(theta)
     (shapes,) = model.simulate([values, values])
-    scene = Scene.from_record(make_scene_record(values, medium, twin, insertion))
+    scene = Scene.from_record(make_scene_record(values, medium, twin.name, insertion))
     assert scene.rules.path_angle
     np.testing.assert_allclose(simulate_scene(scene)[-1].u, shapes.u[1], atol=1e-6)

@@ -15,7 +15,8 @@ from test_viewer_placement import fitted
 from needlefit.reporting import needle_page
 from needlefit.reporting.document import compile_html
 from needlefit.schemas.run_metadata import NeedleMetadata
-from needlefit.studies.explorer import collect_explorer
+from needlefit.studies.combined_report import compose_overview
+from needlefit.studies.explorer import collect_explorer, collect_explorers
 from needlefit.studies.report import compose_run_report
 
 pytestmark = pytest.mark.skipif(
@@ -61,8 +62,12 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
     assert [one["scene"]["measured"]["id"] for one in needles] == scored["insertion"].tolist()
     assert [one["methods"][0]["errors"]["te_mm"] for one in needles] == scored["te_mm"].tolist()
     shapes = result.frames["shapes"].query("method == 'fitted' and boundaries == 'measured'")
+    judged = errors.query("role == 'validate' and boundaries == 'measured' and method == 'predictive_median'")
+    judged = judged.set_index("insertion")["te_mm"]
+    assert len(judged) == len(needles)
     for one in needles:
         measured = one["scene"]["measured"]
+        assert measured["median"]["errors"]["te_mm"] == judged[measured["id"]]
         rows = shapes[(shapes["insertion"] == measured["id"]) & (shapes["role"] == "validate")]
         assert measured["stored"]["y"] == rows["simulated_y_mm"].tolist()
         assert measured["target"]["y"] == rows["measured_y_mm"].tolist()
@@ -99,6 +104,25 @@ def test_each_insertion_of_the_page_has_its_needle(result) -> None:
         for scene in (one["scene"] for one in page.needles)
     }
     assert found == {(False, known.dataset.needle.flexural_rigidity, 150.0, 1.27), (True, 2e3, 140.0, 0.7)}
+
+
+@NO_BROWSER
+def test_predictions_and_reports_of_runs_have_their_needles(world, result, chromium, tmp_path) -> None:  # noqa: F811
+    predicted = world.restore("prediction")
+    (needle,) = collect_explorer(predicted).needles
+    forecast = predicted.frames["forecast"]
+    assert needle["scene"]["median"]["y"] == forecast["needle_median_mm"].tolist()
+    assert needle["scene"]["depth_mm"] == forecast["s_mm"].iloc[-1]
+    assert needle["scene"]["draws"]["sets"] == len(next(iter(predicted.metadata.drawn.values())))
+    several = collect_explorers([result, predicted])
+    names = [one["name"] for one in several.needles]
+    assert len(set(names)) == len(names) == len(collect_explorer(result).needles) + 1
+    page = tmp_path / "report.html"
+    page.write_bytes(compile_html(compose_overview([result], [], {})))
+    assert len(read_page_data(page.read_text("utf-8"))["needles"]) == len(names) - 1
+    page.write_bytes(compile_html(compose_run_report(predicted, {})))
+    with open_offline(chromium, page) as window:
+        assert window.evaluate(ALL_STATES) == [1, 0]
 
 
 @pytest.mark.sweep
@@ -162,6 +186,7 @@ def test_a_report_of_every_pose_computes_its_needles(pose, compared, chromium, t
         found = [window.evaluate(f"needlefit.state.errors.{name}") for name in names]
         assert found == pytest.approx(row[names].tolist())
         assert "good" in window.get_attribute("#proof", "class")
+        assert window.is_visible("#above") == (compared == "space")
 
 
 @pytest.mark.sweep
@@ -203,3 +228,18 @@ def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
         for part in (control, window.locator("#picture")):  # both are in one window
             box = part.bounding_box()
             assert box["y"] >= -1 and box["y"] + box["height"] <= height + 1
+
+
+WIDTHS = (320, 390, 768, 1024, 1280, 1440)  # px of a window
+CUT = """[...document.querySelectorAll(".first .wide:has(table)")].filter((one) =>
+  one.scrollWidth > one.clientWidth).map((one) => one.ariaLabel)"""
+
+
+@NO_BROWSER
+def test_no_table_of_page_one_is_wider_than_its_column(page, chromium) -> None:  # noqa: F811
+    with open_offline(chromium, page) as window:
+        assert window.locator(".first .wide:has(table)").count() >= 2
+        for width in WIDTHS:
+            window.set_viewport_size({"width": width, "height": 900})
+            window.wait_for_timeout(100)
+            assert window.evaluate(CUT) == [], width

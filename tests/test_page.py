@@ -3,6 +3,7 @@
 Conditions are JavaScript of `s`, the state of the needle, `n`, what the page knows, and `aim`.
 """
 
+import io
 import re
 import shutil
 import subprocess
@@ -10,12 +11,14 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from needlefit.mechanics.shape import list_planes
-from needlefit.viewer.recording import read_recording, replay
+from needlefit.planning.recording import read_recording, replay
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FOUND = next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -77,15 +80,22 @@ UNFOLD = """() => {
 
 
 @contextmanager
-def opened(chromium, server, **settings):
-    """Yield a page in a context of its own; a fault of its scripts fails the test."""
-    # a page that is asked for less motion begins at first contact
+def opened(chromium, server, *, inserted: bool = False, **settings):
+    """Yield a page in a context of its own; a fault of its scripts fails the test.
+
+    Unless the needle is to be `inserted`, as the page shows it first, it is taken back to first contact.
+    """
     begun = {"viewport": {"width": 1280, "height": 800}, "reduced_motion": "reduce"}
     context = chromium.new_context(**(begun | settings))
     page, faults = context.new_page(), []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(server.address)
     until(page, "s && n.connected")
+    if (begun | settings)["reduced_motion"] == "reduce" and not inserted:
+        until(page, "s.undo")
+        if get(page, "s.step === n.scene.simulation.steps.length"):
+            page.click("#undo")
+            until(page, "s.depth_mm === 0")
     page.click("[data-fit=whole]")  # the base too
     page.evaluate(UNFOLD)
     yield page
@@ -347,7 +357,7 @@ def test_a_pasted_address_connects_and_a_missing_needle_is_reported(page) -> Non
     with page.expect_event("load"):
         page.evaluate(f"location.hash = '{address.partition('#')[2]}'")
     shown(page, "new needle")
-    until(page, "n?.connected && s?.depth_mm === 0")
+    until(page, "n?.connected && s?.depth_mm === n.scene.depth_mm")  # a new one, inserted
 
 
 @sweep
@@ -571,6 +581,7 @@ def test_scenes_of_one_sentence_are_refused_in_no_shipped_scene(chromium, tmp_pa
     running = Server(tmp_path, name)
     try:
         with opened(chromium, running) as page:
+            page.wait_for_timeout(1000)  # those that its needle shows
             for number in range(page.locator("#scene-list button").count()):
                 try_scene(page, number)
                 page.wait_for_timeout(200)
@@ -585,7 +596,8 @@ def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chrom
     try:
         with opened(chromium, running) as page:
             page.click("#everything")
-            assert page.is_hidden("#bevel-fields") and page.locator("#scene-list button").count() == 3
+            page.locator("#scene-list button").nth(2).wait_for()
+            assert page.is_hidden("#bevel-fields")
             try_scene(page, 0)
             side = get(page, "n.scene.simulation.steps[0].bevel.side")
             assert get(page, "s.bevel.side") == -side
@@ -595,9 +607,18 @@ def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chrom
             enter(page.locator("#scene-control .number"), "15")
             turned = until(page, "s.depth_mm > 53 && Math.abs(s.y.at(-1) - n.pinned.y.at(-1)) > 1")
             assert turned["depths"] and get(page, "n.pinned.y.at(-1)") != turned["y"][-1]
+            page.locator("#scene-control .slider").press("ArrowRight")
+            until(page, "Number(part('#scene-control .number').value) === 16")  # mm, a step of the number
+            assert page.get_attribute("#scene-control .slider", "aria-valuetext") == "16.0 mm"
             try_scene(page, 1)
-            softest = int(np.argmin(get(page, "n.scene.fitted.layers.map((one) => one.mu_pa)")))
-            until(page, f"s.layers[{softest}].mu_pa > 9 * n.scene.fitted.layers[{softest}].mu_pa")
+            layer = get(
+                page, "s.layers.findIndex(({mu_pa: mu}, i) => mu > 9 * n.scene.fitted.layers[i].mu_pa)"
+            )
+            assert layer >= 0
+            before, after, total = (
+                float(one) for one in re.findall(r"[\d.]+(?= (?:to|N))", page.inner_text("#see"))
+            )
+            assert after > before and total >= after
             try_scene(page, 2)
             drag_along_the_ridge(page, lambda: get(page, "s"))
     finally:
@@ -605,23 +626,27 @@ def test_a_turned_bevel_a_stiffer_layer_and_the_ridge_are_one_control_each(chrom
 
 
 def drag_along_the_ridge(page, read) -> None:
-    """Move the point by keys across the ridge and back, then along it: the tip moves much, then little."""
-    fitted = read()
+    """Move the point by keys across the valley and back, then along it: the tip moves much, then little."""
     plane = page.locator(".ridge")
+    plane.wait_for()
+    fitted = read()
     plane.focus()
 
     def move(key: str, times: int) -> float:
         for _ in range(times):
             page.keyboard.press(key)
-            page.wait_for_timeout(40)
+            page.wait_for_timeout(60)
         page.wait_for_timeout(300)
         return abs(read()["tip"]["lateral_mm"] - fitted["tip"]["lateral_mm"])
 
-    across = move("ArrowRight", 5)
+    across = move("ArrowRight", 3)
+    assert move("ArrowLeft", 3) == pytest.approx(0.0, abs=1e-3)
     along = move("ArrowDown", 5)  # less of the modulus for more of b
     state = read()
-    assert state["bevel"]["offset_mm"] > 1.02 * fitted["bevel"]["offset_mm"]
+    assert state["bevel"]["offset_mm"] > 1.005 * fitted["bevel"]["offset_mm"]
     assert state["layers"] != fitted["layers"] and along < 0.6 * across
+    b, *_ = re.findall(r"[\d.]+", plane.get_attribute("aria-valuetext"))
+    assert float(b) == pytest.approx(state["bevel"]["offset_mm"], abs=5e-4)
     box = plane.bounding_box()
     pull(page, box["x"] + 0.4 * box["width"], box["y"] + 0.4 * box["height"], 30, 20)
     page.wait_for_timeout(300)
@@ -667,15 +692,65 @@ def test_nothing_is_cut_off_or_covered_at_any_size(server, chromium, size) -> No
             assert box["x"] >= 0 and box["x"] + box["width"] <= size[0], button
 
 
+MOST_CONTROLS = 20  # before *Everything*, in the order of the keyboard
+BEFORE = """[...document.querySelectorAll("button, input, select, summary, [tabindex='0']")].filter((one) =>
+  one.offsetParent && one.tabIndex >= 0).findIndex((one) => one.id === "everything")"""
+
+
+def test_the_first_screen_has_the_needle_and_what_to_try(server, chromium) -> None:
+    context = chromium.new_context(viewport={"width": 1280, "height": 800}, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(server.address)
+    until(page, "s && s.depth_mm === n.scene.depth_mm", 30)
+    page.locator("#scene-list button").first.wait_for()
+    assert 0 < page.evaluate(BEFORE) <= MOST_CONTROLS
+    for part in ("#readouts", ".chips", ".transport"):
+        assert page.is_hidden(part)
+    page.emulate_media(media="print")
+    assert page.is_visible("#canvas") and page.is_visible("#readouts") and page.is_hidden("#panel")
+    assert page.locator("#described").bounding_box()["height"] > 10
+    page.emulate_media(media="screen")
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.locator("#scene-list button").first.click()
+    page.locator("#scene-control .slider").wait_for()
+    picture, control = (page.locator(one).bounding_box() for one in ("#picture", "#scene-control"))
+    assert 0 <= control["y"] - picture["y"] - picture["height"] < 120  # px: what to see stands between
+    context.close()
+
+
 @sweep
-def test_what_is_saved_are_figures_of_the_needle_as_it_stands(page) -> None:
-    go_to(page, 20)
+@pytest.mark.parametrize("width_mm", [85, 174])
+def test_what_is_saved_is_the_picture_that_is_seen(page, width_mm: int) -> None:
+    """Its limits, exaggeration, pinned needle and forces; in a column's width, its text as text."""
+    go_to(page, 30)
+    page.click("#pin")
+    go_to(page, 45.3)
+    page.click("[data-fit=tissue]")
+    until(page, "n.forces.step === s.step && n.connected", 30)
+    page.select_option("#figure-width", str(width_mm))
     saved = {}
-    for name in ("figure, SVG", "figure, PNG"):
+    for name in ("SVG", "PDF", "PNG"):
         with page.expect_download() as download:
-            page.get_by_role("button", name=name).click()
+            page.get_by_role("button", name=f"figure, {name}").click()
         saved[name] = download.value.path().read_bytes()
-    assert b"<svg" in saved["figure, SVG"] and saved["figure, PNG"][:4] == b"\x89PNG"
+    drawing = ElementTree.fromstring(saved["SVG"])
+    assert float(drawing.get("width").removesuffix("pt")) == pytest.approx(width_mm / 25.4 * 72)
+    texts = ["".join(one.itertext()) for one in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    (about,) = (
+        "".join(one.itertext()) for one in drawing.iter("{http://purl.org/dc/elements/1.1/}description")
+    )
+    force, base = page.evaluate("[needlefit.forces.y.at(-1), needlefit.state.forces.base_n]")
+    described = re.search(r"Tip force ([+−][\d.]+) N", page.text_content("#described"))[1]
+    assert float(described.replace("−", "-")) == pytest.approx(force, abs=6e-3)  # since the forces have come
+    for one in (about, " ".join(texts)):
+        found = [float(text.replace("−", "-")) for text in re.findall(r"(?:force|base) ([+−][\d.]+) N", one)]
+        assert sorted(found) == pytest.approx(sorted([force, base]), abs=6e-4)
+    times = call(page, "view", "m.view.magnified")
+    assert any(f"drawn {times}×" in one for one in texts) and "pinned" in texts
+    assert "45.3 mm deep" in about
+    assert saved["PDF"][:4] == b"%PDF"
+    with Image.open(io.BytesIO(saved["PNG"])) as picture:
+        assert picture.width == pytest.approx(width_mm / 25.4 * 300, abs=1)
 
 
 @sweep

@@ -16,16 +16,16 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Session
+from needlefit.mechanics.session import Session, find_tip_force
 from needlefit.mechanics.shape import compute_validity, list_planes
 from needlefit.mechanics.simulate import compute_loads
+from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 pytestmark = pytest.mark.skipif(
@@ -209,10 +209,13 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
     depths = steering.now.shape.constraints[:, 0]  # where the tip stands is the last, also within a cell
     assert len(depths) - len(y) in {0, 1}
     for depth, *found in list(zip(depths, x, y, strict=False))[1:-1:7]:
-        assert found == pytest.approx([depth, find_tip_force(steering, depth)], abs=1e-5)
+        assert found == pytest.approx([depth, find_force_at(steering, depth)], abs=1e-5)
+    rules, path = scene.rules, steering.input_path()
+    last = find_tip_force(scene.needle, steering.now.tissue, path, steering.first_cell, rules)
+    assert y[-1] == pytest.approx(last, abs=1e-5)
 
 
-def find_tip_force(steering: SteeredNeedle, depth: float) -> float:
+def find_force_at(steering: SteeredNeedle, depth: float) -> float:
     """Return the tip force, N, in space its size, as it was when the tip of a needle stood at a depth."""
     scene, path = steering.scene, steering.input_path()
     tissue, (first, *_) = steering.now.tissue, path

@@ -28,12 +28,12 @@ from needlefit.planning.goals import (
     make_space_goal,
     read_goal_points,
 )
+from needlefit.planning.recording import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer import opening
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
-from needlefit.viewer.recording import read_recording, replay
 
 
 @cache
@@ -220,6 +220,15 @@ def test_the_command_prints_a_plan_and_writes_it_as_a_recording(tmp_path, capsys
     assert last.state.step.depth == found["steps"][-1]["depth_mm"]
     entry = read_recording(path).head.scene.entry
     assert entry.y_mm == pytest.approx(found["entry_mm"]) and abs(entry.y_mm) <= 5
+
+
+@pytest.mark.parametrize(("by", "same"), [(0.0, True), (1e-9, True), (1e-3, False)])
+def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same) -> None:
+    shown = opening.open_target("twin/phantom2-05")
+    bevel = shown.record.bevel.model_copy(update={"offset_mm": shown.record.bevel.offset_mm + by})
+    record = shown.record.model_copy(update={"bevel": bevel})
+    recording = Recording(replace(shown, record=record).make_head(), ())
+    assert (opening.open_recording(recording).measured is not None) == same
 
 
 @pytest.mark.parametrize(

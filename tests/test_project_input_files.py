@@ -236,6 +236,21 @@ def test_a_run_is_found_as_it_is_named(name, folder, runs):
     assert (target.kind, target.path) == ("run", Path(folder))
 
 
+@pytest.mark.parametrize(
+    "name", ["chicken", "phantom1", "phantom2", "phantom3", *(f"study{n}" for n in range(1, 6))]
+)
+def test_a_name_of_a_scene_and_a_run_is_the_run_unless_the_scene_is_wanted(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = locate.find_view_target(name)
+    (tmp_path / "reports" / name).mkdir(parents=True)
+    (tmp_path / "reports" / name / "run.json").write_text("{}")
+    run = locate.find_view_target(name)
+    assert (run.kind, run.others) == ("run", (("scene", scene.path),))
+    assert locate.find_view_target(name, "scene").path == scene.path == locate.find_file("scene", name)
+    assert locate.find_view_target(str(scene.path)).kind == scene.kind == "scene"
+    assert locate.find_run(name) == run.path
+
+
 def test_an_insertion_of_a_run_is_found_and_several_runs_are_listed(runs):
     target = locate.find_view_target("./reports/a/needle-1")
     assert (target.path, target.insertion) == (Path("reports/a"), "needle-1")

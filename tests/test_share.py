@@ -8,11 +8,11 @@ from page_files import ALL_STATES, open_offline, read_page_data
 from test_page import NO_BROWSER, chromium  # noqa: F401 - a fixture
 
 from needlefit.mechanics.scene import Scene
+from needlefit.planning.recording import RecordedStep, RecordingWriter, read_recording, replay
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.reporting.needle_page import kernel_exists
 from needlefit.viewer.export import compose_share, export
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording, replay
-from needlefit.viewer.steering import Change, SteeredNeedle
 
 HOSTILE = "</script><img src=x onerror=alert(1)> {{data}}"
 RECORDING = Path(__file__).parent.parent / "docs/figures/steering.csv"
@@ -106,16 +106,14 @@ def test_it_computes_every_recorded_state_and_can_be_steered(shared, chromium) -
 @pytest.mark.sweep
 @NO_BROWSER
 def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) -> None:  # noqa: F811
-    with open_offline(
-        chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300&base_y=1"
-    ) as page:
+    with open_offline(chromium, shared, address="depth=50&b=0.12&roll=180&turn=20,30&mu2=300") as page:
         state = page.evaluate("needlefit.state")
         assert [state["depth_mm"], state["bevel"]] == [50, {"side": -1, "roll_deg": 180, "offset_mm": 0.12}]
-        assert state["layers"][1]["mu_pa"] == 3e5 and state["base"]["input_y"] == 1
+        assert state["layers"][1]["mu_pa"] == 3e5
         page.click("#copy-link")
         page.wait_for_timeout(200)
         written = page.evaluate("location.hash")
-        assert written == "#depth=50&roll=180&turn=20,30&b=0.12&mu2=300&base_y=1"
+        assert written == "#depth=50&roll=180&turn=20,30&b=0.12&mu2=300"
         page.evaluate("location.hash = 'depth=20'")
         page.wait_for_timeout(300)
         assert page.evaluate("needlefit.state.depth_mm") == 20
@@ -136,10 +134,28 @@ def test_a_needle_in_the_address_is_shown_and_written_again(shared, chromium) ->
         page.evaluate(f"location.hash = '{written}'")
         page.wait_for_timeout(300)
         assert page.evaluate("needlefit.state.z") == rolled["z"]
-        for wrong in ("depth=50&roll=x", "depth=x", "depth=50&mu9=1", "depth=1000"):
+        for wrong in (
+            "depth=50&roll=x",
+            "depth=-5",
+            "depth=50&turn=60",
+            "depth=1000",
+            "foo=1",
+            "needle=nothing",
+        ):
             page.evaluate(f"location.hash = '{wrong}'")
             page.wait_for_timeout(300)
             assert page.inner_text("#refusal"), wrong
+            assert page.evaluate("needlefit.state.z") == rolled["z"]  # it stays as it was
+        assert page.locator("#save-recording").is_hidden()
+        page.locator("#insertion-fields .number").nth(1).fill("1")  # the base, mm
+        page.locator("#insertion-fields .number").nth(1).press("Enter")
+        moved = page.evaluate("needlefit.state.tip.lateral_mm")
+        page.click("#copy-link")
+        with page.expect_download() as download:
+            page.click("#save-recording")
+        recording = read_recording(Path(download.value.path()))
+        *_, last = replay(recording)
+        assert last.state.shape.tip_lateral == moved and last.tip_offset_mm == 0
         page.locator("#scene-list button").first.click()
         page.locator("#scene-control .number").wait_for()
         assert page.evaluate("needlefit.pinned.depth") == page.evaluate("needlefit.scene.depth_mm")

@@ -101,7 +101,7 @@ AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
     ],
 )
 def test_an_insertion_as_a_scene_is_the_predicted_needle(one, record):
-    scene = make_scene_record(VALUES, record, dataset([one]), one)
+    scene = make_scene_record(VALUES, record, dataset([one]).name, one)
     again = SceneRecord.model_validate_json(scene.model_dump_json(by_alias=True))
     scene = Scene.from_record(again)
     needle, tissue, steps, sharp = make_simulation_inputs(VALUES, record, one)

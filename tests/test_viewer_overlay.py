@@ -122,7 +122,7 @@ def test_a_needle_whose_entry_is_its_first_point_is_compared_after_a_shift_acros
     assert expected.tip_error == pytest.approx(found["te_mm"])
 
 
-SCENE = Scene.from_record(make_scene_record(TRUTH, medium(), dataset([PLAN]), PLAN))
+SCENE = Scene.from_record(make_scene_record(TRUTH, medium(), dataset([PLAN]).name, PLAN))
 
 
 def spread(count: int = 60) -> ParameterDraws:

@@ -11,12 +11,12 @@ from needlefit.datasets.read import read as read_dataset
 from needlefit.inference.likelihood.observations import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
+from needlefit.planning.recording import RecordedStep, RecordingWriter, read_recording
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.studies.needle_placement import NEEDLE_POINTS
 from needlefit.studies.needles_in_scan import read_needles_in_scan
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, read_recording
-from needlefit.viewer.steering import Change, SteeredNeedle
 
 QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
 ID, DEPTH = "needle-3", needles.DEPTHS[2]

@@ -6,11 +6,11 @@ import pytest
 from needlefit.errors import NeedlefitError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
+from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
-from needlefit.viewer.steering import Change, SteeredNeedle
 
 PLAIN = load(find_file("scene", "study2"), SceneRecord)
 

@@ -13,12 +13,12 @@ import pytest
 from server_cases import served
 
 from needlefit.mechanics.scene import Scene
+from needlefit.planning.recording import read_recording, replay
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.viewer import server as server_module
 from needlefit.viewer.messages import read_message as read_message
 from needlefit.viewer.opening import open_target
-from needlefit.viewer.recording import read_recording, replay
 from needlefit.viewer.server import KERNEL_FILES, AccessControl
-from needlefit.viewer.steering import Change, SteeredNeedle
 from needlefit.viewer.steering_page import SteeringPage
 from needlefit.viewer.trials import TrialRegistry
 

@@ -3,6 +3,7 @@
 import hashlib
 import inspect
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
+from needlefit.cli import screen
 from needlefit.schemas.limits import MAX_SEED
 
 if TYPE_CHECKING:
@@ -178,6 +180,16 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
 
     path = find_file("scene", name)
     return change_scene(read_toml(path), file_label(path), depth, assignments)
+
+
+def note_others(command: str, name: str) -> None:
+    """Print how a command opens the scene or dataset that has the name of a run, too."""
+    from needlefit.project.locate import find_view_target
+
+    target = find_view_target(name)
+    for kind, path in target.others:
+        command_line = shlex.join(("needlefit", command, str(path)))
+        screen.print_note(f"`{name}` is the {target.kind}; the {kind}: {command_line}")
 
 
 def change_scene(

@@ -79,6 +79,7 @@ def plan(
 
     if write_recording is not None:
         require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
+    options.note_others("plan", name)
     shown = open_target(name, specimen=specimen or "planned")
     aim, balls = _read_goal(shown, target, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
@@ -99,8 +100,8 @@ def plan(
     if invocation.json:
         screen.show_json(summary)
     else:
-        if shown.verdict:
-            screen.print_text(shown.verdict)
+        if verdict := shown.recall():
+            screen.print_text(verdict)
         screen.print_text(mark_faults(shown.faults) + _describe(shown, found, summary))
     screen.print_warnings(invocation, shown.warnings)
     if not found.hits:
@@ -186,7 +187,7 @@ def _summarize(
         "turns_mm": list(found.turns),
         "steps": steps,
         **found.describe_misses(),
-        "fit_verdict": shown.verdict or None,
+        "fit_verdict": shown.recall() or None,
         "specimen": shown.specimen or None,
         "draws": 0 if exact else len(found.needles),
         "search_draws": 0 if exact else search_draws,

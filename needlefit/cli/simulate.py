@@ -170,14 +170,14 @@ def _replay_recording(path: Path, outputs: Mapping[str, Path]) -> SimulationOutc
 
     ConfigError if one of `outputs`, by option, is a file of what was steered, or cannot be written.
     """
+    from needlefit.planning.recording import read_recording
     from needlefit.project.unit_warnings import scene_warnings
     from needlefit.viewer.export import WRITERS, replay_to_end
-    from needlefit.viewer.recording import read_recording
 
     recording = read_recording(path)
     shown = []  # the scene, or the folder of the run or dataset, that the recording is of, unless it is gone
     with suppress(NeedlefitError):
-        target = find_view_target(recording.head.target)
+        target = find_view_target(recording.head.target, "scene")
         shown.append(target.path.parent if target.kind == "dataset" else target.path)
     require_output_files(outputs, [path, *shown])
     done = replay_to_end(recording)

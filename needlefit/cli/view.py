@@ -12,7 +12,6 @@ from needlefit.cli import options, screen
 from needlefit.cli.exit_codes import STOP_SIGNALS
 from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_writable
-from needlefit.project.locate import find_view_target
 
 if TYPE_CHECKING:
     from needlefit.viewer.server import AccessControl
@@ -49,9 +48,9 @@ def view(
     folder = context.find_root().obj.out / "view"
     require_writable(folder)
     if target is not None:
-        find_view_target(target)  # a wrong name ends it before a page opens
+        options.note_others("view", target)  # a wrong name ends it before a page opens
+    from needlefit.planning.recording import read_recording
     from needlefit.viewer.opening import open_recording, open_target
-    from needlefit.viewer.recording import read_recording
     from needlefit.viewer.steering_page import SteeringPage
     from needlefit.viewer.trials import TrialRegistry
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord, list_needles
@@ -56,7 +56,7 @@ def describe_scene(dataset: Dataset, insertion: Insertion, advance: Advance) -> 
     }
 
 
-def record_steps(insertion: Insertion) -> tuple[StepRecord, ...]:
+def record_steps(insertion: InsertionInputs) -> tuple[StepRecord, ...]:
     """Return the steps of an insertion with turns of its bevel, or a move of its base at the end."""
     contact = 0.0 if insertion.side > 0 else 180.0
     turned = [(None, 0.0), *insertion.turns]

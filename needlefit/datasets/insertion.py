@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self, cast
+from typing import TYPE_CHECKING, Literal, Protocol, Self, cast
 
 import numpy as np
 
@@ -89,6 +89,31 @@ class GuideMotion:
     def flatten(self) -> Self:
         """Return the motion along y alone."""
         return replace(self, z=np.zeros(len(self.z)))
+
+
+class InsertionInputs(Protocol):
+    """What the simulation of an insertion needs of it; see `Insertion`."""
+
+    @property
+    def needle(self) -> Needle: ...
+    @property
+    def depth(self) -> float: ...
+    @property
+    def side(self) -> int: ...
+    @property
+    def turns(self) -> tuple[tuple[float, float], ...]: ...
+    @property
+    def bevel_factor(self) -> float: ...
+    @property
+    def guide_distance(self) -> float | None: ...
+    @property
+    def guide(self) -> GuideMotion | None: ...
+    @property
+    def base_moved(self) -> float: ...
+    @property
+    def sequence(self) -> tuple[int, ...]: ...
+    @property
+    def boundaries(self) -> Floats: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ STATED_WEIGHT = (
 class PenalizedSpline:
     """A spline fitted to values (N, d) at places between 0 and 1, linear in them once smoothed so much."""
 
-    curve: scipy.interpolate.BSpline  # place (...,) -> value (..., d)
+    curve: "scipy.interpolate.BSpline"  # place (...,) -> value (..., d)
     operator: Floats  # (F, N); from values to coefficients
     noise_sd: float  # standard deviation of the noise that the values show
 

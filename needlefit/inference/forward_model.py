@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.insertion import GuideMotion, Insertion
+from needlefit.datasets.insertion import Insertion, InsertionInputs
 from needlefit.errors import DataError
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, dimension, is_shape_parameter
@@ -56,31 +56,6 @@ def predict(
     Raises ModelError if the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
     return find_last_shape(*make_simulation_inputs(values, medium, insertion, boundaries, sequence))
-
-
-class InsertionInputs(Protocol):
-    """What the simulation of an insertion needs of it; see `Insertion`."""
-
-    @property
-    def needle(self) -> Needle: ...
-    @property
-    def depth(self) -> float: ...
-    @property
-    def side(self) -> int: ...
-    @property
-    def turns(self) -> tuple[tuple[float, float], ...]: ...
-    @property
-    def bevel_factor(self) -> float: ...
-    @property
-    def guide_distance(self) -> float | None: ...
-    @property
-    def guide(self) -> GuideMotion | None: ...
-    @property
-    def base_moved(self) -> float: ...
-    @property
-    def sequence(self) -> tuple[int, ...]: ...
-    @property
-    def boundaries(self) -> Floats: ...
 
 
 def make_simulation_inputs(
@@ -396,9 +371,10 @@ def make_options(medium: MediumRecord, tolerance: float = ModelOptions.tolerance
     return replace(ModelOptions.from_record(make_rules(medium)), tolerance=tolerance)
 
 
-def make_rules(medium: MediumRecord) -> RulesRecord:
+def make_rules(medium: MediumRecord, tolerance_mm: float | None = None) -> RulesRecord:
     """Return the rules of a scene that a medium states."""
     return RulesRecord(
+        tolerance_mm=tolerance_mm,
         constraint_spacing_mm=medium.constraint_spacing_mm,
         constraint_switch=medium.constraint_switch,
         tangent_part=medium.tangent_part,

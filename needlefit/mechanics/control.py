@@ -321,4 +321,5 @@ class ModelOptions:
             tangent=record.tangent_part,
             first_cell=record.first_cell_mm,
             advance=record.advance,
+            tolerance=record.tolerance_mm or cls.tolerance,
         )

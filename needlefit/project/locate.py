@@ -265,12 +265,13 @@ class ViewTarget:
     # that a run's draws are for: "shown": the insertion's, as the run predicted it; "planned": of a planned
     # one, new unless the study leaves out the spread between specimens; "new", "same" (as fitted), or a name
     specimen: str = "shown"
+    others: tuple[tuple[TargetKind, Path], ...] = ()  # what else has the name, by its path
 
 
-def find_view_target(name: str) -> ViewTarget:
+def find_view_target(name: str, first: TargetKind = "run") -> ViewTarget:
     """Return the scene, run or dataset that `name` means; behind a run or dataset may stand `/ID`.
 
-    ConfigError if there is nothing of that name, or things of several kinds.
+    Of several the one of the kind `first`, else the run, the scene. ConfigError if there is none.
     """
     front, _, insertion = name.rstrip("/").rpartition("/")
     found = _list_viewed(name)
@@ -280,14 +281,10 @@ def find_view_target(name: str) -> ViewTarget:
     if not found:
         known = {*list_names("scene"), *list_names("dataset"), *list_runs()}
         raise unknown_name_error("scene, run or dataset", name, list(known))
-    if len(found) > 1:
-        folders = (one.path.parent if one.kind == "dataset" else one.path for one in found)
-        paths = [f"{path}/{found[0].insertion}" if found[0].insertion else str(path) for path in folders]
-        raise ConfigError(
-            f"`{name}` is {' and '.join(f'a {one.kind}' for one in found)}",
-            fix=f"state which: {' or '.join(paths)}",
-        )
-    return found[0]
+    order: tuple[TargetKind, ...] = (first, "run", "scene", "dataset")
+    found.sort(key=lambda one: order.index(one.kind))
+    others = ((one.kind, one.path.parent if one.kind == "dataset" else one.path) for one in found[1:])
+    return replace(found[0], others=tuple(others))
 
 
 def _list_viewed(name: str) -> list[ViewTarget]:

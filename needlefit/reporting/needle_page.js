@@ -197,7 +197,7 @@ hold(step.inputs);for(let i of chunk.numbers){if(!points[i])continue;batch.go(i,
 abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
 init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;constructor(kernel){Object.assign(this,
 {kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path=steps2.map(one=>({
-...one,text:JSON.stringify(one.inputs)})),same2=this.model===JSON.stringify(model),way=this.path&&same2&&findWay(
+...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&findWay(
 this.path,path);way||await this.#begin(model,steps2[0].inputs),way||=path,this.path=null;let reached=0;for(let{
 depth,inputs}of way){depth<this.session.depth-SAME2&&(this.points=this.points.filter(one=>one.depth<=depth+SAME2));
 for(let stop of this.#listStops(depth)){if(this.session.go(stop,inputs),this.session.failed)return this.#read();
@@ -220,13 +220,15 @@ resume=>{waiting.push(resume),channel.port2.postMessage(null)});onmessage=({data
 busy||work()}}});function write(id,text){let place2=typeof id=="string"?part(id):id;place2.textContent!==text&&(place2.textContent=
 text)}function element(tag,properties={},...contents){let made2=Object.assign(document.createElement(tag),properties);
 return made2.append(...contents.flat()),made2}function button(text,act,properties={}){let made2=element("butto\
-n",{type:"button",...properties},text);return press(made2,act),made2}function say(words){part("announced").textContent=
-"",requestAnimationFrame(()=>part("announced").textContent=words)}function colour(name){let both=getComputedStyle(
-document.documentElement).getPropertyValue(`--${name}`).match(/#\w+/g)??[""];return both[isDark()?both.length-
-1:0]}var part,press,entry,dark,isDark,onScheme,init_dom=__esm({"needlefit/viewer/page/dom.js"(){part=id=>document.
-getElementById(id);press=(id,act)=>(typeof id=="string"?part(id):id).addEventListener("click",act);entry=(term,value)=>element(
-"div",{},element("dt",{},term),element("dd",{},value));dark=matchMedia("(prefers-color-scheme: dark)"),isDark=
-()=>dark.matches,onScheme=act=>dark.addEventListener("change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
+n",{type:"button",...properties},text);return press(made2,act),made2}function say(words2){part("announced").textContent=
+"",requestAnimationFrame(()=>part("announced").textContent=words2)}function hand(blob,name){let link=element("\
+a",{href:URL.createObjectURL(blob),download:name});link.click(),setTimeout(()=>URL.revokeObjectURL(link.href),
+1e4)}function colour(name){let both=getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).match(
+/#\w+/g)??[""];return both[isDark()?both.length-1:0]}var part,press,entry,dark,isDark,onScheme,init_dom=__esm(
+{"needlefit/viewer/page/dom.js"(){part=id=>document.getElementById(id);press=(id,act)=>(typeof id=="string"?part(
+id):id).addEventListener("click",act);entry=(term,value)=>element("div",{},element("dt",{},term),element("dd",
+{},value));dark=matchMedia("(prefers-color-scheme: dark)"),isDark=()=>dark.matches,onScheme=act=>dark.addEventListener(
+"change",act)}});function checkChange([name,item,value],rules){let known=rules.inputs[name];if(!known)throw new ModelError(`the\
 re is no input ${name}`,`one of ${Object.keys(rules.inputs).join(", ")}`);let counted2=Number.isInteger(item)&&
 item>=1&&item<=(known.item==="guide"?rules.max_guide:1/0);if(known.item?!counted2:item!==null)throw new ModelError(
 `${name} has item ${item}`,`the number of a ${known.item}`);let lengths=name.endsWith("_mm"),most=lengths?rules.
@@ -286,17 +288,22 @@ roll)%360+360)%360,turnOver=roll=>roll%180?["bevel_roll_deg",null,wrap(roll+180)
 value/pascals,digits2),read:text=>Number(text)*pascals}}function modulus(value){let{unit,write:write2}=modulusLike(
 value);return`${write2(value,3)} ${unit}`}function heightAt({x:xs,y:ys},x){let after=xs.findIndex(one=>one>=x);
 if(after<=0)return after===0?ys[0]:ys.at(-1);let share=(x-xs[after-1])/(xs[after]-xs[after-1]);return ys[after-
-1]+share*(ys[after]-ys[after-1])}function roundStep(value){let decade=10**Math.floor(Math.log10(value)),times=value/
-decade;return decade*(times>=5?5:times>=2?2:1)}function strengthOf(values){let about="cut_angle_deg"in values?
-ANGLE:OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.key]}}function isChanged({
-bevel,layers},{fitted:fitted2}){let{key,value}=strengthOf(fitted2);return!near(bevel[key],value)||layers.some(
-(layer,i)=>Object.entries(fitted2.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){
+1]+share*(ys[after]-ys[after-1])}function smooth(x,load3,reach){let sums=[0];for(let i=1;i<x.length;i+=1)sums.
+push(sums[i-1]+(load3[i]+load3[i-1])/2*(x[i]-x[i-1]));let sumTo=(at2,i)=>{if(i===0)return 0;if(i===x.length)return sums.
+at(-1);let part2=(at2-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load3[i-1]+part2*(load3[i]-load3[i-1])/2)*(at2-
+x[i-1])},[from,to]=[0,0];return x.map(at2=>{let half=Math.min(reach,at2-x[0],x.at(-1)-at2);if(half<=0)return load3[at2===
+x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at2-half;)from+=1;for(;to<x.length&&x[to]<=at2+half;)to+=1;return(sumTo(
+at2+half,to)-sumTo(at2-half,from))/(2*half)})}function roundStep(value){let decade=10**Math.floor(Math.log10(value)),
+times=value/decade;return decade*(times>=5?5:times>=2?2:1)}function strengthOf(values){let about="cut_angle_de\
+g"in values?ANGLE:OFFSET,[here,throughout]=INPUTS[about.key];return{...about,here,throughout,value:values[about.
+key]}}function isChanged({bevel,layers},{fitted:fitted2}){let{key,value}=strengthOf(fitted2);return!near(bevel[key],
+value)||layers.some((layer,i)=>Object.entries(fitted2.layers[i]).some(([name,one])=>!near(layer[name],one)))}function isSteered(state,scene){
 let{steps:steps2}=scene.simulation,{bevel,controls}=steps2.find(({depth})=>depth>=state.depth_mm-1e-6)??steps2.
 at(-1),{base,guides,tip}=state;return isChanged(state,scene)||state.bevel.roll_deg!==wrap(rollOf(bevel))||tip.
 held!==!!controls.tip||base.input_y!==controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.
 guides.length||guides.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var writeError,listErrors,
 brief,counted,toDegrees,degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,near,
-init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
+medianOf,init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
 null?"–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,
 unit])=>`${label2} ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).
 toPrecision(digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*
@@ -306,7 +313,8 @@ item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={ke
 unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_a\
 ngle_deg","cut_angle_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[
 -180,180],write:value=>brief(value,6)},describeRoll=({roll_deg:roll})=>roll%180?`roll ${brief(roll).replace("-",
-"−")}°`:roll?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other)}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
+"−")}°`:roll?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other);medianOf=(state,scene)=>Math.
+abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?scene.measured?.median??scene.median??null:null}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
 for(let hear of listeners.get(kind)??[])hear(message)}function take(message){message.kind==="scene"?(now.scene=
 message,now.band=null):message.kind==="state"?now.state=message:message.kind==="band"?now.band=message.x.length?
 message:null:message.kind==="forces"&&(now.forces=message),publish(message.kind,message)}var now,listeners,tipForce,
@@ -445,12 +453,12 @@ x,y,slope:slope2}){let[px,py,angle2]=[toPx(x),toPy(y),angleOf(slope2)];return{pl
 Math.sin(angle2),py-ARM.guide*Math.cos(angle2)],angle:angle2}}function bevelPlace({tip,bevel}){let[px,py]=[toPx(
 tip.x),toPy(tip.y)];return{tip:[px,py],turn:[px+AHEAD2,py-Math.cos(bevel.roll_deg*Math.PI/180)*ARM.bevel]}}function all(){
 let{state}=now,base=basePlace(state),bevel=bevelPlace(state),handles=[{at:bevel.turn,cursor:"grab",drag:turnBevel(
-state)},{at:bevel.tip,cursor:"ns-resize",drag:dragTip(state)}],add=(at2,cursor,drag2)=>handles.push({at:at2,cursor,
+state)},{at:bevel.tip,cursor:"ns-resize",drag:dragTip(state)}],add2=(at2,cursor,drag2)=>handles.push({at:at2,cursor,
 drag:drag2});for(let guide of state.guides){let{place:place2,turn:turn2}=guidePlace(guide);guide.turns_freely||
-add(turn2,"grab",turnGuide(guide,place2)),add(place2,"move",dragGuide(guide))}return[aim.target,...aim.obstacles].
-forEach((one,i)=>{one&&add([toPx(one[0]),toPy(one[1])],"move",dragGoal(i?i-1:null,one))}),add(base.turn,"grab",
-turnBase(state,base.place)),add(base.place,"move",dragBase(state)),handles}function handleAt(px,py,kind="mouse"){
-if(!now.state)return null;let[nearest,least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of all()){let distance2=Math.
+add2(turn2,"grab",turnGuide(guide,place2)),add2(place2,"move",dragGuide(guide))}return[aim.target,...aim.obstacles].
+forEach((one,i)=>{one&&add2([toPx(one[0]),toPy(one[1])],"move",dragGoal(i?i-1:null,one))}),add2(base.turn,"gra\
+b",turnBase(state,base.place)),add2(base.place,"move",dragBase(state)),handles}function handleAt(px,py,kind="m\
+ouse"){if(!now.state)return null;let[nearest,least]=[null,NEAR[kind]??NEAR.mouse];for(let handle of all()){let distance2=Math.
 hypot(handle.at[0]-px,handle.at[1]-py);distance2<least&&([nearest,least]=[handle,distance2])}return nearest}function dragBase({
 base,depth_mm:depth,guides}){let reach=now.scene.length_mm+Math.min(0,...guides.map(({x})=>x))-.001,along=null;
 return(from,to)=>{let[px,py]=[Math.abs(to[0]-from[0]),Math.abs(to[1]-from[1])];return px>BEGINS.along&&px>BEGINS.
@@ -511,60 +519,58 @@ y.map(toPy)],[surface,ends]=[0,perLoad].map(scale=>px.map((x2,i)=>[x2,py[i]-load
 (_,i)=>i).filter(i=>i===0||load3[i]*load3[i-1]<=0),edges=starts.map((from,n)=>{let to=starts[n+1]??load3.length;
 return[surface[from],...ends.slice(from,to),surface[to-1]]});trace(context3,...edges.map((edge,n)=>[...edge,...surface.
 slice(starts[n],starts[n+1]??load3.length).reverse()])),context3.fillStyle=palette.load,faintly(context3,.32,()=>context3.
-fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function smooth(x,load3,reach){let sums=[0];
-for(let i=1;i<x.length;i+=1)sums.push(sums[i-1]+(load3[i]+load3[i-1])/2*(x[i]-x[i-1]));let sumTo=(at2,i)=>{if(i===
-0)return 0;if(i===x.length)return sums.at(-1);let part2=(at2-x[i-1])/(x[i]-x[i-1]||1);return sums[i-1]+(load3[i-
-1]+part2*(load3[i]-load3[i-1])/2)*(at2-x[i-1])},[from,to]=[0,0];return x.map(at2=>{let half=Math.min(reach,at2-
-x[0],x.at(-1)-at2);if(half<=0)return load3[at2===x[0]?0:x.length-1];for(;from<x.length&&x[from]<=at2-half;)from+=
-1;for(;to<x.length&&x[to]<=at2+half;)to+=1;return(sumTo(at2+half,to)-sumTo(at2-half,from))/(2*half)})}function paintKey(context3){
-if(!perLoad)return;let size3=roundStep(30/perLoad),[px,height]=[7,size3*perLoad],py=view.box.top-6-height;segments(
-context3,[[[px,py],[px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(
-context3,"small","left"),label(context3,`${brief(size3)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,HANDLE,
-GAP,LOWEST,tallest,SHORTEST,LEAST_FORCE,LEAST_LOAD,perLoad,greatestForce,distance,paintPath,init_needle2=__esm(
-{"needlefit/viewer/page/painters/needle.js"(){init_handles();init_quantities();init_store();init_view();init_strokes();
-LINE2=2.5,CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},HANDLE=7,GAP=3,LOWEST=16,tallest=()=>Math.
-min(48,.2*view.box.height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,perLoad=null,greatestForce={scene:null,
-newton:0},distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context3,{tip_path:[x,y]})=>line(
+fill()),trace(context3,...edges),stroke(context3,palette.load,1.25)}function paintKey(context3){if(!perLoad)return;
+let size3=roundStep(30/perLoad),[px,height]=[7,size3*perLoad],py=view.box.top-6-height;segments(context3,[[[px,
+py],[px,py+height]],...[py,py+height].map(end=>[[px-3,end],[px+3,end]])],palette.load,1.5),setFont(context3,"s\
+mall","left"),label(context3,`${brief(size3)} N/mm`,px+6,py+height/2)}var LINE2,CROSS,BEVEL,HANDLE,GAP,LOWEST,
+tallest,SHORTEST,LEAST_FORCE,LEAST_LOAD,perLoad,greatestForce,distance,paintPath,init_needle2=__esm({"needlefi\
+t/viewer/page/painters/needle.js"(){init_handles();init_quantities();init_store();init_view();init_strokes();LINE2=
+2.5,CROSS={of:.28,least:1,most:3.2},BEVEL={length:7.5,half:1.5},HANDLE=7,GAP=3,LOWEST=16,tallest=()=>Math.min(
+48,.2*view.box.height-10),SHORTEST=5,LEAST_FORCE=.5,LEAST_LOAD=1e-6,perLoad=null,greatestForce={scene:null,newton:0},
+distance=(one,other)=>Math.hypot(one[0]-other[0],one[1]-other[1]);paintPath=(context3,{tip_path:[x,y]})=>line(
 context3,x,y,palette.path,1.5)}});function paintMeasured(context3,{x,y}){context3.lineCap="round",line(context3,x,y,palette.halo,4),line(context3,
 x,y,palette.measured,2,[7,4]),context3.lineCap="butt"}function paintPinned(context3,{x,y}){line(context3,x,y,palette.
 halo,5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned",[[[x,y],-18],[[x,y],18]],palette.
 ghost)}function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of \
 the fit",[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,
 pale?.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[
-low,high])line(context3,x,edge,palette.band,1.5)})}function paintGaps(context3,state,measured2){let{errors,tip}=state;
-if(!errors)return;let reach=Math.min(tip.x,measured2.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+
-1)/GAPS).map(x2=>[state,measured2].map(curve=>[toPx(x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.
-gap,1.25);let[x,y]=errors.whole?[measured2.x.at(-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.
-whole?[tip.x,tip.y]:[reach,heightAt(state,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])
-line(context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.
-metrics],[top,bottom]=[toPy(y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];
-state.bevel.side>0&&sides.reverse(),labelFree(context3,`tip error (${named}) ${errors[key].toFixed(2)} mm`,[...sides,
-[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){
-if(!aim.plan)return;let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(
-context3,x,y,palette.plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),
-line(context3,aim.plan.x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(
-([x2,y2,radius],i)=>paintCircle(context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.
-target;paintCircle(context3,x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),
-palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){let[px,py,across]=[toPx(x),toPy(
-y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*view.magnified,0,0,2*Math.PI),
-context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,palette.halo,4),stroke(
-context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,"strong");let sides=[
-[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(context3,name,
-sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.box,places=[
-{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.high}].flatMap(
-one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree([px2,py2,wide,
-INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.height+CLEAR),
-rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-INSET.edge],
-corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;reserve(
-px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.strokeStyle=
-palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-2*INSET.
-edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&context3.
-lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(now.scene.
-diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}var GAPS,FAN,
-PALE,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/painters/overlay\
-.js"(){init_aim();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,PALE=.35,CROSS2=5,AWAY=
-19,INSET={width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&Math.abs(x.at(
--1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function paint(fresh2){if(!now.scene||!now.state)return;fresh2&&
+low,high])line(context3,x,edge,palette.band,1.5)})}function paintMedian(context3,state){let median=medianOf(state,
+now.scene);median&&(line(context3,median.x,median.y,palette.halo,4.5),line(context3,median.x,median.y,palette.
+accent,2.5),labelBeside(context3,"predictive median",[[[median.x,median.y],-16],[[median.x,median.y],16]],palette.
+accent))}function paintGaps(context3,state,measured2){let{errors}=state;if(!errors)return;let median=medianOf(
+state,now.scene),needle2=median??state,tip={x:needle2.x.at(-1),y:needle2.y.at(-1)},reach=Math.min(tip.x,measured2.
+x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(x2=>[needle2,measured2].map(curve=>[toPx(
+x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.gap,1.25);let[x,y]=errors.whole?[measured2.x.at(
+-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle2,
+reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line(context3,[x,end[0]],[y,end[1]],shown3,
+width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.metrics],[top,bottom]=[toPy(y),toPy(
+end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&sides.reverse(),
+labelFree(context3,`tip error (${named}) ${(median?.errors??errors)[key].toFixed(2)} mm`,[...sides,[px+60,top-
+AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){if(!aim.
+plan)return;let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(context3,
+x,y,palette.plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),line(context3,
+aim.plan.x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(([x2,y2,radius],i)=>paintCircle(
+context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.target;paintCircle(context3,
+x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
+let[px,py,across]=[toPx(x),toPy(y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*
+view.magnified,0,0,2*Math.PI),context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,
+palette.halo,4),stroke(context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,
+"strong");let sides=[[px,toPy(y+radius)-12],[px,toPy(y-radius)+12]];now.state.bevel.side>0&&sides.reverse(),labelFree(
+context3,name,sides,shown3)}function paintInset(context3,{x,y,tip}){if(tip.x<=0)return;let{left,top,width,height}=view.
+box,places=[{x,y},now.scene.measured,now.band&&{x:now.band.x,y:now.band.low},now.band&&{x:now.band.x,y:now.band.
+high}].flatMap(one=>one?placesOf(one.x,one.y):[]),wide=Math.min(INSET.width,.36*width),empty=([px2,py2])=>isFree(
+[px2,py2,wide,INSET.height])&&places.every(([cx,cy])=>cx<px2-CLEAR||cx>px2+wide+CLEAR||cy<py2-CLEAR||cy>py2+INSET.
+height+CLEAR),rows=[top+height-INSET.height-INSET.edge,top+INSET.edge],columns2=[left+INSET.edge,left+width-wide-
+INSET.edge],corner=rows.flatMap(py2=>columns2.map(px2=>[px2,py2])).find(empty);if(!corner)return;let[px,py]=corner;
+reserve(px,py,wide,INSET.height),context3.fillStyle=palette.air,context3.fillRect(px,py,wide,INSET.height),context3.
+strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(px+.5,py+.5,wide-1,INSET.height-1);let scale=(wide-
+2*INSET.edge)/Math.max(now.scene.depth_mm,now.state.depth_mm,1);context3.beginPath(),x.forEach((one,i)=>one>=0&&
+context3.lineTo(px+INSET.edge+one*scale,py+INSET.height/2+6-y[i]*scale)),stroke(context3,palette.needle,Math.max(
+now.scene.diameter_mm*scale,1)),setFont(context3,"small","left","top"),label(context3,"true scale",px+6,py+4)}
+var GAPS,FAN,PALE,CROSS2,AWAY,INSET,CLEAR,BAND_REACH,isBandNear,init_overlay=__esm({"needlefit/viewer/page/pai\
+nters/overlay.js"(){init_aim();init_quantities();init_store();init_view();init_strokes();GAPS=12,FAN=.3,PALE=.35,
+CROSS2=5,AWAY=19,INSET={width:170,height:46,edge:10},CLEAR=30;BAND_REACH=2,isBandNear=({x},state)=>x.length>0&&
+Math.abs(x.at(-1)-state.x.at(-1))<=BAND_REACH}});function invalidate(){stale=!0,publish("redraw")}function paint(fresh2){if(!now.scene||!now.state)return;fresh2&&
 follow();let moved2=takeChange(),tissue=JSON.stringify(now.state.layers);(moved2||tissue!==drawnTissue)&&paintBackground(),
 drawnTissue=tissue,(moved2||fresh2||stale)&&(before.clearRect(0,0,...size()),paintForeground(now.state)),stale=
 !1,document.body.classList.add("begun")}function paintBackground(){behind.fillStyle=palette.gutter,behind.fillRect(
@@ -573,40 +579,42 @@ band&&now.band&&isBandNear(now.band,state)?now.band:null;clearBoxes(),reserveNee
 und",within(before,()=>{shown.load&&paintLoad(before,state),band2&&paintBand(before,band2,band2.step!==state.step),
 shown.plan&&paintPlan(before),shown.pinned&&now.pinned&&paintPinned(before,now.pinned),paintNeedle(before,state),
 paintInset(before,state),paintTip(before,state),paintGoal(before),shown.load&&paintTipForce(before,state),shown.
-path&&paintPath(before,state),shown.points&&paintPoints(before,state),shown.measured&&now.scene.measured&&(paintMeasured(
-before,now.scene.measured),shown.errors&&paintGaps(before,state,now.scene.measured));for(let draw3 of further)
-draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(before,band2),now.marked!=null&&
-paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){let{left,top,
-width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),context3.clip(),
-draw3(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,picture.clientHeight];
-for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.round(width*devicePixelRatio),
-canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,
-0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,stale,measured,
-size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();init_needle2();
-init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part("background"),foreground=
-part("canvas"),behind=background.getContext("2d",{alpha:!1}),before=foreground.getContext("2d"),shown={load:!0,
-points:!0,path:!0,measured:!0,band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue="",stale=!0;
-measured=[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),touch()));
-readPalette();for(let kind of["band","forces","aimed"])listen(kind,invalidate);fitted=null;listen("state",()=>{
-fitted!==now.scene.target&&(fitted=now.scene.target,fit(view.fit??"tissue"))})}});function turn(state){let across=([x,,z])=>[x,z],roll=state.bevel.roll_deg*Math.PI/180;return{...state,y:state.
-z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(roll)<0?-1:1}}}function draw(){
-if(canvas.hidden=!now.state?.z,canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,size3=[width,
-height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&([canvas.
-width,canvas.height]=size3),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context.fillStyle=
-palette.gutter,context.fillRect(0,0,width,height);let{state,band:band2,scene:{measured:measured2}}=now,seen=[...state.
-z,...measured2?.z??[],...band2?.z?.low??[],...band2?.z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],
-{y,box:box2,magnified}=view,within2={...box2,top:EDGE2,height:height-2*EDGE2},times=Math.min(magnified,(within2.
-height-2*ROOM2)/(view.scale*(high-low||1)));Object.assign(view,{y:(low+high)/2,box:within2,magnified:times}),context.
-save(),context.beginPath(),context.rect(box2.left,EDGE2,box2.width,within2.height),context.clip(),paintTissue(
-context);let needle2=turn(state);shown.band&&band2?.z&&isBandNear(band2,state)&&paintBand(context,{x:band2.x,...band2.
-z},band2.step!==state.step),context.lineJoin="round",paintNeedle(context,needle2),shown.path&&paintPath(context,
-needle2),shown.points&&paintPoints(context,needle2),measured2&&shown.measured&&paintMeasured(context,{...measured2,
-y:measured2.z}),setFont(context,"small","left"),label(context,"from above",box2.left+6,EDGE2+10),context.restore(),
-paintFrame(context,times===1?"z (mm)":`z (mm), drawn ${brief(times,2)}×`),Object.assign(view,{y,box:box2,magnified})}
-var EDGE2,ROOM2,canvas,context,init_above=__esm({"needlefit/viewer/page/above.js"(){init_dom();init_drawing();
-init_background();init_needle2();init_overlay();init_strokes();init_quantities();init_store();init_view();[EDGE2,
-ROOM2]=[8,14],canvas=part("above"),context=canvas.getContext("2d",{alpha:!1});for(let kind of["drawn","scene"])
-listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(draw))}});function computeBands(worker,kernel,current2){let ordered="";worker.postMessage({kernel});function describeNeedle(){
+path&&paintPath(before,state),shown.points&&paintPoints(before,state),paintMedian(before,state),shown.measured&&
+now.scene.measured&&(paintMeasured(before,now.scene.measured),shown.errors&&paintGaps(before,state,now.scene.measured));
+for(let draw3 of further)draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(before,
+band2),now.marked!=null&&paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){
+let{left,top,width,height}=view.box;context3.save(),context3.beginPath(),context3.rect(left,top,width,height),
+context3.clip(),draw3(),context3.restore()}function measure(){let[width,height]=measured=[picture.clientWidth,
+picture.clientHeight];for(let[canvas4,context3]of[[background,behind],[foreground,before]])canvas4.width=Math.
+round(width*devicePixelRatio),canvas4.height=Math.round(height*devicePixelRatio),context3.setTransform(devicePixelRatio,
+0,0,devicePixelRatio,0,0);resize(width,height)}var picture,background,foreground,behind,before,shown,further,drawnTissue,
+stale,measured,size,fitted,init_drawing=__esm({"needlefit/viewer/page/drawing.js"(){init_dom();init_background();
+init_needle2();init_overlay();init_strokes();init_store();init_view();picture=part("picture"),background=part(
+"background"),foreground=part("canvas"),behind=background.getContext("2d",{alpha:!1}),before=foreground.getContext(
+"2d"),shown={load:!0,points:!0,path:!0,measured:!0,band:!0,errors:!0,plan:!0,pinned:!0,strip:!0},further=[],drawnTissue=
+"",stale=!0;measured=[1,1],size=()=>measured;new ResizeObserver(measure).observe(picture);onScheme(()=>(readPalette(),
+touch()));readPalette();for(let kind of["band","forces","aimed"])listen(kind,invalidate);fitted=null;listen("s\
+tate",()=>{fitted!==now.scene.target&&(fitted=now.scene.target,fit(view.fit??"tissue"))})}});function turn(state){let across=([x,,z=x.map(()=>0)])=>[x,z],roll=state.bevel.roll_deg*Math.PI/180;return{...state,
+y:state.z,constraints:across(state.constraints),tip_path:across(state.tip_path),bevel:{side:Math.sin(roll)<0?-1:
+1}}}function draw(){if(canvas.hidden=!now.state||!isSpatial(),canvas.hidden)return;let{clientWidth:width,clientHeight:height}=canvas,
+size3=[width,height].map(one=>Math.round(one*devicePixelRatio));(canvas.width!==size3[0]||canvas.height!==size3[1])&&
+([canvas.width,canvas.height]=size3),context.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0),context.fillStyle=
+palette.gutter,context.fillRect(0,0,width,height);let{band:band2,scene:{measured:measured2}}=now,state={...now.
+state,z:now.state.z??now.state.x.map(()=>0)},seen=[...state.z,...measured2?.z??[],...band2?.z?.low??[],...band2?.
+z?.high??[],0],[low,high]=[Math.min(...seen),Math.max(...seen)],{y,box:box2,magnified}=view,within2={...box2,top:EDGE2,
+height:height-2*EDGE2},times=Math.min(magnified,(within2.height-2*ROOM2)/(view.scale*(high-low||1)));Object.assign(
+view,{y:(low+high)/2,box:within2,magnified:times}),context.save(),context.beginPath(),context.rect(box2.left,EDGE2,
+box2.width,within2.height),context.clip(),paintTissue(context);let needle2=turn(state);shown.band&&band2?.z&&isBandNear(
+band2,state)&&paintBand(context,{x:band2.x,...band2.z},band2.step!==state.step),context.lineJoin="round",paintNeedle(
+context,needle2),shown.path&&paintPath(context,needle2),shown.points&&paintPoints(context,needle2),measured2&&
+shown.measured&&paintMeasured(context,{...measured2,y:measured2.z}),setFont(context,"small","left"),label(context,
+"from above",box2.left+6,EDGE2+10),context.restore(),paintFrame(context,times===1?"z (mm)":`z (mm), drawn ${brief(
+times,2)}×`),Object.assign(view,{y,box:box2,magnified})}var EDGE2,ROOM2,canvas,context,isSpatial,init_above=__esm(
+{"needlefit/viewer/page/above.js"(){init_dom();init_drawing();init_background();init_needle2();init_overlay();
+init_strokes();init_quantities();init_store();init_view();[EDGE2,ROOM2]=[8,14],canvas=part("above"),context=canvas.
+getContext("2d",{alpha:!1}),isSpatial=()=>!!(now.state?.z??now.scene?.measured?.compared==="space");for(let kind of[
+"drawn","scene"])listen(kind,draw);new ResizeObserver(draw).observe(canvas);onScheme(()=>requestAnimationFrame(
+draw))}});function computeBands(worker,kernel,current2){let ordered="";worker.postMessage({kernel});function describeNeedle(){
 let{name,steered:steered2}=current2(),{model}=steered2,steps2=steered2.path().map(one=>({depth:one.depth,inputs:toInputs(
 one,model.pathAngle)}));return{id:{needle:name,step:now.state.step},model,steps:steps2,planes:steered2.session.
 planes}}function order(){if(!now.state)return;let about=JSON.stringify([current2().name,now.state.step]);ordered!==
@@ -643,8 +651,8 @@ length-1,bent=Array.from({length:planes},(_,p)=>[u,slope2].map(one=>one.subarray
 cubics=bent.map(()=>[0,0,0]),[rotations,missed]=[bent.map(()=>0),bent.map(()=>0)],rotate=t=>(cubics.forEach(([
 begin2,bend,curl],p)=>rotations[p]=begin2+t*(bend+t*curl)),measure2(rotations)),steepest=0,shortening=0,miss=0;
 for(let i=0;i<=last;i+=1)steepest=Math.max(steepest,measure2(bent.map(([,one])=>one[i])));for(let i=0;i<last;i+=
-1){let step=x[i+1]-x[i];bent.forEach(([v,rotation],p)=>{let mean3=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
-1];cubics[p]=[begin2,6*mean3-4*begin2-2*end,3*(begin2+end)-6*mean3]});let[[,bend,curl]]=cubics,inside=planes>1?
+1){let step=x[i+1]-x[i];bent.forEach(([v,rotation],p)=>{let mean2=(v[i+1]-v[i])/step,begin2=rotation[i],end=rotation[i+
+1];cubics[p]=[begin2,6*mean2-4*begin2-2*end,3*(begin2+end)-6*mean2]});let[[,bend,curl]]=cubics,inside=planes>1?
 [.25,.5,.75]:[Math.abs(curl)>1e-12?-.5*bend/curl:0];for(let at2 of inside)at2>0&&at2<1&&(steepest=Math.max(steepest,
 rotate(at2)));for(let[t,weight]of GAUSS){let angle2=rotate(t);shortening+=step*weight*2*Math.sin(angle2/2)**2,
 x[i]<-1e-9&&angle2&&rotations.forEach((one,p)=>missed[p]+=step*weight*one*(1-Math.sin(angle2)/angle2))}miss=Math.
@@ -661,7 +669,7 @@ t*curl))-constraints[k+1+p]});greatest2=Math.max(greatest2,measure2(away))}retur
 listFaults,init_validity=__esm({"needlefit/viewer/page/model/validity.js"(){GAUSS=[[.5-Math.sqrt(.15),.2777777777777778],
 [.5,.4444444444444444],[.5+Math.sqrt(.15),.2777777777777778]],measure2=parts=>parts.length>1?Math.sqrt(parts[0]**
 2+parts[1]**2):Math.abs(parts[0]);listFaults=(validity,limits)=>limits.filter(([name,limit])=>!(validity[name]<=
-limit)).map(([name,limit,words])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words} ${Number(validity[name].
+limit)).map(([name,limit,words2])=>{let unit=name.endsWith("_mm")?" mm":"";return`${words2} ${Number(validity[name].
 toPrecision(3))}${unit} (limit ${limit}${unit})`})}});function describeState(steered2){let{scene,session,step,model,names,validity,rules}=steered2,{shape}=session,{
 controls,bevel}=step,width=1+shape.planes,[x,y,z=null]=columns(session.positions(listStations(shape)),width),constraints=columns(
 shape.constraints,width),track=columns(shape.track,2*shape.planes).filter((_,i)=>i%2===0),load3=session.forces(),
@@ -715,52 +723,54 @@ kind,show2);for(let kind of["pointerleave","blur"])term.addEventListener(kind,hi
 ROOM3,shown2,init_definitions=__esm({"needlefit/viewer/page/definitions.js"(){init_dom();init_store();DEFINITIONS=
 {depth:"Inserted arc length: how much of the needle is beyond the entry.","tip y":"Distance of the tip from th\
 e entry axis, y; positive to the left of the entry.","tip slope":"Angle of the needle at its tip against the e\
-ntry axis.","tip force":"Lateral force of the tissue on the shaft at the tip, as the tip stood at its last con\
-straint point; between these points it rises and falls. In space forces are magnitudes.","base force":"Lateral\
- force that holds the base.","base moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx\
- of the needle; the model takes it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"\
-Roll of the bevel from here on, about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"\
-Distance of the tip from the plane of the entry axis and y.","base y":"Lateral displacement of the base of the\
- needle, as it is set; positive to the left.","base slope":"Angle of the base of the needle against the entry \
-axis, as it is set.",guides:"Guides that hold the needle.",target:"Where the tip is to end; within the radius \
-it counts as reached. x along the entry, y to its left.",obstacle:"What the needle must not touch: a circle in\
- its plane. Distances are those of its axis.",guide:"Where a guide holds the needle: x along the entry, y to i\
-ts left, slope dy/dx as an angle.","noise floor":"The mean error that perfect parameters would still show if m\
-easurements err as stated."};listen("scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,
-definitions);for(let{symbol,explanation}of shapes)DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.
-slice(1)}.`});ROOM3=110,shown2=element("div",{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??
-document.body).append(shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
+ntry axis.","tip force":"Lateral force on the tip, as it stood at its last constraint point; between these poi\
+nts it rises and falls. In space forces are magnitudes.","base force":"Lateral force that holds the base.","ba\
+se moment":"Moment that holds the base.","steepest slope":"Largest slope dy/dx of the needle; the model takes \
+it for small.",bevel:"Side, or roll, to which the bevel turns the cut.",roll:"Roll of the bevel from here on, \
+about x: 0 turns the cut toward +y, 90 toward +z, ±180 toward −y.","tip z":"Distance of the tip from the pl\
+ane of the entry axis and y.","base y":"Lateral displacement of the base of the needle, as it is set; positive\
+ to the left.","base slope":"Angle of the base of the needle against the entry axis, as it is set.",guides:"Gu\
+ides that hold the needle.",target:"Where the tip is to end; within the radius it counts as reached. x along t\
+he entry, y to its left.",obstacle:"What the needle must not touch: a circle in its plane. Distances are those\
+ of its axis.",guide:"Where a guide holds the needle: x along the entry, y to its left, slope dy/dx as an angl\
+e.","noise floor":"The mean error that perfect parameters would still show if measurements err as stated."};listen(
+"scene",({definitions,shape_parameters:shapes})=>{Object.assign(DEFINITIONS,definitions);for(let{symbol,explanation}of shapes)
+DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});ROOM3=110,shown2=element("div",
+{id:"definition",role:"tooltip",popover:"auto"});(part("explorer")??document.body).append(shown2)}});function fillReadouts(list,readouts){let numbers=readouts.map(([name,unit])=>{let number=element("span",{},"–");
 return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
 ([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
-part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");title&&write(title,`${isSteered(state,
-scene)?"steered by hand: ":""}${scene.title}`),scene.measured&&(writeErrors(state.errors),write("against",`aga\
-inst ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`))}function inWords(){let{state,
-scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.
-length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[
-`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.
-abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, \
-at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
-bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
-base)}; ${held}.`,`Tip force ${load(tipForce()??0,2)} N, base force ${load(state.forces.base_n,2)} N.`];return exceeded(
-state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors&&sentences.push(`Against the measured needl\
-e ${comparedUpTo(errors)}: ${listErrors(errors,scene.measured).join(", ")}.`),sentences.join(" ")}var load,NEEDLE,
-TIP_Z,writeNeedle,writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"n\
-eedlefit/viewer/page/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load=
-(value,digits2)=>now.state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.
-toFixed(2)],["tip y","mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip s\
-lope","°",s=>signed(toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load(tipForce(),
-3)],["base force","N",s=>load(s.forces.base_n,3)],["base moment","N mm",s=>load(s.forces.base_nmm,1)],["steepe\
-st slope","",s=>s.max_slope.toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(
-part("readouts"),NEEDLE),writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole in\
-sertion":`over the first ${upto.toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=
-measured2===null,!measured2)return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=
-text,[label2,unit,errors=>writeError(errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(
-part("errors"),[...metrics,["noise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.
-length?`outside the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>now.state&&
-refresh());listen("state",state=>{let words=exceeded(state);write("beyond",words&&`${words[0].toUpperCase()}${words.
-slice(1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",toPy(state.tip.y)<view.
-box.top+view.box.height/2),!(announced||!words)&&(announced=!0,say(`The needle is ${words}.`))});angle=({rotation})=>`${signed(
-toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",inWords())}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
+part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(state,
+scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let median=medianOf(state,scene);writeErrors(
+median?{...state.errors,...median.errors}:state.errors),write("against",`${median?"predictive median ":""}agai\
+nst ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){let{state,scene}=now;
+if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.length===
+1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[`The nee\
+dle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.
+lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(
+tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol}\
+ is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}\
+.`,`Tip force ${load(tipForce()??0,2)} N, base force ${load(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.
+push(`The needle is ${exceeded(state)}.`),errors){let median=medianOf(state,scene);sentences.push(`${median?"P\
+redictive median against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(median?.errors??
+errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load,NEEDLE,TIP_Z,writeNeedle,writeErrors,
+comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.\
+js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load=(value,digits2)=>now.state.
+z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y","mm",s=>signed(
+s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(toDegrees(s.tip.
+rotation),2)],["tip force","N",()=>tipForce()===null?"–":load(tipForce(),3)],["base force","N",s=>load(s.forces.
+base_n,3)],["base moment","N mm",s=>load(s.forces.base_nmm,1)],["steepest slope","",s=>s.max_slope.toFixed(3)]],
+TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
+_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.toFixed(
+1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===null,!measured2)return;
+let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(
+errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["n\
+oise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.length?`outsi\
+de the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>{now.state&&(refresh(),
+refreshDescription())});listen("state",state=>{let words2=exceeded(state);write("beyond",words2&&`${words2[0].
+toUpperCase()}${words2.slice(1)}. Shape and forces cannot be relied on.`),part("beyond").classList.toggle("low",
+toPy(state.tip.y)<view.box.top+view.box.height/2),!(announced||!words2)&&(announced=!0,say(`The needle is ${words2}\
+.`))});angle=({rotation})=>`${signed(toDegrees(rotation),1)} degrees`;refreshDescription=()=>write("described",
+inWords())}});function makeField(into,about){let part2=template.content.firstElementChild.cloneNode(!0),[number,slider,mark3,
 back]=[".number",".slider",".mark",".home"].map(one=>part2.querySelector(one)),[to,from]=about.logarithmic?LOGARITHMIC:
 LINEAR,[low,high]=(about.limits??[0,1]).map(to),field={read:Number,step:1,...about,part:part2,number,slider,mark:mark3,
 back,value:null,latest:0,text:"",home:null,editing:!1,gesture:newGesture(),share:value=>Math.min(Math.max((to(
@@ -771,12 +781,13 @@ ariaLabel=[of,name].filter(Boolean).join(" ")+(unit&&`, ${unit}`),slider.max=STE
 : back to its initial value`,limits||part2.querySelector(".track").remove(),wireNumber(field);let goHome=event=>{
 field.gesture=newGesture(),field.home!==null&&ask(field,field.home,event)};return slider.addEventListener("inp\
 ut",event=>ask(field,field.at(slider.value/STEPS),event)),slider.addEventListener("change",()=>field.gesture=newGesture()),
-press(back,goHome),setHome(field,null),into.append(part2),field}function show(field,value){if(value===field.value)
-return;field.value=field.latest=value;let text=field.text=field.write(value);!field.editing&&field.number.value!==
-text&&(field.number.value=text),field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=
-`${text} ${field.unit}`.trim(),markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=
-field.mark.hidden=home===null,home!==null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * \
-(100% - ${THUMB}px))`,field.back.title=`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({
+slider.addEventListener("keydown",event=>event.key in SLIDES&&stepBy(field,SLIDES[event.key],event)),press(back,
+goHome),setHome(field,null),into.append(part2),field}function show(field,value){if(value===field.value)return;
+field.value=field.latest=value;let text=field.text=field.write(value);!field.editing&&field.number.value!==text&&
+(field.number.value=text),field.slider.value=Math.round(STEPS*field.share(value)),field.slider.ariaValueText=`${text}\
+ ${field.unit}`.trim(),markHome(field)}function setHome(field,home){field.home=home,field.back.hidden=field.mark.
+hidden=home===null,home!==null&&(field.mark.style.left=`calc(${THUMB/2}px + ${field.share(home)} * (100% - ${THUMB}\
+px))`,field.back.title=`back to ${field.write(home)} ${field.unit}`.trim(),markHome(field))}function markHome({
 part:part2,back,write:write2,value,home}){back.disabled=home===null||value===null||write2(home)===write2(value),
 part2.querySelector(".hand").hidden=back.disabled}function ask(field,value,event){field.latest=value,field.value=
 null,field.ask(value,{gesture:field.gesture,at:event.timeStamp})}function wireNumber(field){let{number}=field;
@@ -789,123 +800,195 @@ key==="Enter"&&(field.editing=!1)})}function giveBack(field){field.editing=!1,fi
 value=field.text)}function stepBy(field,direction,event){event.preventDefault();let{number,step,logarithmic}=field,
 from=field.editing&&number.value!==""?field.read(number.value):field.latest;field.editing=!1,event.repeat||(field.
 gesture=newGesture()),ask(field,logarithmic?from*step**direction:from+step*direction,event)}var template,STEPS,
-THUMB,LINEAR,LOGARITHMIC,ARROWS,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){init_definitions();
+THUMB,LINEAR,LOGARITHMIC,ARROWS,SLIDES,made,init_fields=__esm({"needlefit/viewer/page/fields.js"(){init_definitions();
 init_dom();init_offline();init_store();template=part("field-template"),STEPS=1e3,THUMB=16,LINEAR=[x=>x,x=>x],LOGARITHMIC=
-[x=>Math.log(Math.max(x,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},made=0}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
+[x=>Math.log(Math.max(x,Number.MIN_VALUE)),Math.exp],ARROWS={ArrowUp:1,ArrowDown:-1},SLIDES={...ARROWS,ArrowRight:1,
+ArrowLeft:-1,PageUp:10,PageDown:-10},made=0}});function listTurned(depth,{simulation:{steps:[first]},depth_mm:deepest2}){return[ANEW,[["depth_mm",null,depth]],
+[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function findTurn(needle2){let{scene}=needle2,{steps:[
+first,...rest]}=scene.simulation,inputs=({bevel,controls})=>JSON.stringify([bevel,controls]);if(rest.some(one=>inputs(
+one)!==inputs(first)))return null;let makesS=depth=>{for(let changes of listTurned(depth,scene))needle2.apply(
+changes,always);let slopes=slopesOf(needle2),[low,high]=[Math.min(...slopes),Math.max(...slopes)];return Math.
+min(-low,high)>SEEN*Math.max(-low,high)};return TURNS.map(one=>Math.round(one*scene.depth_mm)).find(makesS)??null}
+function findLayerForces(x,loads,{boundaries_mm:tops,spacing_mm:spacing}){let planes=loads.map(one=>smooth(x,one,
+spacing)),forces=Array.from({length:tops.length+1},()=>0);for(let i=1;i<x.length;i+=1){let[one,other]=[i-1,i].
+map(at2=>Math.hypot(...planes.map(plane=>plane[at2]))),middle=(x[i]+x[i-1])/2;forces[tops.filter(top=>top<=middle).
+length]+=(one+other)/2*(x[i]-x[i-1])}return forces}function findStiffer(needle2){let{scene}=needle2,{fitted:{layers},
+limits:{mu_pa:limits},boundaries_mm:tops,depth_mm:deepest2}=scene,read=()=>{let{s,loads}=needle2.session.forces();
+return findLayerForces([...s],loads.map(one=>[...one]),scene)},before2=read(),entered=1+tops.filter(top=>top<deepest2).
+length,best=layers.slice(0,entered).map(({mu_pa:from},i)=>{let to=Math.min(from*STIFFER,limits[1]);needle2.apply(
+[["mu_pa",i+1,to]],always);let after=read();return needle2.apply([["mu_pa",i+1,from]],always),{layer:i+1,from,
+to,before:before2,moved:Math.abs(after[i]-before2[i]),all:add(after)}}).reduce((most,one)=>one.moved>most.moved?
+one:most);return best.moved<MOVED*best.all?null:best}var ANEW,TURNS,SEEN,STIFFER,MOVED,always,slopesOf,add,init_probes=__esm(
+{"needlefit/viewer/page/model/probes.js"(){init_quantities();init_inputs();ANEW=[["return_to",null,0]],TURNS=[
+.5,.4,.3,.6,.2],SEEN=.1,STIFFER=10,MOVED=.05,always={validOnly:!1};slopesOf=({session:{shape:{x,slope:slope2}}})=>[
+...slope2.subarray(0,x.length)].filter((_,i)=>x[i]>=0);add=values=>values.reduce((sum,one)=>sum+one,0)}});function makeLaw({terms,tables},shape){if(!terms)return tables.find(([known])=>JSON.stringify(known)===JSON.stringify(
 shape))?.[1]??null;let layers=shape[0]?.length??terms.layers;return Array.from({length:layers},(_,layer)=>terms.
 at_zero.map((value,j)=>{let by=terms.slopes.findIndex(row=>row[j]);return by<0?value:value+shape[by][layer]*terms.
 slopes[by][j]})).flat()}var SteeredNeedle,init_steered=__esm({"needlefit/viewer/page/model/steered.js"(){init_needle();
 init_inputs();init_validity();SteeredNeedle=class _SteeredNeedle{static async begin(kernel,scene){let{model,steps:steps2}=scene.
-simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;constructor(scene,session){
+simulation;return new _SteeredNeedle(scene,await Session.begin(kernel,model,toInputs(steps2[0],model.pathAngle)))}scene;session;rules;shape;names;number;saved;valid;validity;way=null;constructor(scene,session){
 let{shape,steps:steps2,rules}=scene.simulation;Object.assign(this,{scene,session,rules,shape,names:scene.guide_names}),
 Object.assign(this,{number:0,saved:new Map,valid:!0}),this.step={...steps2[0],depth:0},this.#judge(),this.keep()}get model(){
 return this.session.model}reach(controls=this.step.controls){let[first]=controls.guides;return this.model.length+
 (first?.x<0?first.x-this.rules.clearance_mm:0)-1e-6}get tipLateral(){return this.session.positions([this.session.
-shape.depth])[1]}path(){return this.session.path().map(one=>toStep(one,this.model.pathAngle))}keep(){let{step,
-shape,valid,validity}=this;this.saved.has(this.number)||this.saved.set(this.number,{step,shape,valid,validity,
-session:this.session.save()})}forget(number){number&&this.saved.delete(number)}rewind(){let[[,first]]=this.saved;
-this.#return(first),Object.assign(this,{number:0,saved:new Map([[0,first]])})}#return({session,...saved}){this.
-session.restore(session),Object.assign(this,saved)}shapeAfter(changes){let shape=this.shape.map(row=>[...row]);
-for(let[name,item,value]of changes){let row=this.scene.shape_parameters.findIndex(one=>one.name===name);row>=0&&
-(shape[row][item-1]=value)}return shape}apply(changes,{validOnly=!0}={}){for(let[i,change3]of changes.entries()){
-checkChange(change3,this.rules);let[name,item]=change3;if(changes.slice(0,i).some(([one,other])=>one===name&&other===
-item))throw new ModelError(`${name} has two values in one step`,"one value for each input");if(name==="return_\
-to"&&changes.length>1)throw new ModelError("return_to stands beside other inputs","a step of its own")}if(changes[0]?.[0]===
-"return_to"){let saved=this.saved.get(changes[0][2]);if(!saved)throw new ModelError(`nothing was kept of step ${changes[0][2]}`,
-"a step to return to");this.#return(saved)}else this.#advance(changes,validOnly);this.number+=1}#advance(changes,validOnly){
-let parameters=changes.filter(([name])=>this.rules.inputs[name].parameter),others=changes.filter(([name])=>!this.
-rules.inputs[name].parameter);if(!parameters.length)return this.#move(others,validOnly);let{step,shape,valid,validity}=this,
-before2={step,shape,valid,validity,session:this.session.save()};try{this.#simulateAgain(parameters,validOnly),
-this.#move(others,validOnly)}catch(error){throw this.#return(before2),error}}#simulateAgain(parameters,validOnly){
-let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[name,item,value]of parameters){if(item>mu.length)
-throw new ModelError(`there is no layer ${item}`,`one of ${mu.length} layers`);if(name==="mu_pa")mu[item-1]=value*
-1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name==="cut_angle_throughout_deg")angle2=value*
-(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===name))throw new ModelError(`the tissue\
- law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(parameters),law=JSON.stringify(shape)===
-JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.law,shape);if(!law)throw new ModelError(
-"the law has not been computed with these parameters","the program","try again");let{pathAngle}=this.model,steps2=this.
-path().map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??bevel.offset,cutAngle:angle2??bevel.cutAngle}}));
-if(!this.#guard(()=>this.session.again({...this.model,mu,law},steps2.map(one=>({depth:one.depth,inputs:toInputs(
-one,pathAngle)})))))throw new ModelError(`with these parameters the insertion so far fails ${this.session.depth.
-toFixed(1)} mm deep`,"a load that tissue and needle can bear","change them less, or retract the needle first");
-let was=this.valid;Object.assign(this,{shape,step:steps2.at(-1)}),this.#judge(),validOnly&&was&&!this.valid&&this.#refuseInvalid(
-this.validity)}#move(changes,validOnly){let{session}=this,{x,u,planes}=session.shape,step=applyChanges(this.step,
-changes,this.names,[u[x.length-1],planes>1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;
-if(validOnly&&first?.x<0&&step.depth>this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand\
- ${(first.x+this.model.length-step.depth).toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm}\
- mm: the base stops at the guide`,"retract the needle, or move the guide toward the tissue");let[refused,judged]=[
-!1,{}],judge=shape2=>{let validity=computeValidity(shape2,this.model);return judged={validity,valid:listFaults(
-validity,this.rules.validity).length===0},refused=validOnly&&this.valid&&!judged.valid,!refused},shape=this.#guard(
-()=>session.go(step.depth,toInputs(step,this.model.pathAngle),judge));if(refused&&this.#refuseInvalid(judged.validity),
-session.failed)throw new ModelError(`the model finds no needle there (${shape.status})`,"a load that tissue an\
-d needle can bear","move less at a time");Object.assign(this,{step,...judged}),judged.validity||this.#judge()}#guard(work2){
-try{return work2()}catch(error){throw error instanceof RangeError?new ModelError(error.message,`a needle of ${this.
-model.length} mm, its base before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(){this.
-validity=computeValidity(this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).
-length===0}#refuseInvalid(validity){throw new ModelError(`the needle would be outside the model's validity: ${listFaults(
-validity,this.rules.validity).join("; ")}`,"a needle within the limits of small deflections","move less, or br\
-ing base, guides and tip nearer to the needle's own shape")}}}});function covary(one,other){let[middle,centre]=[mean2(one),mean2(other)];return mean2(one.map((value,i)=>(value-
-middle)*(other[i]-centre)))}function readDraws({draws,fitted:{layers},simulation:{model}}){let b=Array.from(draws.
-strength,one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer)=>b.map((_2,draw3)=>Math.log(
-draws.mu[draw3*layers.length+layer]*1e6))),related=mu.map(one=>Math.abs(correlate(b,one)));return{b,mu,layer:related.
-indexOf(Math.max(...related))}}function isDrawnPlane(scene){if(!scene.draws)return!1;let{b,mu,layer}=readDraws(
-scene);return covary(b,b)>SAME3&&covary(mu[layer],mu[layer])>SAME3}function findNext(from,along,miss){let place2=across=>from.
-map((part2,i)=>part2+LINE3.step*along[i]+across*[-along[1],along[0]][i]),[one,other]=[0,LINE3.trial];try{let[before2,
-missed]=[miss(place2(one)),miss(place2(other))];for(let n=0;n<LINE3.secants;n+=1)[one,other]=[other,other-missed*
-(other-one)/(missed-before2)],[before2,missed]=[missed,miss(place2(other))];return Math.abs(missed)<LINE3.miss_mm&&
-Math.abs(other)<LINE3.step?place2(other):null}catch(error){if(!error.expected)throw error;return null}}function makeRidge(into,steer,kernel){
-let{scene}=now,{fitted:fitted2,layer_names:names}=scene,{key,symbol,unit,digits:digits2,throughout,value}=strengthOf(
-fitted2),{b,mu,layer}=readDraws(scene),origin=[value,fitted2.layers[layer].mu_pa].map(Math.log),tied=fitted2.layers.
-map((_,i)=>i).filter(i=>correlate(mu[i],mu[layer])>TIED),modulus2=modulusLike(fitted2.layers[layer].mu_pa),called=`\
-μ ${names[layer]||`layer ${layer+1}`}`,ranges=[b,mu[layer]].map((values,i)=>{let[low,high]=[Math.min(...values,
-origin[i]),Math.max(...values,origin[i])];return[low-MARGIN*(high-low),high+MARGIN*(high-low)]}),canvas4=element(
-"canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol} and ${called}: arrow keys move the point`});canvas4.
-setAttribute("role","application");let note=element("p",{className:"quiet"});into.replaceChildren(canvas4,note);
-let context3=canvas4.getContext("2d"),current2=()=>[now.state.bevel[key],now.state.layers[layer].mu_pa].map(Math.
-log),box2=()=>[[PAD.left,canvas4.clientWidth-PAD.right],[canvas4.clientHeight-PAD.bottom,PAD.top]],toPx2=place2=>box2().
-map(([from,to],i)=>from+(place2[i]-ranges[i][0])/(ranges[i][1]-ranges[i][0])*(to-from)),line2=[],[wanted,frame2,
-held]=[null,0,!1],listChanges=place2=>{let moved2=place2[1]-origin[1];return[[throughout,null,Math.exp(place2[0])],
-...tied.map(i=>["mu_pa",i+1,fitted2.layers[i].mu_pa*Math.exp(moved2)])]};async function findLine(){let always2={
-validOnly:!1},needle2=await SteeredNeedle.begin(await kernel,scene);for(let changes of listSteps(scene))needle2.
-apply(changes,always2);let goal=needle2.tipLateral,toPlane=place2=>place2.map((part2,i)=>origin[i]+part2*(ranges[i][1]-
-ranges[i][0])),miss=place2=>(needle2.apply(listChanges(toPlane(place2)),always2),needle2.tipLateral-goal),steepest=[
-[LINE3.trial,0],[0,LINE3.trial]].map(miss);for(let way of[-1,1]){let[from,along]=[[0,0],toUnit([-way*steepest[1],
-way*steepest[0]])];for(;from&&canvas4.isConnected;){way<0?line2.unshift(toPlane(from)):line2.push(toPlane(from));
-let to=findNext(from,along,miss),within2=to&&toPlane(to).every((value2,i)=>value2>=ranges[i][0]&&value2<=ranges[i][1]);
-within2&&(along=toUnit(to.map((part2,i)=>part2-from[i]))),from=within2?to:null,draw3(),await new Promise(done2=>setTimeout(
-done2))}}}function ask2(place2){wanted=place2.map((one,i)=>Math.min(Math.max(one,ranges[i][0]),ranges[i][1])),
-frame2||=requestAnimationFrame(()=>{frame2=0,steer([listChanges(wanted)])})}function drag2({clientX,clientY}){
-let{left,top}=canvas4.getBoundingClientRect();ask2([clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];
-return ranges[i][0]+(px-from)/(to-from)*(ranges[i][1]-ranges[i][0])}))}function draw3(){if(!canvas4.isConnected)
+shape.depth])[1]}path(){return this.session.path().map(one=>toStep(one,this.model.pathAngle))}listWay(){let found=[];
+for(let one=this.way;one;one=one.before)found.push(one);return found.reverse()}keep(){let{step,shape,valid,validity,
+way}=this;this.saved.has(this.number)||this.saved.set(this.number,{step,shape,valid,validity,way,session:this.
+session.save()})}forget(number){number&&this.saved.delete(number)}rewind(){let[[,first]]=this.saved;this.#return(
+first),Object.assign(this,{number:0,saved:new Map([[0,first]])})}#return({session,...saved}){this.session.restore(
+session),Object.assign(this,saved)}shapeAfter(changes){let shape=this.shape.map(row=>[...row]);for(let[name,item,
+value]of changes){let row=this.scene.shape_parameters.findIndex(one=>one.name===name);row>=0&&(shape[row][item-
+1]=value)}return shape}apply(changes,{validOnly=!0}={}){for(let[i,change3]of changes.entries()){checkChange(change3,
+this.rules);let[name,item]=change3;if(changes.slice(0,i).some(([one,other])=>one===name&&other===item))throw new ModelError(
+`${name} has two values in one step`,"one value for each input");if(name==="return_to"&&changes.length>1)throw new ModelError(
+"return_to stands beside other inputs","a step of its own")}if(changes[0]?.[0]==="return_to"){let saved=this.saved.
+get(changes[0][2]);if(!saved)throw new ModelError(`nothing was kept of step ${changes[0][2]}`,"a step to retur\
+n to");this.#return(saved)}else this.#advance(changes,validOnly),this.way={changes,tip:this.tipLateral,before:this.
+way};this.number+=1}#advance(changes,validOnly){let parameters=changes.filter(([name])=>this.rules.inputs[name].
+parameter),others=changes.filter(([name])=>!this.rules.inputs[name].parameter);if(!parameters.length)return this.#move(
+others,validOnly);let{step,shape,valid,validity}=this,before2={step,shape,valid,validity,session:this.session.
+save()};try{this.#simulateAgain(parameters,validOnly),this.#move(others,validOnly)}catch(error){throw this.#return(
+before2),error}}#simulateAgain(parameters,validOnly){let mu=[...this.model.mu],[offset,angle2]=[null,null];for(let[
+name,item,value]of parameters){if(item>mu.length)throw new ModelError(`there is no layer ${item}`,`one of ${mu.
+length} layers`);if(name==="mu_pa")mu[item-1]=value*1e-6;else if(name==="offset_throughout_mm")offset=value;else if(name===
+"cut_angle_throughout_deg")angle2=value*(Math.PI/180);else if(!this.scene.shape_parameters.some(one=>one.name===
+name))throw new ModelError(`the tissue law has no ${name}`,"a parameter of the law")}let shape=this.shapeAfter(
+parameters),law=JSON.stringify(shape)===JSON.stringify(this.shape)?this.model.law:makeLaw(this.scene.simulation.
+law,shape);if(!law)throw new ModelError("the law has not been computed with these parameters","the program","t\
+ry again");let{pathAngle}=this.model,steps2=this.path().map(({bevel,...one})=>({...one,bevel:{...bevel,offset:offset??
+bevel.offset,cutAngle:angle2??bevel.cutAngle}}));if(!this.#guard(()=>this.session.again({...this.model,mu,law},
+steps2.map(one=>({depth:one.depth,inputs:toInputs(one,pathAngle)})))))throw new ModelError(`with these paramet\
+ers the insertion so far fails ${this.session.depth.toFixed(1)} mm deep`,"a load that tissue and needle can be\
+ar","change them less, or retract the needle first");let was=this.valid;Object.assign(this,{shape,step:steps2.
+at(-1)}),this.#judge(),validOnly&&was&&!this.valid&&this.#refuseInvalid(this.validity)}#move(changes,validOnly){
+let{session}=this,{x,u,planes}=session.shape,step=applyChanges(this.step,changes,this.names,[u[x.length-1],planes>
+1?u.at(-1):0]);if(!changes.length)return;let[first]=step.controls.guides;if(validOnly&&first?.x<0&&step.depth>
+this.reach(step.controls)+1e-6)throw new ModelError(`the base would stand ${(first.x+this.model.length-step.depth).
+toFixed(2)} mm before the first guide`,`at least ${this.rules.clearance_mm} mm: the base stops at the guide`,"\
+retract the needle, or move the guide toward the tissue");let[refused,judged]=[!1,{}],judge=shape2=>{let validity=computeValidity(
+shape2,this.model);return judged={validity,valid:listFaults(validity,this.rules.validity).length===0},refused=
+validOnly&&this.valid&&!judged.valid,!refused},shape=this.#guard(()=>session.go(step.depth,toInputs(step,this.
+model.pathAngle),judge));if(refused&&this.#refuseInvalid(judged.validity),session.failed)throw new ModelError(
+`the model finds no needle there (${shape.status})`,"a load that tissue and needle can bear","move less at a t\
+ime");Object.assign(this,{step,...judged}),judged.validity||this.#judge()}#guard(work2){try{return work2()}catch(error){
+throw error instanceof RangeError?new ModelError(error.message,`a needle of ${this.model.length} mm, its base \
+before guides and tissue`,"lessen the depth, or move the guides"):error}}#judge(){this.validity=computeValidity(
+this.session.shape,this.model),this.valid=listFaults(this.validity,this.rules.validity).length===0}#refuseInvalid(validity){
+throw new ModelError(`the needle would be outside the model's validity: ${listFaults(validity,this.rules.validity).
+join("; ")}`,"a needle within the limits of small deflections","move less, or bring base, guides and tip neare\
+r to the needle's own shape")}}}});function covary(one,other){let[middle,centre]=[mean(one),mean(other)];return mean(one.map((value,i)=>(value-middle)*
+(other[i]-centre)))}function readDraws({draws,fitted:{layers},simulation:{model}}){let b=Array.from(draws.strength,
+one=>Math.log(model.pathAngle?toDegrees(one):one)),mu=layers.map((_,layer2)=>b.map((_2,draw3)=>Math.log(draws.
+mu[draw3*layers.length+layer2]*1e6))),related=mu.map(one=>correlate(b,one)),layer=related.indexOf(Math.min(...related));
+return{b,mu,layer,related:-related[layer]}}function hasRidge(needle2){let{scene}=needle2;if(!scene.draws||readDraws(
+scene).related<RELATED)return!1;let target=makeTarget(needle2);return compareWith(target,readPoints(needle2.session,
+target.s))<=NEAR2*(scene.measured?.floor_mm??1/0)}function makeTarget({scene:{measured:measured2},session}){if(measured2&&
+Math.abs(measured2.depth_mm-session.shape.depth)<1e-6){let{pose,s:s2,x,y,z}=measured2.target;return{pose,s:s2,
+points:x.map((one,i)=>[one,y[i],z[i]]),axes:AXES[measured2.compared]}}let s=Array.from({length:POINTS2},(_,i)=>session.
+shape.depth*i/(POINTS2-1));return{pose:"known",s,points:readPoints(session,s),axes:AXES.space}}function compareWith({
+pose,points,axes},found){return mean(ALIGN[pose](found,points).map((point,i)=>Math.hypot(...axes.map(axis=>point[axis]-
+points[i][axis]))))}async function computePlane(kernel,steered2,target,{strengths,factors,tied}){let{model,session}=steered2,
+path=steered2.path(),sets=strengths.flat().length,mu=factors.flatMap((factor,row)=>strengths[row].flatMap(()=>model.
+mu.map((one,i)=>tied.includes(i)?one*factor:one))),values={sets,mu:Float64Array.from(mu),strength:Float64Array.
+from(strengths.flat())};values.law=Float64Array.from(Array.from({length:sets},()=>model.law).flat());let{depth}=session.
+shape,{planes}=session,batch=await SessionBatch.begin(kernel,model,values,path.length+Math.ceil(depth/model.spacing)+
+2,planes),s=Float64Array.from(target.s,one=>Math.min(one,depth)),stands=Array.from({length:sets},()=>!0);for(let step of path)
+batch.hold(toInputs(step,model.pathAngle)),stands.forEach((there,i)=>stands[i]=there&&batch.go(i,step.depth));
+let errors=stands.map((there,i)=>{if(!there)return NaN;let found=batch.positions(i,s),points=target.s.map((_,k)=>[
+0,1,2].map(axis=>axis<=planes?found[(1+planes)*k+axis]:0));return compareWith(target,points)});return strengths.
+map(row=>errors.splice(0,row.length))}function findContour(rows,level){let pairs=[];for(let row=0;row+1<rows.length;row+=
+1)for(let column=0;column+1<rows[0].length;column+=1){let corners=[[0,0],[1,0],[1,1],[0,1]].map(([right,up2])=>[
+column+right,row+up2]),cuts=corners.flatMap((from,i)=>{let to=corners[(i+1)%4],[one,other]=[from,to].map(([x,y])=>rows[y][x]-
+level);return one<0==other<0||Number.isNaN(one+other)?[]:[from.map((at2,axis)=>at2+one/(one-other)*(to[axis]-at2))]});
+for(let i=0;i+1<cuts.length;i+=2)pairs.push([cuts[i],cuts[i+1]])}return pairs}var POINTS2,SPARE,EQUAL,NEAR2,RELATED,
+TIED,correlate,findTied,findSlope,equalWithin,findValley,init_plane=__esm({"needlefit/viewer/page/model/plane.\
+js"(){init_needle();init_errors();init_inputs();init_quantities();POINTS2=51,SPARE=.25,EQUAL=.1,NEAR2=2,RELATED=
+.4,TIED=.9999;correlate=(one,other)=>covary(one,other)/Math.sqrt(covary(one,one)*covary(other,other))||0;findTied=
+(mu,layer)=>mu.map((_,i)=>i).filter(i=>i===layer||correlate(mu[i],mu[layer])>TIED),findSlope=({b,mu,layer})=>covary(
+b,mu[layer])/covary(mu[layer],mu[layer]);equalWithin=({measured:measured2})=>measured2?.floor_mm?SPARE*measured2.
+floor_mm:EQUAL;findValley=rows=>rows.map(errors=>{let least=errors.indexOf(Math.min(...errors.filter(one=>!Number.
+isNaN(one)))),[before2,here,after]=[-1,0,1].map(by2=>errors[least+by2]),curl=before2-2*here+after;if(!(curl>0))
+return null;let by=(before2-after)/(2*curl);return{column:least+by,error:here-curl*by*by/2}})}});function prepareRidge(needle2){return hasRidge(needle2)?{sentence:"Which b and μ fit equally well? Drag along \
+the valley.",see:()=>words,begin:makeRidge}:null}async function makeRidge(into,steer,kernel){let{scene}=now,{fitted:fitted2,
+layer_names:names}=scene,{key,symbol,unit,digits:digits2,throughout,value,step}=strengthOf(fitted2),drawn=readDraws(
+scene),{b,mu,layer}=drawn,origin=[value,fitted2.layers[layer].mu_pa].map(Math.log),tied=findTied(mu,layer),modulus2=modulusLike(
+fitted2.layers[layer].mu_pa),called=`μ ${names[layer]||`layer ${layer+1}`}`,ranges=[b,mu[layer]].map((values,i)=>{
+let sorted=values.toSorted((one,other)=>one-other),[low,high]=WITHIN.map(share=>sorted[Math.round(share*(sorted.
+length-1))]);return[Math.min(low,origin[i]-Math.log(LEAST[i])),Math.max(high,origin[i]+Math.log(LEAST[i]))]}),
+canvas4=element("canvas",{className:"ridge",tabIndex:0,ariaLabel:`${symbol}, and ${called} with it: up and dow\
+n along the valley, left and right across`});canvas4.setAttribute("role","slider");let note=element("p",{className:"\
+quiet"});into.replaceChildren(canvas4,note);let context3=canvas4.getContext("2d"),current2=()=>[now.state.bevel[key],
+now.state.layers[layer].mu_pa].map(Math.log),box2=()=>[[PAD.left,canvas4.clientWidth-PAD.right],[canvas4.clientHeight-
+PAD.bottom,PAD.top]],toPx2=place2=>box2().map(([from,to],i)=>from+(place2[i]-ranges[i][0])/(ranges[i][1]-ranges[i][0])*
+(to-from)),slope2=findSlope(drawn),fromGrid=place2=>{let[at2,height]=place2.map((one,i)=>ranges[i][0]+one/(GRID[i]-
+1)*(ranges[i][1]-ranges[i][0]));return[at2+slope2*(height-origin[1]),height]},clip=place2=>place2.map((one,i)=>Math.
+min(Math.max(one,ranges[i][0]),ranges[i][1])),needle2=await SteeredNeedle.begin(await kernel,scene);for(let changes of listSteps(
+scene))needle2.apply(changes,always2);let target=makeTarget(needle2),places=Array.from({length:GRID[1]},(_,row)=>Array.
+from({length:GRID[0]},(_2,column)=>fromGrid([column,row]))),toStrength=one=>key==="offset_mm"?Math.exp(one):Math.
+exp(one)*Math.PI/180,rows=await computePlane(await kernel,needle2,target,{strengths:places.map(row=>row.map(([
+at2])=>toStrength(at2))),factors:places.map(([[,height]])=>Math.exp(height-origin[1])),tied}),fit2=compareWith(
+target,readPoints(needle2.session,target.s)),level=Math.max(fit2,Math.min(...rows.flat().filter(one=>one>=0)))+
+equalWithin(scene),valley=findValley(rows).map((found,row)=>found&&{place:fromGrid([found.column,row]),error:found.
+error}),contours=LEVELS.map(times=>findContour(rows,times*level).map(pair=>pair.map(fromGrid)));if(!canvas4.isConnected)
+return;let[wanted,frame2,held]=[null,0,!1];function followValley(height){let after=valley.findIndex(one2=>one2&&
+one2.place[1]>=height),[one,other]=[valley[after-1],valley[after]];if(!one||!other)return null;let share=(height-
+one.place[1])/(other.place[1]-one.place[1]);return one.place[0]+share*(other.place[0]-one.place[0])}function findEqual(){
+let near2=Math.round((origin[1]-ranges[1][0])/(ranges[1][1]-ranges[1][0])*(GRID[1]-1)),good=at2=>valley[at2]?.
+error<=level;if(!good(near2))return null;let[from,to]=[near2,near2];for(;good(from-1);)from-=1;for(;good(to+1);)
+to+=1;return from<to?[valley[from].place,valley[to].place]:null}let writeB=one=>`${symbol} ${Math.exp(one).toFixed(
+digits2)} ${unit}`,writeModulus=other=>`${modulus2.write(Math.exp(other),2)} ${modulus2.unit}`,what=`mean dist\
+ance from the ${scene.measured?"measured needle":"needle of the fit"}`,equal=findEqual();words=equal?`${writeB(
+equal[0][0])} with ${called} ${writeModulus(equal[0][1])} fits as well as ${writeB(equal[1][0])} with ${writeModulus(
+equal[1][1])}: the ${what} is at most ${level.toFixed(2)} mm. One depth does not determine ${symbol} alone.`:`\
+Away from the fit the ${what} exceeds ${level.toFixed(2)} mm, whatever ${called} is.`,write("see",words);let listChanges=place2=>{
+let moved2=place2[1]-origin[1];return[[throughout,null,Math.exp(place2[0])],...tied.map(i=>["mu_pa",i+1,fitted2.
+layers[i].mu_pa*Math.exp(moved2)])]};function ask2(place2){wanted=clip(place2),frame2||=requestAnimationFrame(
+()=>{frame2=0,steer([listChanges(wanted)])})}function drag2({clientX,clientY}){let{left,top}=canvas4.getBoundingClientRect(),
+place2=clip([clientX-left,clientY-top].map((px,i)=>{let[from,to]=box2()[i];return ranges[i][0]+(px-from)/(to-from)*
+(ranges[i][1]-ranges[i][0])})),at2=followValley(place2[1]),away=at2===null?1/0:Math.abs(toPx2([at2,0])[0]-toPx2(
+place2)[0]);ask2(away<SNAP?[at2,place2[1]]:place2)}function paintErrors(){let cells2=element("canvas",{width:GRID[0],
+height:GRID[1]}),painter=cells2.getContext("2d"),most=LEVELS.at(-1)*level;return rows.forEach((row,j)=>row.forEach(
+(error,i)=>{painter.fillStyle=between(palette.band,palette.air,Number.isNaN(error)?1:Math.min(Math.sqrt(error/
+most),1)),painter.fillRect(i,GRID[1]-1-j,1,1)})),cells2}let cells=paintErrors();function draw3(){if(!canvas4.isConnected)
 return;let{clientWidth:width,clientHeight:height}=canvas4;Object.assign(canvas4,{width:width*devicePixelRatio,
 height:height*devicePixelRatio}),context3.setTransform(devicePixelRatio,0,0,devicePixelRatio,0,0);let[[left,right],
-[bottom,top]]=box2();context3.strokeStyle=palette.quiet,context3.strokeRect(left+.5,top+.5,right-left-1,bottom-
-top-1),context3.fillStyle=palette.label,setFont(context3,"small","left"),context3.fillText(`${called}, ${modulus2.
-unit}`,2,9),setFont(context3,"small","right"),context3.fillText(`${symbol}, ${unit}`,right,bottom+13),paintTicks(
-0,one=>one,right-40),paintTicks(1,one=>modulus2.read(one),1/0),faintly(context3,.55,()=>b.forEach((one,i)=>{let[
-px,py]=toPx2([one,mu[layer][i]]);context3.fillStyle=palette.band,context3.fillRect(px-1.5,py-1.5,3,3)})),trace(
-context3,line2.map(toPx2)),stroke(context3,palette.accent,2),segments(context3,cross(...toPx2(origin),5),palette.
-needle,2),ring(context3,...toPx2(current2()),7,palette.tip,palette.air)}function paintTicks(axis,read,end){let last=-1/0;
-for(let one of TICKS.toSorted((a,z)=>a-z)){let at2=Math.log(read(one));if(at2<ranges[axis][0]||at2>ranges[axis][1])
-continue;let px=toPx2(axis?[ranges[0][0],at2]:[at2,ranges[1][0]]);Math.abs(px[axis]-last)<30||px[0]>end||(last=
-px[axis],setFont(context3,"small",axis?"right":"center"),context3.fillText(brief(one),px[0]-(axis?4:0),px[1]+(axis?
-0:13)))}}function refresh2(){if(!canvas4.isConnected)return;let{bevel,layers,errors,tip}=now.state,found=errors?
-listErrors(errors,now.scene.measured).slice(0,2).join(", "):now.pinned?`the tip is ${Math.hypot(tip.x-now.pinned.
-x.at(-1),tip.y-now.pinned.y.at(-1)).toFixed(3)} mm from the pinned one`:"";write(note,`${symbol} ${bevel[key].
-toFixed(digits2)} ${unit}, ${called} ${modulus2.write(layers[layer].mu_pa,3)} ${modulus2.unit}: ${found}. Othe\
-r parameters stay as fitted.`),draw3()}let heard={pointerdown:event=>{canvas4.setPointerCapture(event.pointerId),
-held=!0,drag2(event)},pointermove:event=>held&&drag2(event),pointerup:()=>held=!1,pointercancel:()=>held=!1,keydown:event=>{
-if(!(event.key in KEYS))return;event.preventDefault(),event.stopPropagation();let from=frame2?wanted:current2();
-ask2(from.map((one,i)=>one+KEYS[event.key][i]*PART*(ranges[i][1]-ranges[i][0])))}};for(let[kind,hear]of Object.
-entries(heard))canvas4.addEventListener(kind,hear);[refreshShown,drawShown]=[refresh2,draw3],refresh2(),findLine()}
-var PAD,MARGIN,SAME3,KEYS,PART,LINE3,TIED,TICKS,mean2,correlate,toUnit,refreshShown,drawShown,init_ridge=__esm(
-{"needlefit/viewer/page/ridge.js"(){init_dom();init_inputs();init_steered();init_strokes();init_quantities();init_store();
-PAD={left:48,right:8,top:22,bottom:22},MARGIN=.12,SAME3=1e-9,KEYS={ArrowLeft:[-1,0],ArrowRight:[1,0],ArrowDown:[
-0,-1],ArrowUp:[0,1]},PART=.02,LINE3={step:.04,trial:.02,secants:3,miss_mm:.005},TIED=.9999,TICKS=[1,2,5].flatMap(
-one=>Array.from({length:14},(_,n)=>one*10**(n-4))),mean2=values=>values.reduce((sum,one)=>sum+one,0)/values.length;
-correlate=(one,other)=>covary(one,other)/Math.sqrt(covary(one,one)*covary(other,other))||0;toUnit=vector=>vector.
-map(one=>one/Math.hypot(...vector));[refreshShown,drawShown]=[()=>{},()=>{}];listen("state",()=>refreshShown());
-onScheme(()=>requestAnimationFrame(drawShown))}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
+[bottom,top]]=box2(),[corner,along,up2]=[[0,0],[1,0],[0,1]].map(place2=>toPx2(fromGrid(place2))),[ex,ey]=[along,
+up2].map(to=>to.map((px,i)=>px-corner[i])),begin2=corner.map((px,i)=>px-ex[i]/2+(GRID[1]-.5)*ey[i]);context3.save(),
+context3.beginPath(),context3.rect(left,top,right-left,bottom-top),context3.clip(),context3.fillStyle=palette.
+air,context3.fillRect(left,top,right-left,bottom-top),context3.save(),context3.transform(...ex,-ey[0],-ey[1],...begin2),
+faintly(context3,.75,()=>context3.drawImage(cells,0,0)),context3.restore(),contours.forEach((pairs,n)=>segments(
+context3,pairs.map(pair=>pair.map(toPx2)),palette.label,n?.75:1.5)),faintly(context3,.7,()=>b.forEach((one,i)=>{
+let[px,py]=toPx2([one,mu[layer][i]]);context3.fillStyle=palette.points,context3.fillRect(px-1,py-1,2,2)})),trace(
+context3,valley.filter(one=>one).map(({place:place2})=>toPx2(place2))),stroke(context3,palette.ink,2),context3.
+restore(),context3.strokeStyle=palette.quiet,context3.lineWidth=1,context3.strokeRect(left+.5,top+.5,right-left-
+1,bottom-top-1),context3.fillStyle=palette.label,setFont(context3,"small","left"),context3.fillText(`${called}\
+, ${modulus2.unit}`,2,9),setFont(context3,"small","right"),context3.fillText(`${symbol}, ${unit}`,right,bottom+
+19),paintTicks(0,one=>one,right-40),paintTicks(1,one=>modulus2.read(one),1/0),segments(context3,cross(...toPx2(
+origin),5),palette.needle,2),ring(context3,...toPx2(current2()),7,palette.tip,palette.air)}function paintTicks(axis,read,end){
+let last=-1/0;for(let one of TICKS){let at2=Math.log(read(one));if(!(at2>=ranges[axis][0]&&at2<=ranges[axis][1]))
+continue;let[px,py]=toPx2(axis?[ranges[0][0],at2]:[at2,ranges[1][0]]);Math.abs([px,py][axis]-last)<30||px>end||
+(last=[px,py][axis],segments(context3,[[[px,py],axis?[px-4,py]:[px,py+4]]],palette.quiet,1),setFont(context3,"\
+small",axis?"right":"center"),context3.fillText(brief(one),px-(axis?6:0),py+(axis?0:11)))}}function refresh2(){
+if(!canvas4.isConnected)return;let{bevel}=now.state,error=now.scene.measured?now.state.errors?.[now.scene.measured.
+metrics[0][0]]:distanceFromPinned(),[at2,height]=current2(),text=`${writeB(at2)}, ${called} ${writeModulus(height)}\
+: ${what} ${error==null?"–":`${error.toFixed(3)} mm`}`,[least,most]=ranges[0].map(one=>Math.exp(one).toFixed(
+digits2));Object.assign(canvas4,{ariaValueMin:least,ariaValueMax:most,ariaValueNow:bevel[key].toFixed(digits2),
+ariaValueText:text}),write(note,`${text}. The cross is the fit; dots are draws, whose other parameters differ \
+too.`),draw3()}function distanceFromPinned(){let{x,y}=now.state,inserted=now.pinned?x.map((_,i)=>i).filter(i=>x[i]>=
+0&&now.pinned.y[i]!==void 0):[];return inserted.length?mean(inserted.map(i=>Math.hypot(x[i]-now.pinned.x[i],y[i]-
+now.pinned.y[i]))):null}function press2(event){if(!(event.key in KEYS))return;event.preventDefault(),event.stopPropagation();
+let[across,along]=KEYS[event.key],[at2,from]=frame2?wanted:current2(),to=from+along*Math.log(PART),follows=(followValley(
+to)??at2)-(followValley(from)??at2);ask2([along?at2+follows:Math.log(Math.max(Math.exp(at2)+across*step,step)),
+to])}let heard={pointerdown:event=>{canvas4.setPointerCapture(event.pointerId),held=!0,drag2(event)},pointermove:event=>held&&
+drag2(event),pointerup:()=>held=!1,pointercancel:()=>held=!1,keydown:press2};for(let[kind,hear]of Object.entries(
+heard))canvas4.addEventListener(kind,hear);refreshShown=refresh2,drawShown=()=>{cells=paintErrors(),draw3()},refresh2()}
+var PAD,GRID,WITHIN,LEAST,LEVELS,SNAP,KEYS,PART,TICKS,always2,words,refreshShown,drawShown,init_ridge=__esm({"\
+needlefit/viewer/page/ridge.js"(){init_dom();init_errors();init_inputs();init_plane();init_steered();init_strokes();
+init_quantities();init_store();PAD={left:48,right:8,top:22,bottom:28},GRID=[15,11],WITHIN=[.01,.99],LEAST=[1.6,
+5],LEVELS=[1,2,4],SNAP=40,KEYS={ArrowLeft:[-1,0],ArrowRight:[1,0],ArrowDown:[0,-1],ArrowUp:[0,1]},PART=1.05,TICKS=
+[1,2,5].flatMap(one=>Array.from({length:14},(_,n)=>one*10**(n-4))).sort((one,other)=>one-other),always2={validOnly:!1},
+words="";[refreshShown,drawShown]=[()=>{},()=>{}];listen("state",()=>refreshShown());onScheme(()=>requestAnimationFrame(
+drawShown))}});function current(){let{step,depth_mm:depth,depths,x,y,tip,tip_path:[,across]}=now.state;return{step,depth,x,y,
 path:{x:[...depths,depth],y:[...across,tip.y]},forces:now.forces}}function draw2(){if(part("strip").hidden||!now.
 state)return;let[width,height]=size2;canvas3.width!==Math.round(width*devicePixelRatio)&&(canvas3.width=Math.round(
 width*devicePixelRatio)),canvas3.height!==Math.round(height*devicePixelRatio)&&(canvas3.height=Math.round(height*
@@ -927,10 +1010,10 @@ value.toFixed(digits2))||0).replace("-","−"),left-4,place2);context2.textBasel
 `depth ${brief(now.marked??deep,3)} mm`,now.marked===null?right:Math.min(px(at2)+30,right),bottom+13),context2.
 textAlign="left",context2.fillText("0",left,bottom+13)}function describe(deep){let at2=now.marked??now.state.depth_mm,
 read=one=>PANELS.map(([name,unit,digits2,curve])=>{let value=valueAt([one,curve(one)],at2);return`${name} ${Number.
-isNaN(value)?"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words=needles().map(([one])=>`${one===now.
+isNaN(value)?"–":`${signed(value,digits2)} ${unit}`}`}).join(", "),words2=needles().map(([one])=>`${one===now.
 pinned?"pinned: ":""}${read(one)}`).reverse().join("; ");Object.assign(canvas3,{ariaValueNow:at2.toFixed(1),ariaValueMax:deep.
-toFixed(1),ariaValueText:`At ${at2.toFixed(1)} mm: ${words}`})}function mark2(depth){now.marked=depth===null?null:
-Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas3.
+toFixed(1),ariaValueText:`At ${at2.toFixed(1)} mm: ${words2}`})}function mark2(depth){now.marked=depth===null?
+null:Math.max(0,Math.min(depth,greatest())),invalidate(),draw2()}function under({clientX}){let{left,width}=canvas3.
 getBoundingClientRect();return((clientX-left)%(width/2)-PAD2.left)/(width/2-PAD2.left-PAD2.right)*greatest()}function pin(){
 now.pinned=now.pinned?null:current(),part("pin").ariaPressed=String(now.pinned!==null),part("pin").textContent=
 now.pinned?"Unpin":"Pin",publish("pinned"),invalidate(),draw2()}var PAD2,canvas3,context2,size2,PANELS,needles,
@@ -964,76 +1047,106 @@ offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});innerHeight<TALL&&toggl
 press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])press(document.querySelector(
 `[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured:measured2,draws})=>offer({measured:measured2,
 errors:measured2,band:draws,plan:!1}));listen("aimed",()=>offer({plan:aim.plan}));listen("pinned",()=>offer({pinned:now.
-pinned}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function listTurned(depth,{simulation:{steps:[first]},depth_mm:deepest2}){return[ANEW,[["depth_mm",null,depth]],
-[turnOver(rollOf(first.bevel))],[["depth_mm",null,deepest2]]]}function findSoftest({fitted:{layers},boundaries_mm:tops,
-depth_mm:deepest2}){let moduli=layers.slice(0,1+tops.filter(top=>top<deepest2).length).map(({mu_pa:mu})=>mu);return 1+
-moduli.indexOf(Math.min(...moduli))}function offerScenes(steer,kernel){let begin2=null,list=part("scene-list"),
-choose2=(scene,pressed)=>{for(let one of list.querySelectorAll("button"))one.ariaPressed=String(one===pressed);
-part("scene-control").replaceChildren(),write("see",scene.see),begin2=()=>{now.pinned&&pin(),pin(),scene.begin(
-part("scene-control"),steer,kernel)},steer([ANEW,...listSteps(now.scene)])};listen("scene",shown3=>{begin2=null,
-part("scene-control").replaceChildren(),write("see",""),list.replaceChildren(...SCENES.filter(({fits:fits2})=>!fits2||
-fits2(shown3)).map(scene=>{let pressed=button(scene.sentence,()=>now.state&&choose2(scene,pressed),{ariaPressed:"\
-false"});return element("li",{},pressed)}))}),listen("forces",({step})=>{if(step!==now.state.step||!begin2)return;
-let then=begin2;begin2=null,then()})}var ANEW,TURNS,STIFFER,SCENES,init_scenes=__esm({"needlefit/viewer/page/s\
-cenes.js"(){init_dom();init_fields();init_inputs();init_quantities();init_ridge();init_store();init_strip();init_toolbar();
-ANEW=[["return_to",null,0]],TURNS=[.2,.8],STIFFER=10;SCENES=[{sentence:"Turn the bevel half way: the needle ma\
-kes an S.",see:"Behind the turn the needle bends to the other side. Dotted: the needle of the scene. Move the \
-turn.",begin(into,steer){let{scene}=now,turn2=depth=>{steer(listTurned(depth,scene)),show(field,depth)},limits=TURNS.
-map(share=>share*scene.depth_mm),field=makeField(into,{name:"turn at depth",unit:"mm",write:value=>value.toFixed(
-1),limits,ask:turn2});turn2(scene.depth_mm/2)}},{sentence:"Stiffen one layer: where does the force go?",see:"P\
-urple areas are the load across the needle: it grows in the stiff layer and at its edges. Dotted: the needle b\
-efore.",begin(into,steer){toggle("load",!0);let{fitted:{layers},limits:{mu_pa:limits},layer_names:names}=now.scene,
-layer=findSoftest(now.scene),{mu_pa:from}=layers[layer-1],stiffen=value=>{steer([[["mu_pa",layer,value]]]),show(
-field,value)},about={...modulusLike(from*STIFFER),name:`μ ${names[layer-1]||`layer ${layer}`}`,symbol:"μ",logarithmic:!0,
-step:1.05},field=makeField(into,{...about,limits,ask:stiffen});stiffen(Math.min(from*STIFFER,limits[1]))}},{sentence:"\
-Which b and μ fit equally well? Drag along the ridge.",see:"Line: pairs with which the tip ends where that of\
- the fit does. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other\
- parameters differ too.",fits:isDrawnPlane,begin:makeRidge}]}});function listKeys({fitted:fitted2,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted2),layers=fitted2.
-layers.flatMap((_,i)=>[[`mu${i+1}`,"mu_pa",i+1,1e3],...shapes.map(({name})=>[`${name}${i+1}`,name,i+1,1])]);return[
-[key==="offset_mm"?"b":"theta",throughout,null,1],...layers,["base_y","base_y_mm",null,1],["base_slope","base_\
-slope",null,null]]}function writeAddress(state,scene,path,name=null){let cut=path.filter(({depth},i)=>depth>(path[i-
-1]?.depth??0)+SAME4),rolls=[...cut.map(({bevel})=>rollOf(bevel)),state.bevel.roll_deg],turns=cut.map(({depth},i)=>[
-depth,wrap(rolls[i+1]-rolls[i])]).filter(([,by])=>by!==0),values=new URLSearchParams(name===null?{}:{needle:name});
-values.set("depth",exact(state.depth_mm)),values.set("roll",exact(state.bevel.roll_deg)),turns.length&&values.
-set("turn",turns.map(([depth,by])=>`${exact(depth)}${by===180?"":`:${exact(by)}`}`).join(","));let{value,key:strength}=strengthOf(
-state.bevel);for(let[key,input,item,factor]of listKeys(scene)){let now2=item?state.layers[item-1][input]/factor:
-key==="base_y"?state.base.input_y:key==="base_slope"?degrees(state.base.input_slope):value,begun=item?scene.fitted.
-layers[item-1][input]/factor:key.startsWith("base")?0:scene.fitted[strength];(exact(now2)!==exact(begun)||key===
-"b"||key==="theta")&&values.set(key,exact(now2))}return values.toString().replaceAll("%2C",",").replaceAll("%3\
-A",":")}function readAddress(address,scene){let values=new URLSearchParams(address);if(!values.has("depth"))return null;
-let keys=listKeys(scene),number=(key,text)=>{if(text.trim()!==""&&Number.isFinite(Number(text)))return Number(
-text);throw new ModelError(`the address has ${key}=${text}`,"a number")},known=["needle","depth","roll","turn",
-...keys.map(([key])=>key)];for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the addr\
-ess has ${key}`,known.join(", "));let[first]=scene.simulation.steps,end=values.has("roll")?number("roll",values.
-get("roll")):rollOf(first.bevel),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[depth,
-by="180"]=text.split(":");return[depth,by].map(one=>number("turn",one))}),roll=wrap(end-turns.reduce((sum,[,by])=>sum+
-by,0)),inputs=keys.filter(([key])=>values.has(key)).map(([key,input,item,factor])=>{let value=number(key,values.
-get(key));return[input,item,factor===null?slope(value):value*factor]}),lists=[ANEW2,[["bevel_roll_deg",null,roll],
-...inputs]];for(let[depth,by]of turns)lists.push([["depth_mm",null,depth]],[["bevel_roll_deg",null,roll=wrap(roll+
-by)]]);return[...lists,[["depth_mm",null,number("depth",values.get("depth"))]]]}var ANEW2,SAME4,exact,nameIn,init_address=__esm(
-{"needlefit/viewer/page/share/address.js"(){init_inputs();init_quantities();ANEW2=[["return_to",null,0]],SAME4=
-1e-9,exact=value=>brief(value,8);nameIn=address=>new URLSearchParams(address).get("needle")}});var listParameters,init_parameters=__esm({"needlefit/viewer/page/parameters.js"(){init_quantities();listParameters=
+pinned}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function prepareTurn(needle2){let{scene}=needle2,from=findTurn(needle2);return from===null?null:{sentence:`Tur\
+n the bevel at ${from} mm: the needle makes an S.`,see:()=>"Behind the turn the needle bends to the other side\
+. Dotted: without the turn. Move it.",begin(into,steer){let turn2=depth=>{marks=[{depth,text:"turn"}],steer(listTurned(
+depth,scene)),show(field,depth)},limits=BETWEEN.map(one=>one*scene.depth_mm),field=makeField(into,{name:"turn \
+at depth",unit:"mm",write:value=>value.toFixed(1),limits,ask:turn2});turn2(from)}}}function prepareStiffer(needle2){
+let best=findStiffer(needle2);if(!best)return null;let{scene}=needle2,{limits:{mu_pa:limits},layer_names:names,
+boundaries_mm:tops,depth_mm:deepest2}=scene,{layer,from,to,before:before2}=best,called=names[layer-1]||`layer ${layer}`,
+ends=[...tops,1/0],middle=((layer>1?tops[layer-2]:0)+Math.min(ends[layer-1],deepest2))/2,readShown=()=>findLayerForces(
+now.state.load.x,now.state.load.n_per_mm,scene);return{sentence:`Stiffen ${called}: where does the force go?`,
+see:()=>{let after=readShown();return marks=[{depth:middle,text:`${after[layer-1].toFixed(1)} N here`}],`${called}\
+: ${before2[layer-1].toFixed(1)} to ${after[layer-1].toFixed(1)} N of ${add(after).toFixed(0)} N across the ne\
+edle. Purple: the load, where it acts. Dotted: the needle before.`},begin(into,steer){toggle("load",!0);let stiffen=value=>{
+steer([[["mu_pa",layer,value]]]),show(field,value)},about={...modulusLike(to),name:`μ ${called}`,symbol:"μ",
+logarithmic:!0,step:1.05},field=makeField(into,{...about,limits,ask:stiffen});stiffen(to)}}}async function prepareScenes(kernel,scene){
+let needle2=await SteeredNeedle.begin(kernel,scene),prepare=one=>{try{for(let changes of[ANEW,...listSteps(scene)])
+needle2.apply(changes,{validOnly:!1});return one(needle2)}catch(error){if(!error.expected)throw error;return null}};
+return[prepareTurn,prepareStiffer,prepareRidge].map(prepare).filter(one=>one)}function offerScenes(steer,kernel){
+let[begin2,shown3]=[null,null],list=part("scene-list"),leave=()=>{[begin2,shown3,marks]=[null,null,[]],part("s\
+cene-control").replaceChildren(),write("see","")},choose2=(scene,pressed)=>{for(let one of list.querySelectorAll(
+"button"))one.ariaPressed=String(one===pressed);leave(),begin2=()=>{now.pinned&&pin(),pin(),shown3=scene,scene.
+begin(part("scene-control"),steer,kernel)},steer([ANEW,...listSteps(now.scene)])};listen("scene",async given=>{
+leave(),list.replaceChildren();let scenes=await prepareScenes(await kernel,given);now.scene.target===given.target&&
+list.replaceChildren(...scenes.map(scene=>{let pressed=button(scene.sentence,()=>now.state&&choose2(scene,pressed),
+{ariaPressed:"false"});return element("li",{},pressed)}))}),listen("state",()=>shown3&&write("see",shown3.see())),
+listen("forces",({step})=>{if(step!==now.state.step||!begin2)return;let then=begin2;begin2=null,then()})}var BETWEEN,
+marks,init_scenes=__esm({"needlefit/viewer/page/scenes.js"(){init_dom();init_drawing();init_fields();init_inputs();
+init_probes();init_steered();init_strokes();init_quantities();init_ridge();init_store();init_strip();init_toolbar();
+init_view();BETWEEN=[.1,.9],marks=[];further.push(context3=>{for(let{depth,text}of marks){let[px,py]=[toPx(depth),
+toPy(heightAt(now.state,depth))];segments(context3,[[[px,py-12],[px,py+12]]],palette.accent,2),ring(context3,px,
+py,4,palette.accent,palette.air),setFont(context3,"strong"),labelFree(context3,text,[[px,py-26],[px,py+26],[px+
+40,py-26],[px-40,py+26]],palette.accent)}})}});function listKeys({fitted:fitted2,shape_parameters:shapes}){let{key,throughout}=strengthOf(fitted2),plain=value=>value,
+strength=key==="offset_mm"?{key:"b",toModel:plain,read:({step})=>step.bevel.offset}:{key:"theta",toModel:value=>value*
+(Math.PI/180),read:({step})=>step.bevel.cutAngle},layers=fitted2.layers.flatMap((_,i)=>[{key:`mu${i+1}`,input:"\
+mu_pa",item:i+1,toInput:value=>value*1e3,toModel:value=>value*1e3*1e-6,read:({model})=>model.mu[i]},...shapes.
+map(({name},row)=>({key:`${name}${i+1}`,input:name,item:i+1,toInput:plain,toModel:plain,read:({shape})=>shape[row][i]}))]);
+return[{...strength,input:throughout,item:null,toInput:plain},...layers]}function findText(toModel,value,guess){
+let near2=ULPS.map(ulps=>guess+ulps*Math.abs(guess)*11102230246251565e-32),found=[...Array.from({length:15},(_,n)=>Number(
+guess.toPrecision(n+1))),...near2].find(one=>toModel(one)===value);return found===void 0?null:String(found)}function listLost({
+scene:{simulation:{steps:[first]}},step},path){let all2=[...path,step],differs=read=>all2.some(one=>!same2(read(
+one.controls),read(first.controls)));return[[differs(({baseY})=>baseY),"the base, which was moved"],[differs(({
+baseSlope})=>baseSlope),"the base, which was turned"],[differs(({guides})=>guides.map(({x,y,slope:slope2})=>[x,
+y,slope2])),"the guides"],[differs(({tip})=>tip&&[tip.y,tip.slope]),"the tip, which was held"],[all2.some(({bevel})=>bevel.
+offset!==step.bevel.offset||bevel.cutAngle!==step.bevel.cutAngle),"b, which changed on the way"]].filter(([is])=>is).
+map(([,words2])=>words2)}async function writeAddress(kernel,steered2,name=null){let{scene,step}=steered2,path=steered2.
+path(),lost=listLost(steered2,path);if(lost.length)return{lost};let rolls=path.map(({bevel})=>wrap(rollOf(bevel))),
+values=new URLSearchParams(name===null?{}:{needle:name});values.set("depth",step.depth),values.set("roll",rolls.
+at(-1));let turns=path.slice(0,-1).map(({depth},i)=>{let by=findText(one=>wrap(rolls[i+1]-one),rolls[i],wrap(rolls[i+
+1]-rolls[i]));return by==="180"?depth:`${depth}:${by}`});turns.length&&values.set("turn",turns.join(","));let{
+model,shape,steps:[first]}=scene.simulation;for(let{key,item,toModel,read}of listKeys(scene)){let value=read(steered2);
+if(item&&value===read({model,shape,step:first}))continue;let text=findText(toModel,value,value/toModel(1));if(text===
+null)return{lost:[key]};values.set(key,text)}let address=values.toString().replaceAll("%2C",",").replaceAll("%\
+3A",":");return await leadsTo(kernel,address,steered2)?{address}:{lost:["the path"]}}async function leadsTo(kernel,address,steered2){
+let other=await SteeredNeedle.begin(kernel,steered2.scene);try{for(let changes of readAddress(address,steered2.
+scene))other.apply(changes,{validOnly:!1})}catch(error){if(!error.what)throw error;return!1}let{depth}=steered2.
+step,points=({session})=>readPoints(session,Array.from({length:POINTS3},(_,i)=>depth*i/(POINTS3-1))),[found,wanted]=[
+other,steered2].map(points);return found.every((point,i)=>Math.hypot(...point.map((one,axis)=>one-wanted[i][axis]))<
+SAME3)}function settle(steered2){let[now2]=steered2.model.mu,mu=ULPS.map(ulps=>now2*1e6+ulps*now2*1e6*2**-53).
+find(one=>one*1e-6===now2);mu&&steered2.apply([["mu_pa",1,mu]],{validOnly:!1})}function readAddress(address,scene){
+let values=new URLSearchParams(address),keys=listKeys(scene),known=["needle","depth","roll","turn",...keys.map(
+({key})=>key)],number=(key,text,low=-1/0)=>{let value=Number(text);if(text.trim()!==""&&Number.isFinite(value)&&
+value>=low)return value;throw new ModelError(`the address has ${key}=${text}`,low<0?"a number":`a number, ${low}\
+ or above`)};for(let key of values.keys())if(!known.includes(key))throw new ModelError(`the address has ${key}`,
+known.join(", "));if(!values.has("depth")){if([...values.keys()].some(key=>key!=="needle"))throw new ModelError(
+"the address has no depth","depth=, in mm");return[]}let[first]=scene.simulation.steps,depth=number("depth",values.
+get("depth"),0),turns=(values.get("turn")??"").split(",").filter(Boolean).map(text=>{let[at2,by="180"]=text.split(
+":");return{at:number("turn",at2,0),by:number("turn",by)}});if(!turns.every(({at:at2},i)=>at2>0&&at2>=(turns[i-
+1]?.at??0)&&at2<=depth))throw new ModelError(`the address has turn=${values.get("turn")}`,`increasing depths, \
+up to ${depth} mm`);let roll=values.has("roll")?number("roll",values.get("roll")):rollOf(first.bevel),after=turns.
+toReversed().map(({by})=>{let end=roll;return roll=wrap(roll-by),end}).reverse(),inputs=keys.filter(({key})=>values.
+has(key)).map(({key,input,item,toInput})=>[input,item,toInput(number(key,values.get(key)))]),lists=[ANEW2,[["b\
+evel_roll_deg",null,roll],...inputs]];return turns.forEach(({at:at2},i)=>lists.push([["depth_mm",null,at2]],[[
+"bevel_roll_deg",null,after[i]]])),[...lists,[["depth_mm",null,depth]]]}function writeRecording(head,steered2){
+let rows=steered2.listWay().flatMap(({changes,tip},i)=>changes.map(([name,item,value],n)=>`${i+1},${(i/10).toFixed(
+4)},${name},${item??""},${value},${n===changes.length-1?tip:""}`));return`${head}${rows.join(`
+`)}
+`}var ANEW2,POINTS3,SAME3,ULPS,same2,nameIn,init_address=__esm({"needlefit/viewer/page/share/address.js"(){init_errors();
+init_inputs();init_steered();init_quantities();ANEW2=[["return_to",null,0]],POINTS3=21,SAME3=1e-6,ULPS=[0,1,-1,
+2,-2,3,-3,4,-4],same2=(one,other)=>JSON.stringify(one)===JSON.stringify(other);nameIn=address=>new URLSearchParams(
+address).get("needle")}});var listParameters,init_parameters=__esm({"needlefit/viewer/page/parameters.js"(){init_quantities();listParameters=
 ({layer_names:names,limits,fitted:fitted2,shape_parameters:shapes})=>fitted2.layers.flatMap((layer,i)=>{let called=names[i]||
 `layer ${i+1}`,modulus2={...modulusLike(layer.mu_pa),name:`μ ${called}`,symbol:"μ",logarithmic:!0,step:1.05,
 limits:limits.mu_pa};return[{input:"mu_pa",item:i+1,into:"tissue-fields",about:modulus2},...shapes.map(({name,
 symbol,unit})=>{let step=Math.min(.1,(limits[name][1]-limits[name][0])/100),about={name:`${symbol} ${called}`,
 symbol,unit,step,write:value=>value.toFixed(2),limits:limits[name]};return{input:name,item:i+1,into:"shape-fie\
 lds",about}})]})}});function buildFields({scene,recording},steer){fields=[];for(let id of["insertion-fields","tissue-fields","shap\
-e-fields"])part(id).replaceChildren();let add=(into,[input,item],about,current2,{shown:shown3=x=>x,meant=x=>x}={})=>{
+e-fields"])part(id).replaceChildren();let add2=(into,[input,item],about,current2,{shown:shown3=x=>x,meant=x=>x}={})=>{
 let field=makeField(part(into),{...about,ask:value=>steer([[input,item,meant(value)]],field.part)}),home=recording&&
 into==="insertion-fields"?void 0:current2(scene.fitted);home!==void 0&&setHome(field,shown3(home)),fields.push(
-[field,()=>shown3(current2(now.state))])},{limits,fitted:fitted2,simulation}=scene,mm={unit:"mm",step:.1};add(
+[field,()=>shown3(current2(now.state))])},{limits,fitted:fitted2,simulation}=scene,mm={unit:"mm",step:.1};add2(
 "insertion-fields",["depth_mm",null],{...mm,name:"depth",symbol:"depth",step:1,write:digits(1),limits:[0,limits.
-depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add("insertion-fields",["base_y_mm",null],{...mm,name:"base y",
+depth_mm-.01]},of=>of.depth_mm??scene.depth_mm),add2("insertion-fields",["base_y_mm",null],{...mm,name:"base y",
 symbol:"base y",write:digits(2),limits:[-10,10]},of=>of.base?of.base.input_y:simulation.steps[0].controls.baseY),
-add("insertion-fields",["base_slope",null],{name:"base slope",symbol:"base slope",unit:"°",step:.1,write:digits(
+add2("insertion-fields",["base_slope",null],{name:"base slope",symbol:"base slope",unit:"°",step:.1,write:digits(
 2),limits:[-5,5]},of=>of.base?of.base.input_slope:simulation.steps[0].controls.baseSlope,{shown:degrees,meant:slope}),
-add("insertion-fields",["bevel_roll_deg",null],ROLL_FIELD,of=>(of.bevel??{roll_deg:rollOf(simulation.steps[0].
+add2("insertion-fields",["bevel_roll_deg",null],ROLL_FIELD,of=>(of.bevel??{roll_deg:rollOf(simulation.steps[0].
 bevel)}).roll_deg);let{key,symbol,unit,digits:count,step,here,throughout}=strengthOf(fitted2);recording?.some(
-([,changes])=>changes.some(([name])=>name===here))||add("tissue-fields",[throughout,null],{name:symbol,symbol,
+([,changes])=>changes.some(([name])=>name===here))||add2("tissue-fields",[throughout,null],{name:symbol,symbol,
 unit,step,write:digits(count),limits:limits[key]},of=>(of.bevel??of)[key]),part("shape-part").hidden=!simulation.
 law.terms||!scene.shape_parameters.length;for(let{input,item,into,about}of listParameters(scene))(simulation.law.
-terms||input==="mu_pa")&&add(into,[input,item],about,of=>of.layers[item-1][input])}function refreshFields(){for(let[
+terms||input==="mu_pa")&&add2(into,[input,item],about,of=>of.layers[item-1][input])}function refreshFields(){for(let[
 field,current2]of fields)show(field,current2());part("side").textContent=describeRoll(now.state.bevel)}var digits,
 fields,init_controls=__esm({"needlefit/viewer/page/share/controls.js"(){init_dom();init_fields();init_parameters();
 init_inputs();init_quantities();init_store();digits=count=>value=>value.toFixed(count),fields=[]}});async function unpack(id){let bytes=Uint8Array.from(atob(part(id).textContent),one=>one.charCodeAt(0)),stream=new Blob(
@@ -1042,95 +1155,103 @@ async function load2(){let[data2,kernel]=await Promise.all([unpack("data"),unpac
 ...read}=JSON.parse(new TextDecoder().decode(data2)),resolve=value=>Array.isArray(value?.$)||Number.isInteger(
 value?.$)?lists[value.$]:value;for(let{scene}of read.needles)if(scene.draws)for(let name of["mu","law","streng\
 th"])scene.draws[name]=resolve(scene.draws[name]);return{...read,kernel}}function insert(steered2){for(let changes of listSteps(
-steered2.scene))steered2.apply(changes,always)}function compareStored(steered2,[fit2],same2){let{target,stored}=steered2.
-scene.measured,fixed=target.x.map((x,i)=>[x,target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered2.
-session,target.s),fixed),found=computeErrors(steered2.session,steered2.scene.measured),errors=Object.keys(fit2.
-errors).map(name=>Math.abs(fit2.errors[name]-found[name]));return Math.max(...points.flatMap((point,i)=>["x","\
-y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),...errors.filter(one=>one>same2))}async function prove({
-needles:needles2,kernel},same2){let[count,largest,since]=[0,0,performance.now()],rest=async()=>{performance.now()-
-since<SLICE||(await new Promise(done2=>setTimeout(done2)),since=performance.now())};for(let needle2 of needles2){
-let compare=distance2=>{count+=1,largest=Math.max(largest,distance2)};try{let steered2=await begin(kernel,needle2);
-if(needle2.recording){let replay2=new Replay(steered2,needle2.recording);for(let n=1;n<=needle2.recording.length;n+=
-1)replay2.to(n),compare(Math.abs(steered2.tipLateral-needle2.recording[n-1][2])),await rest()}else insert(steered2),
-compare(compareStored(steered2,needle2.methods,same2))}catch(error){if(!error.what)throw error;compare(NaN)}await rest()}
-return{count,largest}}var SLICE,begin,always,Replay,init_needles=__esm({"needlefit/viewer/page/share/needles.j\
-s"(){init_needle();init_dom();init_errors();init_inputs();init_steered();SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.
-begin(kernel,scene),always={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered2,steps2){
+steered2.scene))steered2.apply(changes,always3)}function compareStored(steered2,{methods:[fit2]=[],tip},same3){
+if(!fit2)return Math.abs(steered2.tipLateral-tip);let{target,stored}=steered2.scene.measured,fixed=target.x.map(
+(x,i)=>[x,target.y[i],target.z[i]]),points=ALIGN[target.pose](readPoints(steered2.session,target.s),fixed),found=computeErrors(
+steered2.session,steered2.scene.measured),errors=Object.keys(fit2.errors).map(name=>Math.abs(fit2.errors[name]-
+found[name]));return Math.max(...points.flatMap((point,i)=>["x","y","z"].map((axis,n)=>Math.abs(point[n]-stored[axis][i]))),
+...errors.filter(one=>one>same3))}async function prove({needles:needles2,kernel},same3){let[count,largest,since]=[
+0,0,performance.now()],rest=async()=>{performance.now()-since<SLICE||(await new Promise(done2=>setTimeout(done2)),
+since=performance.now())};for(let needle2 of needles2){let compare=distance2=>{count+=1,largest=Math.max(largest,
+distance2)};try{let steered2=await begin(kernel,needle2);if(needle2.recording){let replay2=new Replay(steered2,
+needle2.recording);for(let n=1;n<=needle2.recording.length;n+=1)replay2.to(n),compare(Math.abs(steered2.tipLateral-
+needle2.recording[n-1][2])),await rest()}else insert(steered2),compare(compareStored(steered2,needle2,same3))}catch(error){
+if(!error.what)throw error;compare(NaN)}await rest()}return{count,largest}}var SLICE,begin,always3,Replay,init_needles=__esm(
+{"needlefit/viewer/page/share/needles.js"(){init_needle();init_dom();init_errors();init_inputs();init_steered();
+SLICE=12;begin=(kernel,{scene})=>SteeredNeedle.begin(kernel,scene),always3={validOnly:!1};Replay=class{steered;steps;at;changed;last;constructor(steered2,steps2){
 Object.assign(this,{steered:steered2,steps:steps2,at:0,changed:!1,last:new Map}),this.steps.forEach(([,changes],i)=>{
 for(let[name,,value]of changes)name==="return_to"&&this.last.set(value,i+1)})}to(n){for((this.changed||n<this.
 at)&&(this.steered.rewind(),Object.assign(this,{at:0,changed:!1}));this.at<n;)this.#next()}#next(){let[,changes]=this.
-steps[this.at];this.steered.apply(changes,always),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[
+steps[this.at];this.steered.apply(changes,always3),this.at+=1,this.last.has(this.at)&&this.steered.keep();for(let[
 name,,value]of changes)name==="return_to"&&this.last.get(value)===this.at&&this.steered.forget(value)}}}});var main_exports={};function update(){steps+=1,take({...describeState(steered),step:steps,kind:"state"}),fresh=
-!0,redraw(),refresh(),refreshFields(),refreshMethods(),draw2(),described||=setTimeout(()=>{described=0,refreshDescription()},
-steps>1?DESCRIBED_EVERY:0)}function redraw(){frame||=requestAnimationFrame(()=>{frame=0,paint(fresh),fresh=!1,
-publish("drawn")})}function rebuild(lists,below=part("flip").parentElement){replay&&play(!1),write(refusal,"");
-let{number}=steered;try{for(let changes of lists)steered.apply(changes,{validOnly:!1})}catch(error){if(refuse(
-error,below),steered.number===number)return refreshFields()}replay&&(replay.changed=!0),part("back").disabled=
-!1,update()}function refuse(error,below){if(!error.what)throw error;below.after(refusal),write(refusal,`${error.
-what}. Expected: ${error.expected}.`)}async function followAddress(){let address=location.hash.slice(1),number=data.
-needles.findIndex(({scene})=>nameOf3(scene)===nameIn(address));number>=0&&data.needles[number]!==needle&&(part(
-"needle-choice").value=number,await choose(number));try{let lists=readAddress(address,needle.scene);return lists&&
-rebuild(lists),lists!==null}catch(error){return refuse(error,part("flip").parentElement),!0}}async function copyLink(){
-let name=data.needles.length>1?nameOf3(needle.scene):null,address=writeAddress(now.state,needle.scene,steered.
-path(),name);history.replaceState(null,"",`#${address}`),await navigator.clipboard?.writeText(location.href).then(
-()=>say("The link is copied."),()=>null)}async function choose(number){let found=await begin(data.kernel,data.
-needles[number]);if(Number(part("needle-choice").value)!==number)return;[needle,steered]=[data.needles[number],
+!0,redraw(),refresh(),refreshFields(),refreshMethods(),draw2()}function redraw(){frame||=requestAnimationFrame(
+()=>{frame=0,paint(fresh),fresh=!1,publish("drawn")})}function rebuild(lists,below=part("flip").parentElement,whole=!1){
+replay&&play(!1),write(refusal,"");let{number}=steered;whole&&steered.keep();try{for(let changes of lists)steered.
+apply(changes.map(([name,item,value])=>[name,item,value+0]),{validOnly:!1});settle(steered)}catch(error){if(refuse(
+error,below),whole&&steered.number>number&&steered.apply([["return_to",null,number]]),steered.number===number)
+return refreshFields()}replay&&(replay.changed=!0),part("back").disabled=!1,update()}function refuse(error,below){
+if(!error.what)throw error;below.after(refusal),write(refusal,`${error.what}. Expected: ${error.expected}.`)}async function followAddress(){
+let address=location.hash.slice(1);if(!address||part(decodeURIComponent(address)))return!1;let below=part("pro\
+of").parentElement;try{let name=nameIn(address),number=data.needles.findIndex(one=>nameOf3(one)===name);if(name!==
+null&&number<0)throw new ModelError(`the address has needle=${name}`,data.needles.map(nameOf3).join(", "));number>=
+0&&data.needles[number]!==needle&&(part("needle-choice").value=number,await choose(number));let lists=readAddress(
+address,needle.scene);return lists.length&&rebuild(lists,below,!0),lists.length>0}catch(error){return refuse(error,
+below),!0}}async function copyLink(){let name=data.needles.length>1?nameOf3(needle):null,{address,lost}=await writeAddress(
+data.kernel,steered,name);part("save-recording").hidden=!lost,write("link-note",lost?`No link: an address does\
+ not carry ${lost.join(", ")}. A recording does.`:""),!lost&&(rebuild(readAddress(address,needle.scene)),history.
+replaceState(null,"",`#${address}`),await navigator.clipboard?.writeText(location.href).then(()=>say("The link\
+ is copied."),()=>null))}function saveRecording(){let file=new Blob([writeRecording(needle.head,steered)],{type:"\
+text/csv"}),name=`${nameOf3(needle).replace(/[^\w-]+/g,"-")}.csv`;hand(file,name),write("link-note",`Saved ${name}\
+. It opens with: needlefit view --recording ${name}`)}async function choose(number){let found=await begin(data.
+kernel,data.needles[number]);if(Number(part("needle-choice").value)!==number)return;[needle,steered]=[data.needles[number],
 found];let{scene}=needle;replay=needle.recording?new Replay(steered,needle.recording):null,take({...scene,kind:"\
 scene"}),buildFields(needle,change2),listMethods();let specimen=needle.new_specimen?" of a specimen that was n\
 ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % o\
 f the needles of ${draws}${specimen}, without noise and model error.`:""),part("synthetic")?.toggleAttribute("\
-hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),replay)return showStep(replay.steps.
-length);steered.rewind(),insert(steered),part("back").disabled=!0,update()}function listMethods(){let{methods}=needle;
-if(part("methods").hidden=!methods,!methods)return;let heads=["method",...needle.scene.measured.metrics.map(([
-,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"\
-col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"row"},name),values.map(one=>element("\
-td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.map(method=>{if(!method.x)
-return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatch line",ariaHidden:"tr\
-ue"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;let toggle2=element("b\
-utton",{type:"button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.name);return press(toggle2,
-()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.add(method.key),toggle2.
-ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("method-rows").replaceChildren(
-first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.state;[`the needle above${errors&&
-!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:""}`,...errorsOf(errors)].forEach((text,i)=>write(present[i],
-text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),part("scrub").value=n===replay.steps.
-length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,write("time",`${clock.toFixed(
-1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=!0,update()}function play(on){if(part(
-"play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.at===replay.steps.length||replay.
-changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(advance)}function advance(t){
-if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*
-(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.steps.length&&timeOf(playing.
-n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),playing.n===replay.steps.
-length)return play(!1);requestAnimationFrame(advance)}function buildRecording(){let{recording}=data.needles[0];
-part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*recording.at(-1)[0])/10,part("s\
-crub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(Number(target.value),recording.at(-1)[0]);
-showStep(recording.filter(([time])=>time<=clock).length,clock)}),press("play",()=>play(!playing)))}async function stateAgreement(){
-let{count,largest}=await prove(data,SAME5),[what,of]=data.needles[0].recording?["recorded state","recording"]:
-["needle","report"],[agrees,place2]=[largest<SAME5,part("proof")],found=largest===0?`the same bytes as in the ${of}`:
-`up to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.
-count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,
-what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needle\
-fit ${data.needlefit}).`)}async function start(){data=await load2();let script=new Blob([part("program").textContent],
-{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.
-indexOf(needle),steered}));let choice=part("needle-choice");choice.append(...data.needles.map(({scene,group},i)=>element(
-"option",{value:String(i)},[nameOf3(scene),group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.
-length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),press("flip",()=>change2([turnOver(
-now.state.bevel.roll_deg)])),press("back",goBack),press("copy-link",copyLink),part("canvas").addEventListener(
+hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),write("link-note",""),part("save-rec\
+ording").hidden=!0,replay)return showStep(replay.steps.length);steered.rewind(),insert(steered),part("back").disabled=
+!0,update()}function listMethods(){let{methods}=needle;if(part("methods").hidden=!methods,!methods)return;let heads=[
+"method",...needle.scene.measured.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(
+...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"\
+row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.
+toSorted((one,other)=>JUDGED.indexOf(other.key)-JUDGED.indexOf(one.key)).map(method=>{if(!method.x)return row(
+method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatch line",ariaHidden:"true"});swatch.
+style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;let toggle2=element("button",{type:"\
+button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.name);return press(toggle2,()=>{let on=shownMethods.
+has(method.key);on?shownMethods.delete(method.key):shownMethods.add(method.key),toggle2.ariaPressed=String(!on),
+invalidate()}),row(toggle2,errorsOf(method.errors))});part("method-rows").replaceChildren(first,...rows)}function refreshMethods(){
+if(!needle.methods)return;let{errors}=now.state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)}\
+ mm`:"",median=medianOf(now.state,needle.scene);[median?"drawn: predictive median":`the needle above${upto}`,...errorsOf(
+median?.errors??errors)].forEach((text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.
+to(n),write(refusal,""),part("scrub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=
+`${clock.toFixed(1)} s`,write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part(
+"back").disabled=!0,update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=
+null);let n=replay.at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.
+now(),n},requestAnimationFrame(advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.
+steps.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),
+playing.last=t;playing.n<replay.steps.length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.
+n,Math.min(playing.clock,ends)),playing.n===replay.steps.length)return play(!1);requestAnimationFrame(advance)}
+function buildRecording(){let{recording}=data.needles[0];part("transport").hidden=!recording,recording&&(part(
+"scrub").max=Math.ceil(10*recording.at(-1)[0])/10,part("scrub").addEventListener("input",({target})=>{play(!1);
+let clock=Math.min(Number(target.value),recording.at(-1)[0]);showStep(recording.filter(([time])=>time<=clock).
+length,clock)}),press("play",()=>play(!playing)))}async function stateAgreement(){let{count,largest}=await prove(
+data,SAME3),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle","report"],[agrees,place2]=[
+largest<SAME3,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(
+1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.
+largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,what)} computed here`;write(
+"proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){
+data=await load2();let script=new Blob([part("program").textContent],{type:"text/javascript"});computeBands(new Worker(
+URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.indexOf(needle),steered}));let choice=part("n\
+eedle-choice");choice.append(...data.needles.map((one,i)=>element("option",{value:String(i)},[nameOf3(one),one.
+group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("ch\
+ange",()=>choose(Number(choice.value))),press("flip",()=>change2([turnOver(now.state.bevel.roll_deg)])),press(
+"back",goBack),press("copy-link",copyLink),press("save-recording",saveRecording),part("canvas").addEventListener(
 "touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener(
 "hashchange",followAddress),offerScenes(rebuild,data.kernel),listen("redraw",redraw),listen("go to",depth=>change2(
 [["depth_mm",null,depth]])),listen("steered",set=>change2(set)),now.connected=!0,buildRecording(),data.needles[0].
 recording||["load","points","path","errors","strip"].forEach(name=>toggle(name,!1)),await choose(0);let led=await followAddress();
 fit("tissue"),await stateAgreement(),!led&&replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(
-!0)}var SHORTEST2,LONGEST,DESCRIBED_EVERY,SAME5,data,needle,steered,replay,steps,described,frame,fresh,shownMethods,
-refusal,change2,nameOf3,errorsOf,present,lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page\
-/share/main.js"(){init_above();init_bands();init_dom();init_drawing();init_handles();init_inputs();init_state();
-init_strokes();init_pointers();init_quantities();init_readouts();init_scenes();init_store();init_strip();init_toolbar();
-init_view();init_address();init_controls();init_needles();SHORTEST2=2,LONGEST=20,DESCRIBED_EVERY=2e3,SAME5=1e-6,
-data=null,needle=null,steered=null,replay=null,steps=0,described=0,frame=0,fresh=!1,shownMethods=new Set,refusal=
-part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=({measured:measured2,title})=>measured2?.
-id??title;errorsOf=values=>needle.scene.measured.metrics.map(([name,,unit])=>writeError(values?.[name]??null,unit)),
-present=[],lighten=colour2=>between(colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.
-methods??[])!x||!shownMethods.has(key)||(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(
-colour2):colour2,2))});playing=null,timeOf=n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStr\
-eam","Worker"];start().catch(error=>{let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",
-lacking.length?`This browser lacks ${lacking.join(", ")}: it cannot compute the needle.`:`The needle was not c\
-omputed, for a fault in this file: ${error.message}`),part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+!0)}var SHORTEST2,LONGEST,data,needle,steered,replay,steps,frame,fresh,shownMethods,refusal,change2,nameOf3,errorsOf,
+JUDGED,present,lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page/share/main.js"(){init_above();
+init_bands();init_dom();init_drawing();init_handles();init_inputs();init_state();init_strokes();init_pointers();
+init_quantities();init_readouts();init_scenes();init_store();init_strip();init_toolbar();init_view();init_address();
+init_controls();init_needles();SHORTEST2=2,LONGEST=20,data=null,needle=null,steered=null,replay=null,steps=0,frame=
+0,fresh=!1,shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=
+({name,scene})=>name??scene.measured?.id??scene.title;errorsOf=values=>needle.scene.measured.metrics.map(([name,
+,unit])=>writeError(values?.[name]??null,unit)),JUDGED=["predictive_median"],present=[],lighten=colour2=>between(
+colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.methods??[])!x||!shownMethods.
+has(key)||(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))});playing=
+null,timeOf=n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{
+let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.
+join(", ")}: it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),
+part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

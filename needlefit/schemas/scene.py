@@ -239,6 +239,8 @@ class RulesRecord(AdvanceRecord):
 
     element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
     """Length of a beam element; without it, the spacing or the largest part of it up to 1 mm."""
+    tolerance_mm: float | None = Field(default=None, gt=0, le=1e-3)
+    """Motion of a node at which the solver stops; without it 1e-7."""
 
     @property
     def element(self) -> float:

@@ -11,6 +11,7 @@ from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies import fit_tables
+from needlefit.studies.explorer import collect_explorers
 from needlefit.studies.fit_figures import draw_groups
 from needlefit.studies.report import compose_warnings, label_figures, state_blocks, write_report
 from needlefit.studies.run import Run
@@ -82,4 +83,5 @@ def compose_overview(
         data,
         any(run.synthetic for run in studies),
         (*states, *body),
+        collect_explorers(studies),
     )

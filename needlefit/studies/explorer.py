@@ -3,6 +3,7 @@
 A run stores how each insertion was made, so that its report can be made again without the dataset.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
@@ -11,26 +12,36 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import GuideMotion, InsertionPose, find_free_reach
+from needlefit.errors import ConfigError
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM, Needle
-from needlefit.mechanics.packing import compile_law
+from needlefit.mechanics.packing import MAX_TOLERANCE_MM, compile_law
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.metrics import list_metrics
+from needlefit.planning.insertion_scene import (
+    find_layers,
+    make_scene_record,
+    name_bevel_key,
+    name_layer_values,
+)
+from needlefit.planning.recording import format_head, make_head
+from needlefit.planning.steered_needle import make_scene, name_guides
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import PageData, encode_metrics, encode_scene, kernel_exists
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata
+from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
 from needlefit.studies.fit_frames import (
     FIT_KINDS,
+    MEDIAN_METHOD,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
     find_scored_role,
@@ -138,13 +149,30 @@ def vary_draws(draws: pd.DataFrame, medium: MediumRecord, name: str, seed: int, 
     return found.assign(**{one: found[one] * factors for one in BEVEL_PARAMETERS if one in names})
 
 
-def collect_explorer(run: Run) -> PageData | None:
-    """Return the data of the page of a fit or cross-validation; None where nothing can be computed.
+def collect_explorers(runs: Sequence[Run]) -> PageData | None:
+    """Return the data of one page of several runs, its needles named by their runs; None without any."""
+    found: PageData | None = None
+    for run in runs:
+        before = len(found.needles) if found else 0
+        found = collect_explorer(run, found) or found
+        for needle in found.needles[before:] if found else ():
+            needle["name"] = f"{run.name}/{needle['scene']['target']}"
+    return found
+
+
+def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
+    """Return the data of the page of a fit, cross-validation or prediction; None where there is no needle.
+
+    Its needles are added to `data`, if given.
 
     Nothing can be computed in an installation without the kernel in WebAssembly, of tip tracks, and of runs
     of earlier versions, which did not store how each insertion was made.
     """
-    if run.kind not in FIT_KINDS or not kernel_exists():
+    if not kernel_exists():
+        return None
+    if run.kind == "prediction":
+        return _collect_prediction(run, data)
+    if run.kind not in FIT_KINDS:
         return None
     errors = run.frames["errors"]
     scored = select_fitted(errors, find_scored_role(errors))
@@ -153,7 +181,7 @@ def collect_explorer(run: Run) -> PageData | None:
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
-    data = PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
+    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     shapes = run.frames["shapes"]
     shapes = shapes[shapes["boundaries"] == "measured"]
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
@@ -177,29 +205,109 @@ def collect_explorer(run: Run) -> PageData | None:
             "group": labels.group_name(row["medium"], row["layers"]),
             "status": status,
         }
+        if needle["scene"]["measured"]["target"]["pose"] == "known":  # its curve lies where it is drawn
+            needle["scene"]["measured"]["median"] = find_median(run, *where)
         data.needles.append(needle | about | {"methods": methods})
     return data
 
 
+def choose_drawn(sets: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Return the parameters (Pa, mm) of some draws, evenly chosen, that the page of a prediction needs."""
+    chosen = np.linspace(0, len(sets) - 1, min(MAX_DRAWS, len(sets))).astype(np.intp)
+    return {name: [float(sets[n][name]) for n in chosen] for name in sets[0]}
+
+
+def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
+    """Return the data of the page of a predicted needle; None where its draws are not certified.
+
+    The needle is that of the medians of the parameters; what is drawn at first is the predictive median.
+    """
+    from needlefit.inference.forward_model import make_rules
+    from needlefit.mechanics.simulate import find_last_shape
+
+    metadata = run.knows(PredictionMetadata)
+    if metadata.drawn is None:
+        return None
+    medium, record = metadata.medium, run.record.scene
+    values = {name: float(np.median(drawn)) for name, drawn in metadata.drawn.items()}
+    record = record.model_copy(
+        update={
+            "layers": tuple(
+                layer.model_copy(update=name_layer_values(values, n, medium))
+                for n, layer in enumerate(record.layers, start=1)
+            ),
+            "bevel": record.bevel.model_copy(update={name_bevel_key(medium): values[medium.bevel_parameter]}),
+            "rules": make_rules(medium).model_copy(
+                update={key: getattr(record.rules, key) for key in ("element_mm", "first_cell_mm")}
+            ),
+            "law": medium.law,
+        }
+    )
+    try:
+        scene, guides = name_guides(make_scene(record, run.record.scene_name))
+    except ConfigError:
+        return None  # the page steers no such needle
+    lattice = make_lattice(scene.steps, scene.rules)
+    shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
+    data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
+    table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
+    median = run.frames["forecast"]
+    encoded = encode_scene(scene, lattice.first_cell, guides) | {
+        "title": run.title,
+        "target": run.name,
+        "synthetic": run.synthetic,
+        "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
+        "measured": None,
+        "median": {"x": median["x_mm"].tolist(), "y": median["needle_median_mm"].tolist()},
+        "draws": _encode_draws(data, table, medium, layers, 1.0, scene.tissue),
+    }
+    head = format_head(make_head(run.name, lattice.first_cell, record))
+    about = {"new_specimen": metadata.specimen == "others", "head": head, "tip": shape.tip_lateral}
+    data.needles.append({"scene": encoded, **about})
+    return data
+
+
+def find_median(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
+    """Return the predictive median of an insertion, which the verdict judges: its curve, mm, and its errors.
+
+    None of an insertion that was not held out.
+    """
+    place = {
+        "fold": fold,
+        "role": role,
+        "insertion": insertion,
+        "method": MEDIAN_METHOD,
+        "boundaries": "measured",
+    }
+    shapes, errors = run.frames["shapes"], run.frames["errors"]
+    for name, value in place.items():
+        shapes, errors = shapes[shapes[name] == value], errors[errors[name] == value]
+    if shapes.empty or errors.empty:
+        return None
+    (row,) = to_records(errors)
+    curve = {axis: shapes[f"simulated_{axis}_mm"].tolist() for axis in "xy"}
+    return curve | {"errors": {metric.name: row.get(metric.name) for metric in list_metrics()}}
+
+
 def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[str, Any]:
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
-    from needlefit.inference.forward_model import make_simulation_inputs
-
     metadata, name = run.knows(FitMetadata), row["insertion"]
     medium, stored = metadata.medium, StoredInsertion.read(metadata, name)
     known = run.frames["parameters"]
     known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
-    needle, tissue, steps, rules = make_simulation_inputs(values, medium, stored)
-    names = tuple(f"layer {layer}" for layer in stored.sequence)
-    scene = Scene(needle, tissue, steps, rules, layer_names=names)
-    lattice = make_lattice(steps, rules)
+    title = f"{name} · {run.dataset_title}"
+    # as the fit has simulated it, to its tolerance: the needle is that of the run to the bit
+    dataset = metadata.dataset.name
+    record = make_scene_record(values, medium, dataset, stored, title, MAX_TOLERANCE_MM)
+    scene, guides = name_guides(Scene.from_record(record, name))
+    lattice, tissue = make_lattice(scene.steps, scene.rules), scene.tissue
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
-    encoded = encode_scene(scene, lattice.first_cell) | {
-        "title": f"{name} · {run.dataset_title}",
+    encoded = encode_scene(scene, lattice.first_cell, guides) | {
+        "title": title,
         "target": name,
         "synthetic": run.synthetic,
-        "diameter_mm": needle.outer_diameter or DEFAULT_DIAMETER_MM,
+        "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": measured,
         "draws": None,
     }
@@ -209,8 +317,10 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():
         varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])
-        encoded["draws"] = _encode_draws(data, varied, medium, stored, tissue)
-    return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN}
+        layers = [layer for _, layer in find_layers(stored)]
+        encoded["draws"] = _encode_draws(data, varied, medium, layers, stored.bevel_factor, tissue)
+    head = make_head(f"{run.name}/{name}", lattice.first_cell, record)
+    return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN, "head": format_head(head)}
 
 
 def _encode_measured(
@@ -250,13 +360,18 @@ def _encode_measured(
 
 
 def _encode_draws(
-    data: PageData, draws: pd.DataFrame, medium: MediumRecord, stored: StoredInsertion, tissue: Tissue
+    data: PageData,
+    draws: pd.DataFrame,
+    medium: MediumRecord,
+    layers: Sequence[int],
+    factor: float,
+    tissue: Tissue,
 ) -> dict[str, Any]:
     """Return the draws of a band: of each, mu and law of every layer, and the strength of the bevel."""
     from needlefit.inference.forward_model import stack_values
 
     table = {str(name): column.to_numpy() for name, column in draws.items()}
-    values = stack_values(table, medium, stored.sequence, stored.bevel_factor)
+    values = stack_values(table, medium, layers, factor)
     shape = values["shape"]
     varying = not isinstance(LAWS[tissue.law], PowerLaw) and bool((shape != shape[:1]).any())
     count = min(MAX_TABLE_DRAWS if varying else MAX_DRAWS, len(draws))

@@ -1,26 +1,29 @@
 """Export a recording: its last shape, figures, an animation, its inputs, or an HTML file that computes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from needlefit.arrays import are_bounded
+from needlefit.errors import ModelError
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.session import NeedleState, find_tip_force
+from needlefit.planning.recording import Recording, begin_replay, format_head, read_recording, replay
+from needlefit.planning.steered_needle import SteeredNeedle
 from needlefit.reporting import needle_page
+from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.messages import encode_scene, encode_tables
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
-from needlefit.viewer.recording import Recording, begin_replay, read_recording, replay
-from needlefit.viewer.steering import SteeredNeedle
 
 if TYPE_CHECKING:
-    from needlefit.reporting.figures.needles import SceneOverlays
+    from needlefit.reporting.figures.needles import PictureView, SceneOverlays
 
 PAGE = Path(__file__).parent / "page"
 
@@ -46,6 +49,13 @@ class RecordingOutcome:
     @property
     def state(self) -> NeedleState:
         return self.steering.now
+
+    @property
+    def tip_force(self) -> float:
+        """The force on the tip, N, as a page shows it; see `find_tip_force`."""
+        steering, scene = self.steering, self.steering.scene
+        path = steering.input_path()
+        return find_tip_force(scene.needle, self.state.tissue, path, steering.first_cell, scene.rules)
 
     @property
     def scene(self) -> Scene:
@@ -76,11 +86,12 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
     write_slicer_scene(placement, [outcome.state.shape], path, diameter)
 
 
-def write_picture(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw the needle with its overlays, .svg, .png or .pdf."""
+def write_picture(outcome: RecordingOutcome, path: Path, shown: "PictureView | None" = None) -> None:
+    """Draw the needle with its overlays, .svg, .png or .pdf: as a page has `shown` it, or whole."""
     from needlefit.reporting.figures.needles import draw_state
 
-    draw_state(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
+    overlays = _find_overlays(outcome, banded=True)
+    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays, shown)
 
 
 def write_animation(outcome: RecordingOutcome, path: Path) -> None:
@@ -112,6 +123,7 @@ _EXPORTS: dict[str, tuple[str, Write | None]] = {
     "shape.csv": ("text/csv", write_table),
     "shape.mrk.json": ("application/json", write_curve),
     "picture.svg": ("image/svg+xml", write_picture),
+    "picture.pdf": ("application/pdf", write_picture),
     "picture.png": ("image/png", write_picture),
     "share.html": ("text/html", write_share),
     "inputs.csv": ("text/csv", None),
@@ -121,18 +133,43 @@ _EXPORTS: dict[str, tuple[str, Write | None]] = {
 EXPORT_TYPES = {suffix: media_type for suffix, (media_type, _) in _EXPORTS.items()}
 
 
-def export(path: Path, kind: str) -> bytes:
+def export(path: Path, kind: str, picture: Mapping[str, Any] | None = None) -> bytes:
     """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
 
-    ConfigError or DataError if the recording is damaged.
+    `picture` is what a page shows, as `read_picture` takes it. ConfigError or DataError if the recording is
+    damaged, ModelError if the picture is none.
     """
     _, write = _EXPORTS[kind]
     if write is None:
         return path.read_bytes()
     with TemporaryDirectory() as folder:
         file = Path(folder) / kind
-        write(replay_to_end(read_recording(path)), file)
+        done, shown = replay_to_end(read_recording(path)), None if picture is None else read_picture(picture)
+        write_picture(done, file, shown) if write is write_picture else write(done, file)
         return file.read_bytes()
+
+
+def read_picture(content: Mapping[str, Any]) -> "PictureView":
+    """Return the picture that a page describes; ModelError if it is none.
+
+    `x`, `y`: limits in mm; `times`: how many times as large as x it draws y; `hidden`: names of parts;
+    `pinned`: x and y of a needle, or None; `width_mm`: of the figure.
+    """
+    from needlefit.reporting.figures.needles import PRINT_WIDTHS_MM, PictureView
+
+    try:
+        numbers = [*content["x"], *content["y"], content["times"], content["width_mm"]]
+        left, right, bottom, top, times, width = map(float, numbers)
+        hidden = frozenset(map(str, content["hidden"]))
+        pinned = np.array(content["pinned"] or [[], []], dtype=np.float64).reshape(2, -1).T
+        fits = left < right and bottom < top and times > 0 and width in PRINT_WIDTHS_MM
+        fits &= are_bounded(numbers, MAX_NUMBER) and are_bounded(pinned, MAX_NUMBER)
+    except (KeyError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise ModelError("this is no picture of a needle", expected="limits in mm, and a column's width")
+    curve = pinned if len(pinned) else None
+    return PictureView((left, right), (bottom, top), times, hidden, curve, width)
 
 
 def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
@@ -164,5 +201,6 @@ def compose_share(recording: Recording) -> str:
     ]
     data = needle_page.PageData({"needlefit": recording.head.needlefit})
     new_specimen = viewed_scene.specimen == "new"
-    data.needles.append({"scene": scene, "recording": steps, "new_specimen": new_specimen})
+    head = format_head(recording.head)
+    data.needles.append({"scene": scene, "recording": steps, "new_specimen": new_specimen, "head": head})
     return needle_page.compose_file(viewed_scene.title, viewed_scene.note, data)

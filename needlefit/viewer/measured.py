@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -17,6 +19,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.planning.insertion_scene import find_layers, make_scene_record
+from needlefit.planning.steered_needle import make_scene
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
@@ -24,8 +27,10 @@ from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.viewer.overlays import make_measured_overlay
-from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
+
+if TYPE_CHECKING:
+    from needlefit.studies.run import Run
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
 #: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
@@ -109,7 +114,7 @@ def _show_insertion(
     """Return the scene that shows an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
-    record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)
+    record = make_scene_record(shown.values, shown.medium, dataset.name, insertion, title)
     scene = make_scene(record, f"{name}/{insertion.id}")
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
@@ -140,9 +145,8 @@ def _show_insertion(
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
-    from needlefit.studies.explorer import choose_drawn_specimen
+    from needlefit.studies.explorer import choose_drawn_specimen, find_median
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
-    from needlefit.studies.report import recall
     from needlefit.studies.store import restore_run, unpack
     from needlefit.studies.stored_fit import read_data
 
@@ -186,11 +190,15 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     crossed = "Layer depths: as measured. " if len(insertion.boundaries) else ""
     description = f"Parameters: fitted by {run.name} {role}. {crossed}{_describe_band(draws, specimen)}"
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
+    measured = viewed_scene.measured
+    if measured is not None and measured.target.pose == "known":
+        median = find_median(run, fold, "validate", insertion.id)
+        viewed_scene = replace(viewed_scene, measured=replace(measured, median=median))
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in run.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings
     viewed_scene = replace(
-        viewed_scene, verdict=recall(run), faults=run.faults, warnings=tuple(warnings),
+        viewed_scene, recall=partial(_recall, run), faults=run.faults, warnings=tuple(warnings),
         fitted_depths=tuple(one.depth for one in fitted), fitted_along_z=stated.compared == "space",
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():
@@ -203,6 +211,12 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
         spread=_vary_draws(shown, draws, new_bevel_sd),
         specimen="new" if new else "same",
     )
+
+
+def _recall(run: "Run") -> str:
+    from needlefit.studies.report import recall
+
+    return recall(run)
 
 
 def _vary_draws(shown: ShownInsertion, draws: pd.DataFrame, new_bevel_sd: float) -> ParameterDraws:

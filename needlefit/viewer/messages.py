@@ -12,12 +12,12 @@ from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.laws import LAWS, PowerLaw
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.tissue import Tissue
+from needlefit.planning.recording import RecordedStep
+from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.json_values import parse_json_text
 from needlefit.reporting import needle_page
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.overlays import MeasuredOverlay, choose_band_draws
-from needlefit.viewer.recording import RecordedStep
-from needlefit.viewer.steering import Change, SteeredNeedle
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
         "compared": target.compared,
         **{"x": x, "y": y, "z": measured.out_of_plane.tolist(), "s": measured.s.tolist()},
         "floor_mm": measured.floor,
+        "median": measured.median,
         "target": {"pose": target.pose, "s": target.s.tolist(), **points},
     }
 

@@ -4,6 +4,7 @@ It imports little, so that a scene is there at once; `measured` opens datasets a
 """
 
 import csv
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,12 +13,12 @@ import numpy as np
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
+from needlefit.planning.recording import Recording
+from needlefit.planning.steered_needle import make_scene
 from needlefit.project.input_files import is_file, read_text
-from needlefit.project.locate import file_label, find_view_target
+from needlefit.project.locate import TargetKind, file_label, find_view_target
 from needlefit.project.toml import load
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.recording import Recording
-from needlefit.viewer.steering import make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 if TYPE_CHECKING:
@@ -27,15 +28,23 @@ DEFAULT_SCENE = "phantom2_fitted"  #: the scene that is shown where nothing is n
 DRAWS_SUFFIX = ".draws.csv"  #: ending of the table of parameter draws beside a scene, in place of `.toml`
 
 
-def open_target(name: str | None, insertion: str | None = None, specimen: str = "shown") -> ViewedScene:
+def open_target(
+    name: str | None,
+    insertion: str | None = None,
+    specimen: str = "shown",
+    first: TargetKind | None = None,
+) -> ViewedScene:
     """Return the scene to show for SCENE, RUN or DATASET/ID; `DEFAULT_SCENE` where there is no name.
+
+    A name of several means the kind `first`, by default the run.
 
     `insertion` is one of the run or dataset; by default the one in `name`, else the first: of a run the first
     held-out one. `specimen` is that of the draws of a run: of its band, and of plans. ConfigError if there is
     no such thing, or the file of a scene has a fault. DataError if the dataset has a fault, or the run is of
     another kind or damaged, found no parameters, or its data have changed since.
     """
-    view_target = replace(find_view_target(DEFAULT_SCENE if name is None else name), specimen=specimen)
+    first = first or ("scene" if name is None else "run")
+    view_target = replace(find_view_target(name or DEFAULT_SCENE, first), specimen=specimen)
     if view_target.kind == "scene":
         record = load(view_target.path, SceneRecord)
         scene = make_scene(record, file_label(view_target.path))
@@ -78,18 +87,36 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
     return select_layer_draws(table, layers, record.law)
 
 
+SAME = 1e-6  #: difference of two numbers of a scene, mm, degrees or parts of the value, that no one states
+
+
+def _is_same(one: object, other: object) -> bool:
+    """Return whether the values of two scenes mean the same, to whatever tolerance they are solved."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        keys = (one.keys() | other.keys()) - {"tolerance_mm"}
+        return all(_is_same(one.get(key), other.get(key)) for key in keys)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    if isinstance(one, float | int) and isinstance(other, float | int):
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=SAME)
+    return bool(one == other)
+
+
 def open_recording(recording: Recording) -> ViewedScene:
     """Return the scene of a recording, with its overlays if their files still exist unchanged."""
     head = recording.head
     title, note = head.scene.title or head.target, "Opened from a recording."
     alone = ViewedScene(head.target, title, note, head.scene, head.first_cell_mm, head.placement)
     try:
-        found = open_target(head.target)
+        found = open_target(head.target, first="scene")  # a run's insertions have names of their own
     except NeedlefitError as error:
         return replace(alone, note=f"{note} What was shown beside it is not found: {error.what}.")
     if found.record.title != head.scene.title:  # a title of its own changes no needle
         record = found.record.model_copy(update={"title": head.scene.title})
         found = replace(found, record=record, title=title)
-    if found.record != head.scene:
-        return replace(alone, note=f"{note} {head.target} has changed since and is not shown beside it.")
-    return replace(found, first_cell=head.first_cell_mm)
+    if not _is_same(found.record.model_dump(), head.scene.model_dump()):
+        moved = found.record.model_copy(update={"entry": head.scene.entry})
+        shifted = _is_same(moved.model_dump(), head.scene.model_dump())
+        why = "lies at another entry" if shifted else "has changed since"
+        return replace(alone, note=f"{note} {head.target} {why} and is not shown beside it.")
+    return replace(found, record=head.scene, first_cell=head.first_cell_mm)

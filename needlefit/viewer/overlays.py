@@ -1,8 +1,9 @@
 """Overlays of the simulated needle: a measured needle, and the band of a fit."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -77,6 +78,8 @@ class MeasuredOverlay:
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
     out_of_plane: Floats  #: (N,) z of the points, mm
+    #: the predictive median of a run that has held it out: x, y, mm, and its errors
+    median: Mapping[str, Any] | None = None
 
 
 def make_measured_overlay(

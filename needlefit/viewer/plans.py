@@ -13,13 +13,13 @@ from needlefit.geometry.frames import Placement
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
 from needlefit.planning.goals import Goal
+from needlefit.planning.recording import RecordedStep, RecordingWriter
+from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.project.unit_warnings import extrapolation_warnings
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
 from needlefit.viewer.messages import Message, round_lengths
-from needlefit.viewer.recording import RecordedStep, RecordingWriter
-from needlefit.viewer.steering import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target

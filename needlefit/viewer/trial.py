@@ -4,15 +4,16 @@ import asyncio
 from collections import deque
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import ModelError
-from needlefit.planning.steering import StartedInsertion
+from needlefit.planning.recording import RecordedStep, Recording, RecordingWriter, replay
+from needlefit.planning.steered_needle import SteeredNeedle, make_scene
 from needlefit.viewer.messages import encode_recorded, encode_scene, encode_tables
-from needlefit.viewer.plans import continue_insertion
-from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, replay
-from needlefit.viewer.steering import SteeredNeedle, make_scene
 from needlefit.viewer.viewed_scene import ViewedScene
+
+if TYPE_CHECKING:
+    from needlefit.planning.steering import StartedInsertion
 
 
 class InteractiveTrial:
@@ -60,8 +61,10 @@ class InteractiveTrial:
         return self._steering
 
     @property
-    def insertion(self) -> StartedInsertion:
+    def insertion(self) -> "StartedInsertion":
         """The insertion of its needle up to where it stands, with the draws of its parameters."""
+        from needlefit.viewer.plans import continue_insertion  # late: it takes longer than the page
+
         return continue_insertion(self.steering, self.viewed_scene.spread)
 
     def time(self) -> float:

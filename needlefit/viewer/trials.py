@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
-from needlefit.viewer.recording import Recording
+from needlefit.planning.recording import Recording
 from needlefit.viewer.trial import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
 

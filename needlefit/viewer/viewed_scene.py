@@ -1,14 +1,14 @@
 """What the viewer shows of one name of the command line: a scene, a recording, or a measured insertion."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.planning.recording import make_head
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.recording import make_head
 
 if TYPE_CHECKING:
     from needlefit.inference.forward_model import ParameterDraws
@@ -38,7 +38,8 @@ class ViewedScene:
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from
-    verdict: str = ""  #: of the run that it is from, with the checks that failed
+    #: returns the verdict of the run that it is from, with the checks that failed; no page waits for it
+    recall: Callable[[], str] = str
     faults: "tuple[RunFault, ...]" = ()  #: why the run that it shows is not to be trusted
 
     @property

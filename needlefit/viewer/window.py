@@ -2,15 +2,15 @@
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import NeedlefitError
-from needlefit.planning.goals import Goal
-from needlefit.planning.steering import PlanLimits, plan_steering
 from needlefit.viewer.messages import Message, encode_fault
-from needlefit.viewer.plans import plan_message, read_goal
 from needlefit.viewer.trial import InteractiveTrial, RecordingEndedError
 from needlefit.viewer.trials import TrialRegistry
+
+if TYPE_CHECKING:
+    from needlefit.planning.goals import Goal
 
 Reply = dict[str, Any]
 
@@ -56,14 +56,19 @@ class Window:
                 self.orders.clear()
                 yield self.trial.describe_scene()
             case "plan":
+                from needlefit.viewer.plans import read_goal
+
                 self.orders["plan"] = self._plan(trial, read_goal(message), message.id)
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
         return self.closed or kind in self.orders
 
-    def _plan(self, trial: InteractiveTrial, goal: Goal, answers: int) -> Iterator[Reply]:
+    def _plan(self, trial: InteractiveTrial, goal: "Goal", answers: int) -> Iterator[Reply]:
         """Plan to a goal from where the needle stands."""
+        from needlefit.planning.steering import PlanLimits, plan_steering
+        from needlefit.viewer.plans import plan_message
+
         step, insertion = len(trial.steps), trial.insertion
         yield {}
         try:

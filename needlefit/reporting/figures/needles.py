@@ -35,6 +35,7 @@ from needlefit.reporting.number_format import format_quantity
 COLOURS = {
     **{"ink": "#1a1a1a", "needle": "#4b5158", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
     **{"guide": "#007a58", "load": "#a2457b", "measured": "#1a1a1a", "band": "#0072b2", "halo": "#ffffffd8"},
+    "pinned": "#7a5600",
 }
 """Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
 
@@ -47,6 +48,7 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "path": {"color": COLOURS["path"], "lw": 0.9},
     "halo": {"color": COLOURS["halo"], "lw": 2.6},
     "measured": {"color": COLOURS["measured"], "lw": 1.3, "ls": (0, (3.5, 2.0)), "dash_capstyle": "round"},
+    "pinned": {"color": COLOURS["pinned"], "lw": 1.4, "ls": (0, (1.4, 1.6))},
     "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
     "band": {"color": COLOURS["band"], "alpha": 0.4, "lw": 0},
 }
@@ -185,7 +187,9 @@ def _find_label_place(axes: Axes, entry: Entry, depths: Span, height: float) -> 
     return ((middle, level) if along == 0 else (level, middle)), float(end - start) * roomy
 
 
-def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False) -> None:
+def _draw_needle(
+    axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False, points: bool = True
+) -> None:
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
     entry = scene.entry
     for guide in _find_guides(step, above):
@@ -198,8 +202,9 @@ def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above
             bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
         )  # fmt: skip
         return
-    points = _see(map_beam_points(shape, shape.constraints), above)
-    axes.plot(*entry.to_world(points).T, zorder=2, **_LOOKS["points"])
+    if points:
+        places = _see(map_beam_points(shape, shape.constraints), above)
+        axes.plot(*entry.to_world(places).T, zorder=2, **_LOOKS["points"])
     needle = _trace(entry, shape, above)
     axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
     axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
@@ -278,25 +283,25 @@ def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[st
 
 
 def describe_state(
-    entry: Entry, state: NeedleState, found: Loads, letters: int
+    state: NeedleState, found: Loads, tip_force: float | None, letters: int
 ) -> tuple[list[str], list[str]]:
-    """Return the text above a drawing: position and supports of the needle, and its tip.
+    """Return the text above a drawing: position and supports of the needle, and its tip with the force on it.
 
     In lines, the first of at most so many letters.
     """
-    step, frame = state.step, "" if entry == Entry() else " in C"
+    step = state.step
 
     def force(name: str, newton: float) -> str:
         return _replace_minus(f"{name} {newton:+z.3f} N")
 
-    position = [f"{step.depth:.4g} mm deep", *describe_changes(None, step, frame)]
+    position = [f"{step.depth:.4g} mm deep", *describe_changes(None, step)]
     position.append(_describe_strength(step.bevel, ".3g"))
     supports = [f"{force('base', found.base.force)}, {_replace_minus(f'{found.base.moment:+z.2f}')} N mm"]
     for n, (guide, held) in enumerate(zip(step.controls.guides, found.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
-    tip = _replace_minus(f"tip {_format_tip(state.shape)}")
-    return lines, [f"{tip}{frame}", force("tip force", found.tip_force)]
+    tip = [_replace_minus(f"tip {_format_tip(state.shape)}")]
+    return lines, tip if tip_force is None else [*tip, force("tip force", tip_force)]
 
 
 # ---- a scene after each of its steps
@@ -440,12 +445,18 @@ def _pad_lines(lines: Sequence[str], count: int) -> str:
     return "\n".join([*lines, *[""] * (count - len(lines))])
 
 
-# ---- one state with its forces, at equal scale in both directions
+# ---- one state with its forces, in C
 
-_MAX_LOAD_FRACTION, _MAX_FORCE_FRACTION = 0.1, 0.08  # of the drawing's length: the largest load and tip force
-_MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.2, 1.1  # height over width
-_MAX_STATE_HEIGHT_IN = 6.5
-_TIP_TEXT_WIDTH_IN, _LEGEND_COLUMN_WIDTH_IN = 1.5, 1.2  # of the text on the tip; of the legend, on an average
+_MAX_LOAD_FRACTION, _MAX_FORCE_FRACTION = 0.2, 0.25  # of the drawing's height: the largest load and tip force
+_ROOM_FRACTION = 0.6  # of the needle's height above and below it, for loads and what is written
+_MIN_BEND_FRACTION = 0.01  # of the depth: smaller deflections are not exaggerated further
+_MAX_HEIGHT_RATIO, _AXES_IN = 1.1, 0.6  # height over width; inches beside the panel
+_TIP_TEXT_WIDTH_IN, _LEGEND_COLUMN_WIDTH_IN = (
+    1.5,
+    1.35,
+)  # of the text on the tip; of the legend, on an average
+_ONE_LINE, _ORIGIN_LETTERS = 10_000, 22  # letters; of what states that data are synthetic
+PRINT_WIDTHS_MM = (85.0, 174.0)  # of one column of a paper, and of two
 
 
 @dataclass(frozen=True)
@@ -462,13 +473,25 @@ class SceneOverlays:
 NO_OVERLAYS = SceneOverlays()
 
 
-class StateFigure:
-    """A figure with axes in the world that has room for each of some states of an insertion.
+@dataclass(frozen=True)
+class PictureView:
+    """What a picture of a needle shows: limits in C, mm, and how many times as large as x it draws y."""
 
-    Of the scene it has needle, entry, rules and names of layers; tissue and inputs are those of a state. The
-    needle is drawn from its base on (`whole`) or only as far as it is inserted; by default whole where more
-    than the bevel steers it. `per_mm` is the lateral load per drawn millimetre, N/mm (0 without a load),
-    `arrow` the length of the arrow of a tip force of one newton, mm.
+    x: Span
+    y: Span
+    factor: float
+    hidden: frozenset[str] = frozenset()  # of "load", "points", "path", "measured", "band"
+    pinned: Floats | None = None  # a needle (K, 2), mm, that was kept to compare with
+    width_mm: float = PRINT_WIDTHS_MM[-1]  # of the figure
+
+
+class StateFigure:
+    """A figure with axes in C that has room for each of some states of an insertion.
+
+    Of the scene it has needle, rules and names of layers; tissue and inputs are those of a state. Without a
+    `view` the needle is drawn from its base on where more than the bevel steers it, else from the entry on;
+    y is drawn as many times as large as x as its label states. `tip_force`, N, is that of one state, see
+    `find_tip_force`. `per_mm` is the lateral load per drawn millimetre of y, N/mm (0 without a load).
     """
 
     def __init__(
@@ -477,106 +500,131 @@ class StateFigure:
         scene: Scene,
         states: Sequence[NeedleState],
         overlays: SceneOverlays = NO_OVERLAYS,
-        whole: bool | None = None,
+        view: PictureView | None = None,
+        tip_force: float | None = None,
     ) -> None:
         from_above = len(list_views([state.shape for state in states])) > 1
-        scene = replace(scene, entry=Entry()) if from_above else scene
-        self._scene, self._overlays, entry = scene, overlays, scene.entry
-        if whole is None:
-            whole = any(state.step.controls != Controls() for state in states)
+        self._scene, self._overlays, self._tip_force = replace(scene, entry=Entry()), overlays, tip_force
+        self._view = view = view or self._choose_view(states)
         loads = [self._compute_loads(state) for state in states]
-        points = self._collect_points(states, whole)
-        span = float(np.ptp(points, axis=0).max())
-        load = max(float(np.abs(one.load).max(initial=0.0)) for one in loads)
-        force = max(abs(one.tip_force) for one in loads)
-        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * span)) if load > 0 else 0.0
-        self.arrow = _MAX_FORCE_FRACTION * span / force if force > 0 else 0.0
-        for state, found in zip(states, loads, strict=True):
-            points = np.vstack((points, self._outline_load(state, found), self._place_arrow(state, found)))
-        x, y = _find_limits(points, _MIN_HEIGHT_RATIO * span)
-        more = max(0.0, (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])) / 2  # for what is written above
-        x = (x[0] - more, x[1] + more)
-        self._inches = min((TEXT_WIDTH_IN - 0.6) / (x[1] - x[0]), _MAX_STATE_HEIGHT_IN / (y[1] - y[0]))
-        width, height = self._inches * (x[1] - x[0]), self._inches * (y[1] - y[0])
+        x, y, factor = view.x, view.y, view.factor
+        load = 0.0
+        if "load" not in view.hidden:
+            load = max(float(np.abs(self._smooth(one)).max(initial=0.0)) for one in loads)
+        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * (y[1] - y[0]))) if load > 0 else 0.0
+        width = view.width_mm / 25.4 - _AXES_IN
+        self._inches = width / (x[1] - x[0])
+        height = self._inches * factor * (y[1] - y[0])
         # room for the text above the drawing, beside the text on the tip
-        self._letters = int((width - _TIP_TEXT_WIDTH_IN) / _LETTER_WIDTH_IN)
-        texts = [describe_state(entry, *pair, self._letters)[0] for pair in zip(states, loads, strict=True)]
-        self._lines = max(map(len, texts))
-        more_handles: list[Line2D | Patch] = [Line2D([], [], label="tip path", **_LOOKS["path"])]
-        if self.per_mm:
-            more_handles.append(
-                Patch(label=f"lateral load, {self.per_mm:g} N/mm to the mm", **_LOOKS["load"])
-            )
-        if overlays.measured is not None:
-            more_handles.append(Line2D([], [], label="measured", **_LOOKS["measured"]))
-        if overlays.low is not None:
-            more_handles.append(Patch(label="95 % band", **_LOOKS["band"]))
+        self._narrow = view.width_mm == PRINT_WIDTHS_MM[0]  # the text on the tip stands below the other
+        beside = 0.0 if self._narrow else _TIP_TEXT_WIDTH_IN
+        self._letters = int((width - beside) / _LETTER_WIDTH_IN)
+        texts = [self._describe(*pair)[0] for pair in zip(states, loads, strict=True)]
+        self._lines = max(2, *map(len, texts))
+        more_handles = self._list_handles()
         supports = _name_supports([state.step for state in states])
-        columns = int(width / _LEGEND_COLUMN_WIDTH_IN)
+        columns = max(int(width / _LEGEND_COLUMN_WIDTH_IN), 2)
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
-        x_name, y_name = _NAMES_IN_C if entry == Entry() else _NAMES_IN_WORLD
-        z = self._find_span_above(states, x, 0.5 * span * _MIN_HEIGHT_RATIO) if from_above else (0.0, 0.0)
-        tall = height + self._inches * (z[1] - z[0]) + 0.2 * from_above
-        self.figure = Figure(figsize=(width + 0.6, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
-        self._above: Axes | None = None  # the view from above
+        times = "" if factor == 1 else f", drawn {factor:g}× as large as x"
+        x_name, y_name = _NAMES_IN_C[0], f"{_NAMES_IN_C[1]}{times}"
+        z = self._find_span_above(states, x, 0.2 * (y[1] - y[0])) if from_above else (0.0, 0.0)
+        tall = height + self._inches * factor * (z[1] - z[0]) + 0.2 * from_above
+        self.figure = Figure(figsize=(width + _AXES_IN, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
+        self._above: Axes | None = None  # the view from above, of needles in space
         if from_above:
             ratios = (y[1] - y[0], z[1] - z[0])
             self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
-            self._above.set(ylim=z, aspect=1, xlabel=x_name, ylabel="z (mm)\nfrom above")
+            self._above.set(ylim=z, aspect=factor, xlabel=x_name, ylabel="z (mm)\nfrom above")
         else:
             self.axes = self.figure.add_subplot(xlabel=x_name)
-        self.axes.set(xlim=x, ylim=y, aspect=1, ylabel=y_name)
-        _draw_legend(self.figure, title, supports, more_handles, columns)
+        short = len(y_name) * _LETTER_WIDTH_IN > height
+        self.axes.set(xlim=x, ylim=y, aspect=factor, ylabel=y_name.replace(", ", ",\n") if short else y_name)
+        letters = int(width / _LETTER_WIDTH_IN) - _ORIGIN_LETTERS * overlays.synthetic
+        _draw_legend(self.figure, textwrap.fill(title, letters), supports, more_handles, columns)
         label_origin(self.figure, overlays.synthetic)
 
     def paint(self, state: NeedleState) -> None:
         """Draw one state, in place of an earlier one."""
         axes, scene, overlays = self.axes, replace(self._scene, tissue=state.tissue), self._overlays
-        path = map_beam_points(state.shape, state.shape.tip_path)
+        hidden = self._view.hidden
         # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
-        for panel in self.figure.axes:
-            for old in (*panel.lines, *panel.patches, *panel.texts):
+        for axis in self.figure.axes:
+            for old in (*axis.lines, *axis.patches, *axis.texts):
                 old.remove()
-        if self._above is not None:
-            _draw_layers(self._above, scene, None)
-            self._above.plot(*_see(path, above=True).T, zorder=2.5, **_LOOKS["path"])
-            _draw_needle(self._above, scene, state.step, state.shape, above=True)
-        _draw_layers(axes, scene, self._inches)
-        if overlays.low is not None and overlays.high is not None:
-            band = scene.entry.to_world(np.concatenate((overlays.low, overlays.high[::-1])))
+        for panel in filter(None, (axes, self._above)):
+            above = panel is self._above
+            _draw_layers(panel, scene, None if above else self._inches)
+            if "path" not in hidden:
+                path = map_beam_points(state.shape, state.shape.tip_path)
+                panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
+            _draw_needle(panel, scene, state.step, state.shape, above, points="points" not in hidden)
+        if overlays.low is not None and overlays.high is not None and "band" not in hidden:
+            band = np.concatenate((overlays.low, overlays.high[::-1]))
             axes.fill(*band.T, zorder=1.5, **_LOOKS["band"])
-        if overlays.measured is not None:
-            measured = scene.entry.to_world(overlays.measured).T
-            axes.plot(*measured, zorder=2.8, **_LOOKS["halo"])
-            axes.plot(*measured, zorder=3.5, **_LOOKS["measured"])
+        for name, curve in (("measured", overlays.measured), ("pinned", self._view.pinned)):
+            if curve is not None and name not in hidden:
+                axes.plot(*curve.T, zorder=2.8, **_LOOKS["halo"])
+                axes.plot(*curve.T, zorder=3.5, **_LOOKS[name])
         found = self._compute_loads(state)
         if len(outline := self._outline_load(state, found)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
-        axes.plot(*scene.entry.to_world(_see(path, above=False)).T, zorder=2.5, **_LOOKS["path"])
-        _draw_needle(axes, scene, state.step, state.shape)
-        if abs(found.tip_force * self.arrow) >= 1e-3:
-            start, end = self._place_arrow(state, found)
-            axes.annotate("", end, start, arrowprops=_ARROW, zorder=7)
-        lines, tip = describe_state(scene.entry, state, found, self._letters)
+        if self._tip_force and "load" not in hidden and not state.shape.leaves_plane:
+            ((x, y, _),) = compute_positions(state.shape, state.shape.x[-1:])
+            low, high = self._view.y
+            length = math.copysign(_MAX_FORCE_FRACTION * (high - low), self._tip_force)
+            axes.annotate("", (x, y + length), (x, y), arrowprops=_ARROW, zorder=7)
+        lines, tip = self._describe(state, found)
         axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
         axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
+
+    def _describe(self, state: NeedleState, found: Loads) -> tuple[list[str], list[str]]:
+        lines, tip = describe_state(state, found, self._tip_force, self._letters)
+        return ([*lines, _SEPARATOR.join(tip)], []) if self._narrow else (lines, tip)
 
     def _compute_loads(self, state: NeedleState) -> Loads:
         scene = self._scene
         return compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
 
-    def _collect_points(self, states: Sequence[NeedleState], whole: bool) -> Floats:
-        """Return points in the world that a drawing of all these states must hold, (K, 2) mm."""
-        entry, overlays = self._scene.entry, self._overlays
+    def _smooth(self, found: Loads) -> Floats:
+        if len(found.s) < 2:
+            return found.load
+        return smooth_load(found.s, found.load, self._scene.rules.spacing)
+
+    def _list_handles(self) -> list[Line2D | Patch]:
+        """Return the handles of the legend for what is drawn beside the needle."""
+        overlays, hidden = self._overlays, self._view.hidden
+        band = overlays.low if "band" not in hidden else None
+        handles: list[Line2D | Patch] = []
+        if "path" not in hidden:
+            handles.append(Line2D([], [], label="tip path", **_LOOKS["path"]))
+        if self.per_mm:
+            label = f"load, {self.per_mm:g} N/mm to 1 mm of y"
+            handles.append(Patch(label=label, **_LOOKS["load"]))
+        for name, curve in (("measured", overlays.measured), ("pinned", self._view.pinned)):
+            if curve is not None and name not in hidden:
+                handles.append(Line2D([], [], label=name, **_LOOKS[name]))
+        return [*handles, Patch(label="95 % band", **_LOOKS["band"])] if band is not None else handles
+
+    def _choose_view(self, states: Sequence[NeedleState]) -> PictureView:
+        """Return a view that holds all these states, their guides and overlays."""
+        scene, overlays = self._scene, self._overlays
         deepest = max(state.shape.depth for state in states)
-        start = -self._scene.needle.length if whole or deepest == 0 else -_MARGIN_BEFORE_ENTRY * deepest
-        drawn = [entry.to_world([[0.0, 0.0], [deepest, 0.0]])]
-        for state in states:
-            drawn += [_trace(entry, state.shape), entry.to_world(_find_guides(state.step))]
-        curves = (overlays.measured, overlays.low, overlays.high)
-        points = np.concatenate([*drawn, *(entry.to_world(curve) for curve in curves if curve is not None)])
-        shown: Floats = points[entry.to_frame(points)[:, 0] >= start]
-        return shown
+        whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
+        traces = [_trace(scene.entry, state.shape, above) for state in states for above in (False, True)]
+        guides = [_find_guides(state.step) for state in states]
+        curves = [one for one in (overlays.measured, overlays.low, overlays.high) if one is not None]
+        points = np.concatenate([*traces, *guides, *curves, np.zeros((1, 2))])
+        start = float(points[:, 0].min()) if whole else -_MARGIN_BEFORE_ENTRY * deepest
+        across = points[points[:, 0] >= start, 1]
+        least = _MIN_BEND_FRACTION * max(deepest, 1.0)
+        low, high = float(across.min()), float(across.max())
+        room = _ROOM_FRACTION * max(high - low, least)
+        x = (start - 0.03 * (deepest - start) * whole, max(1.04 * deepest, 5.0))
+        y = min(low, 0.0) - room, max(high, 0.0) + room
+        factor = choose_vertical_scale(x[1] - x[0], y[1] - y[0])
+        # of a needle that bends more than it is long
+        spare = (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])
+        return PictureView((x[0], x[1] + max(spare, 0.0)), y, factor)
 
     def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
         """Return the z that the view from above shows, at least so many mm."""
@@ -588,34 +636,59 @@ class StateFigure:
         return middle - 0.6 * room, middle + 0.6 * room
 
     def _outline_load(self, state: NeedleState, found: Loads) -> Floats:
-        """Return the outline in the world of the load along the shaft: from the needle to it, and back."""
+        """Return the outline of the load along the shaft: from the needle to it, and back."""
         if len(found.s) == 0 or self.per_mm == 0:
             return np.empty((0, 2))
         needle = _see(compute_positions(state.shape, found.s), above=False)
-        pulled = needle + np.column_stack((np.zeros(len(needle)), found.load / self.per_mm))
-        return self._scene.entry.to_world(np.concatenate((needle, pulled[::-1])))
+        pulled = needle + np.column_stack((np.zeros(len(needle)), self._smooth(found) / self.per_mm))
+        return np.concatenate((needle, pulled[::-1]))
 
-    def _place_arrow(self, state: NeedleState, found: Loads) -> Floats:
-        """Return both ends of the arrow of the tip force in the world, (2, 2) mm."""
-        ((x, y),) = _see(compute_positions(state.shape, state.shape.x[-1:]), above=False)
-        return self._scene.entry.to_world([(x, y), (x, y + self.arrow * found.tip_force)])
+
+def smooth_load(s: Floats, load: Floats, reach: float) -> Floats:
+    """Return the mean of a load (K,) over `reach` mm to either side of each of its places, less at the ends.
+
+    Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
+    tissue means to the shaft.
+    """
+    sums = np.concatenate(([0.0], np.cumsum((load[1:] + load[:-1]) / 2 * np.diff(s))))
+    half = np.minimum(reach, np.minimum(s - s[0], s[-1] - s))
+
+    def add_up_to(at: Floats) -> Floats:
+        i = np.clip(np.searchsorted(s, at, side="right"), 1, len(s) - 1)
+        gone = at - s[i - 1]
+        slope = (load[i] - load[i - 1]) / np.maximum(s[i] - s[i - 1], 1e-12)
+        found: Floats = sums[i - 1] + gone * (load[i - 1] + slope * gone / 2)
+        return found
+
+    inside = half > 0
+    means = (add_up_to(s + half) - add_up_to(s - half)) / np.where(inside, 2 * half, 1.0)
+    return np.where(inside, means, load)
 
 
 def draw_state(
-    title: str, scene: Scene, state: NeedleState, path: Path, overlays: SceneOverlays = NO_OVERLAYS
+    title: str,
+    scene: Scene,
+    state: NeedleState,
+    path: Path,
+    tip_force: float,
+    overlays: SceneOverlays = NO_OVERLAYS,
+    view: PictureView | None = None,
 ) -> None:
     """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
 
-    ConfigError if the ending of `path` is another one, or its folder does not exist.
+    It is made for print: in the width of a column, its text as text, and what is written above it as the
+    description of the file. ConfigError if the ending of `path` is another one, or its folder does not exist.
     """
 
     def paint() -> Figure:
-        drawn = StateFigure(title, scene, [state], overlays)
+        drawn = StateFigure(title, scene, [state], overlays, view, tip_force)
         drawn.paint(state)
         fit_height(drawn.figure)
         return drawn.figure
 
-    draw(path, paint)
+    loads = compute_loads(state.shape, state.tissue, scene.needle, state.step.controls, scene.rules)
+    lines, tip = describe_state(state, loads, tip_force, _ONE_LINE)
+    draw(path, paint, _SEPARATOR.join([title, *lines, *tip]))
 
 
 def round_up(value: float) -> float:

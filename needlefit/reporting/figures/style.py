@@ -2,13 +2,13 @@
 of labels.
 """
 
+import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar, copy_context
 from io import BytesIO
 from pathlib import Path
-from types import MappingProxyType
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
 import numpy as np
@@ -24,7 +24,7 @@ from needlefit.errors import ConfigError
 from needlefit.project.folders import require_folder
 from needlefit.project.tasks import compute_beside
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
-from needlefit.reporting.sheet import compile_sheet
+from needlefit.reporting.sheet import PLAIN_SHEET, compile_sheet
 from needlefit.reporting.table_files import write_csv
 
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
@@ -51,7 +51,7 @@ def choose_width(natural: float = TEXT_WIDTH_IN) -> float:
 _VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Software": None}}
 _CANVASES = {".svg": FigureCanvasSVG, ".png": FigureCanvasAgg}
-_SAVED_DPI = 200
+_SAVED_DPI = 300  # as journals ask for
 RC_PARAMS = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
     "font.size": FONT_SIZE_PT,
@@ -97,9 +97,11 @@ def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure
     return path
 
 
-def draw(path: Path, paint: Callable[[], Figure]) -> Path:
+def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path:
     """Draw a figure in the package's style, independent of the user's, and save it in the format of its
     suffix.
+
+    With a description, which the file keeps, its text is text that can be edited.
 
     ConfigError if the suffix is none of .pdf, .png and .svg, or the folder does not exist.
     """
@@ -113,12 +115,16 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
         )
     require_folder(path)
     if suffix != ".pdf":
-        path.write_bytes(_paint_bytes(paint, suffix))
+        path.write_bytes(_paint_bytes(paint, suffix, description))
     elif (waiting := _waiting.get()) is not None:
         context = copy_context()  # a painter may ask for `fix_width`
         waiting.append((path, lambda: context.run(_paint_sheet, paint)))
     else:
-        path.write_bytes(compile_sheet(_paint_sheet(paint), ".svg"))
+        words = json.dumps(description, ensure_ascii=False)
+        sheet = PLAIN_SHEET.replace(
+            "date: none", f"date: none, description: {words}" if description else "date: none"
+        )
+        path.write_bytes(compile_sheet(_paint_sheet(paint), ".svg", sheet))
     return path
 
 
@@ -127,25 +133,27 @@ def _paint_sheet(paint: Callable[[], Figure]) -> bytes:
 
     matplotlib takes half of its time to a PDF for the part of a font that is used.
     """
-    return _paint_bytes(paint, ".svg", {"svg.fonttype": "none"})
+    return _paint_bytes(paint, ".svg", text_as_text=True)
 
 
 def _paint_bytes(
-    paint: Callable[[], Figure], suffix: str, style: Mapping[str, str] = MappingProxyType({})
+    paint: Callable[[], Figure], suffix: str, description: str = "", text_as_text: bool = False
 ) -> bytes:
+    style = {"svg.fonttype": "none"} if text_as_text or description else {}
     with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
-        return save_figure(paint(), suffix)
+        return save_figure(paint(), suffix, description)
 
 
-def save_figure(figure: Figure, suffix: str) -> bytes:
+def save_figure(figure: Figure, suffix: str, description: str = "") -> bytes:
     """Return a figure made without pyplot as the bytes of an .svg or .png file."""
     canvas, drawing = _CANVASES[suffix](figure), BytesIO()
     figure.dpi = _SAVED_DPI
     _lay_out(figure)
     figure.set_layout_engine("none")
     figure.dpi = _SAVED_DPI  # the layout of an SVG leaves 72
+    about = {"Description": description} if description else {}
     # `savefig` would draw twice, once for the layout alone
-    getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata=_METADATA[suffix])
+    getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata={**_METADATA[suffix], **about})
     return drawing.getvalue()
 
 

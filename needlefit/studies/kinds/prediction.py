@@ -51,6 +51,7 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.draw_simulation import simulate_scene_draws, vary_bevels
+from needlefit.studies.explorer import choose_drawn
 from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
@@ -191,6 +192,7 @@ class Forecast:
     across: Floats  #: (B, K, 1), in space (B, K, 2): y, and z, of each draw that has a solution, mm
     failed: int  #: draws of which the solve failed; they are left out
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
+    sets: Sequence[Mapping[str, float]]  #: parameters of all draws, each with a bevel of its own
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
@@ -241,7 +243,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
         roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
         points = turn_about_x(points, roll_sd * rng.standard_normal(len(points)))
     across = points[:, :, 1:] if in_space else points[:, :, 1:2]
-    return Forecast(s, x, across, len(thetas) - len(points), outside)
+    return Forecast(s, x, across, len(thetas) - len(points), outside, sets)
 
 
 def require_fitted_kind(scene: Scene, job: Job) -> None:
@@ -391,6 +393,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             failed_solves=found.failed,
             outside_validity=found.outside,
             not_converged=list(draws.faults),
+            drawn=None if draws.faults else choose_drawn(found.sets),
             warnings=to_stored_rows(warned),
         ),
         faults=tuple(RunFault(find_fault_kind(draws), words) for words in draws.faults),

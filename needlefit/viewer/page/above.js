@@ -14,15 +14,18 @@ const [EDGE, ROOM] = [8, 14]; // px above and below the window, and in it
 const canvas = part("above");
 const context = canvas.getContext("2d", { alpha: false });
 
+/** Whether something is seen from above: a needle in space, or one that is compared there. */
+const isSpatial = () => Boolean(now.state?.z ?? now.scene?.measured?.compared === "space");
+
 /** The needle as it is seen from above: z in place of y. */
 function turn(state) {
-  const across = ([x, , z]) => [x, z];
+  const across = ([x, , z = x.map(() => 0)]) => [x, z];
   const roll = (state.bevel.roll_deg * Math.PI) / 180;
   return { ...state, y: state.z, constraints: across(state.constraints), tip_path: across(state.tip_path), bevel: { side: Math.sin(roll) < 0 ? -1 : 1 } };
 }
 
 function draw() {
-  canvas.hidden = !now.state?.z;
+  canvas.hidden = !now.state || !isSpatial();
   if (canvas.hidden) return;
   const { clientWidth: width, clientHeight: height } = canvas;
   const size = [width, height].map((one) => Math.round(one * devicePixelRatio));
@@ -30,7 +33,8 @@ function draw() {
   context.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
   context.fillStyle = palette.gutter;
   context.fillRect(0, 0, width, height);
-  const { state, band, scene: { measured } } = now;
+  const { band, scene: { measured } } = now;
+  const state = { ...now.state, z: now.state.z ?? now.state.x.map(() => 0) };
   const seen = [...state.z, ...(measured?.z ?? []), ...(band?.z?.low ?? []), ...(band?.z?.high ?? []), 0];
   const [low, high] = [Math.min(...seen), Math.max(...seen)];
   const { y, box, magnified } = view;

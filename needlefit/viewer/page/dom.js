@@ -34,6 +34,13 @@ export function say(words) {
   requestAnimationFrame(() => (part("announced").textContent = words));
 }
 
+/** Give the reader a file. */
+export function hand(blob, name) {
+  const link = element("a", { href: URL.createObjectURL(blob), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
 const dark = matchMedia("(prefers-color-scheme: dark)");
 export const isDark = () => dark.matches;
 

@@ -1,13 +1,15 @@
 /** What can be saved: files that the program makes of the recording. */
 
 import { needle, settle } from "./connection.js";
-import { button, element, part } from "./dom.js";
+import { button, hand, part } from "./dom.js";
 import { post } from "./requests.js";
+import { shown } from "./drawing.js";
 import { listen, now } from "./store.js";
+import { fromPx, fromPy, view } from "./view.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
-  "picture.svg": "figure, SVG", "picture.png": "figure, PNG", "share.html": "share, one HTML file",
+  "picture.svg": "figure, SVG", "picture.pdf": "figure, PDF", "picture.png": "figure, PNG", "share.html": "share, one HTML file",
 };
 const [group, note] = [part("exports"), part("export-note")];
 
@@ -17,7 +19,9 @@ async function save(file, pressed) {
   note.classList.remove("bad");
   note.textContent = `Making ${file} …`;
   try {
-    hand(await ask(file), file);
+    const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
+    hand(await ask(file), name);
+    note.textContent = `Saved ${name}.`;
   } catch ({ what, expected, fix }) {
     note.classList.add("bad");
     note.textContent = `${file} was not made: ${[what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ")}`;
@@ -27,18 +31,20 @@ async function save(file, pressed) {
   }
 }
 
-/** Give a file to the reader. */
-function hand(blob, file) {
-  const name = `${(now.scene?.recording ?? "needle").replace(/\.csv$/, "")}.${file}`;
-  const link = element("a", { href: URL.createObjectURL(blob), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-  note.textContent = `Saved ${name}.`;
-}
-
 async function ask(file) {
   await settle();
-  return (await post(`/export/${file}`, { needle: needle() })).blob();
+  const picture = file.startsWith("picture") ? describePicture() : null;
+  return (await post(`/export/${file}`, { needle: needle(), picture })).blob();
+}
+
+/** The picture as it is seen: limits, mm, how many times as large as x it draws y, what is hidden, and what is pinned; the width of the figure. */
+function describePicture() {
+  const { left, top, width, height } = view.box;
+  const pinned = shown.pinned && now.pinned ? [now.pinned.x, now.pinned.y] : null;
+  return {
+    x: [fromPx(left), fromPx(left + width)], y: [fromPy(top + height), fromPy(top)], times: view.magnified,
+    hidden: Object.keys(shown).filter((name) => !shown[name]), pinned, width_mm: Number(part("figure-width").value),
+  };
 }
 
 for (const [file, called] of Object.entries(FILES)) {

@@ -30,6 +30,7 @@ const THUMB = 16; // px, which the slider's thumb takes of its length
 const LINEAR = [(x) => x, (x) => x];
 const LOGARITHMIC = [(x) => Math.log(Math.max(x, Number.MIN_VALUE)), Math.exp];
 const ARROWS = { ArrowUp: 1, ArrowDown: -1 };
+const SLIDES = { ...ARROWS, ArrowRight: 1, ArrowLeft: -1, PageUp: 10, PageDown: -10 };
 let made = 0;
 
 /**
@@ -70,6 +71,7 @@ export function makeField(into, about) {
   };
   slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
   slider.addEventListener("change", () => (field.gesture = newGesture()));
+  slider.addEventListener("keydown", (event) => event.key in SLIDES && stepBy(field, SLIDES[event.key], event)); // as far as the number goes
   press(back, goHome);
   setHome(field, null);
   into.append(part);
@@ -135,7 +137,7 @@ function giveBack(field) {
   if (field.value !== null) field.number.value = field.text;
 }
 
-/** One step up or down from what is typed, or else from the value itself, which may have more digits. */
+/** Some steps up or down from what is typed, or else from the value itself, which may have more digits. */
 function stepBy(field, direction, event) {
   event.preventDefault();
   const { number, step, logarithmic } = field;

@@ -65,7 +65,7 @@ offerScenes(rebuild, kernel);
 const everything = part("everything");
 const unfold = (on) => {
   everything.ariaExpanded = String(on);
-  part("panel").classList.toggle("everything", on);
+  document.querySelector("main").classList.toggle("everything", on);
 };
 press(everything, () => unfold(everything.ariaExpanded !== "true"));
 listen("scene", ({ past }) => past.length && unfold(true)); // the needle has been steered already

@@ -44,6 +44,26 @@ export function heightAt({ x: xs, y: ys }, x) {
   return ys[after - 1] + share * (ys[after] - ys[after - 1]);
 }
 
+/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
+export function smooth(x, load, reach) {
+  const sums = [0]; // of the load up to each place, trapezia
+  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
+  const sumTo = (at, i) => { // i: the first place beyond `at`
+    if (i === 0) return 0;
+    if (i === x.length) return sums.at(-1);
+    const part = (at - x[i - 1]) / (x[i] - x[i - 1] || 1);
+    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
+  };
+  let [from, to] = [0, 0];
+  return x.map((at) => {
+    const half = Math.min(reach, at - x[0], x.at(-1) - at);
+    if (half <= 0) return load[at === x[0] ? 0 : x.length - 1];
+    while (from < x.length && x[from] <= at - half) from += 1;
+    while (to < x.length && x[to] <= at + half) to += 1;
+    return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
+  });
+}
+
 /** The nearest 1, 2 or 5 times a power of ten that is not greater. */
 export function roundStep(value) {
   const decade = 10 ** Math.floor(Math.log10(value));
@@ -86,6 +106,10 @@ export function isChanged({ bevel, layers }, { fitted }) {
   const { key, value } = strengthOf(fitted);
   return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
 }
+
+/** The predictive median, which the verdict judges: drawn for the needle as the run has it; null of another one. */
+export const medianOf = (state, scene) =>
+  (Math.abs(state.depth_mm - scene.depth_mm) < 1e-6 && !isSteered(state, scene) ? (scene.measured?.median ?? scene.median ?? null) : null);
 
 /** Whether parameters or inputs are others than those of the scene at this depth: the needle is then not the one that was measured. */
 export function isSteered(state, scene) {

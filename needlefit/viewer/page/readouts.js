@@ -2,7 +2,7 @@
 
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
-import { describeRoll, isSteered, listErrors, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
+import { describeRoll, isSteered, listErrors, medianOf, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
 import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
 
@@ -43,8 +43,9 @@ export function refresh() {
   const title = part("title"); // a report has none
   if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
-  writeErrors(state.errors);
-  write("against", `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
+  const median = medianOf(state, scene);
+  writeErrors(median ? { ...state.errors, ...median.errors } : state.errors);
+  write("against", `${median ? "predictive median " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */
@@ -68,7 +69,11 @@ let announced = false; // whether a message has stated that this needle exceeds 
 const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
 
 listen("scene", () => (announced = false));
-listen("forces", () => now.state && refresh());
+listen("forces", () => {
+  if (!now.state) return;
+  refresh();
+  refreshDescription();
+});
 listen("state", (state) => {
   const words = exceeded(state);
   write("beyond", words && `${words[0].toUpperCase()}${words.slice(1)}. Shape and forces cannot be relied on.`);
@@ -96,7 +101,8 @@ function inWords() {
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
-    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: ${listErrors(errors, scene.measured).join(", ")}.`);
+    const median = medianOf(state, scene);
+    sentences.push(`${median ? "Predictive median against" : "Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(median?.errors ?? errors, scene.measured).join(", ")}.`);
   }
   return sentences.join(" ");
 }

@@ -1,93 +1,120 @@
-/** Three scenes of one sentence: each sets the needle, pins it, and gives one control and one line of what to see. */
+/** Scenes of one sentence, those that the needle of a scene shows: each sets it, pins it, and gives one control and what to see. */
 
 import { button, element, part, write } from "./dom.js";
+import { further } from "./drawing.js";
 import { makeField, show } from "./fields.js";
-import { listSteps, rollOf, turnOver } from "./model/inputs.js";
-import { modulusLike } from "./quantities.js";
-import { isDrawnPlane, makeRidge } from "./ridge.js";
+import { listSteps } from "./model/inputs.js";
+import { add, ANEW, findLayerForces, findStiffer, findTurn, listTurned } from "./model/probes.js";
+import { SteeredNeedle } from "./model/steered.js";
+import { labelFree, palette, ring, segments, setFont } from "./painters/strokes.js";
+import { heightAt, modulusLike } from "./quantities.js";
+import { prepareRidge } from "./ridge.js";
 import { listen, now } from "./store.js";
 import { pin } from "./strip.js";
 import { toggle } from "./toolbar.js";
+import { toPx, toPy } from "./view.js";
 
-const ANEW = [["return_to", null, 0]];
-const TURNS = [0.2, 0.8]; // of the depth, between which the turn is moved
-const STIFFER = 10; // times the modulus of the softest layer
+const BETWEEN = [0.1, 0.9]; // of the depth, between which the turn is moved
+let marks = []; // of the scene that is shown: {depth, mm, text}, labelled in the picture
 
-/** Changes from first contact on: the bevel turns over once, at a depth in mm. */
-function listTurned(depth, { simulation: { steps: [first] }, depth_mm: deepest }) {
-  return [ANEW, [["depth_mm", null, depth]], [turnOver(rollOf(first.bevel))], [["depth_mm", null, deepest]]];
-}
-
-/** The number, from 1, of the softest layer that the needle enters. */
-function findSoftest({ fitted: { layers }, boundaries_mm: tops, depth_mm: deepest }) {
-  const moduli = layers.slice(0, 1 + tops.filter((top) => top < deepest).length).map(({ mu_pa: mu }) => mu);
-  return 1 + moduli.indexOf(Math.min(...moduli));
-}
-
-const SCENES = [
-  {
-    sentence: "Turn the bevel half way: the needle makes an S.",
-    see: "Behind the turn the needle bends to the other side. Dotted: the needle of the scene. Move the turn.",
+/** The scene of a turn; null where the needle makes no S by it alone. */
+function prepareTurn(needle) {
+  const { scene } = needle;
+  const from = findTurn(needle);
+  if (from === null) return null;
+  return {
+    sentence: `Turn the bevel at ${from} mm: the needle makes an S.`,
+    see: () => "Behind the turn the needle bends to the other side. Dotted: without the turn. Move it.",
     begin(into, steer) {
-      const { scene } = now;
       const turn = (depth) => {
+        marks = [{ depth, text: "turn" }];
         steer(listTurned(depth, scene));
         show(field, depth);
       };
-      const limits = TURNS.map((share) => share * scene.depth_mm);
+      const limits = BETWEEN.map((one) => one * scene.depth_mm);
       const field = makeField(into, { name: "turn at depth", unit: "mm", write: (value) => value.toFixed(1), limits, ask: turn });
-      turn(scene.depth_mm / 2);
+      turn(from);
     },
-  },
-  {
-    sentence: "Stiffen one layer: where does the force go?",
-    see: "Purple areas are the load across the needle: it grows in the stiff layer and at its edges. Dotted: the needle before.",
+  };
+}
+
+/** The scene of the layer whose stiffening moves the most force; null where that is next to none. */
+function prepareStiffer(needle) {
+  const best = findStiffer(needle);
+  if (!best) return null;
+  const { scene } = needle;
+  const { limits: { mu_pa: limits }, layer_names: names, boundaries_mm: tops, depth_mm: deepest } = scene;
+  const { layer, from, to, before } = best;
+  const called = names[layer - 1] || `layer ${layer}`;
+  const ends = [...tops, Infinity];
+  const middle = ((layer > 1 ? tops[layer - 2] : 0) + Math.min(ends[layer - 1], deepest)) / 2;
+  const readShown = () => findLayerForces(now.state.load.x, now.state.load.n_per_mm, scene);
+  return {
+    sentence: `Stiffen ${called}: where does the force go?`,
+    see: () => {
+      const after = readShown();
+      marks = [{ depth: middle, text: `${after[layer - 1].toFixed(1)} N here` }];
+      return `${called}: ${before[layer - 1].toFixed(1)} to ${after[layer - 1].toFixed(1)} N of ${add(after).toFixed(0)} N across the needle. Purple: the load, where it acts. Dotted: the needle before.`;
+    },
     begin(into, steer) {
       toggle("load", true);
-      const { fitted: { layers }, limits: { mu_pa: limits }, layer_names: names } = now.scene;
-      const layer = findSoftest(now.scene);
-      const { mu_pa: from } = layers[layer - 1];
       const stiffen = (value) => {
         steer([[["mu_pa", layer, value]]]);
         show(field, value);
       };
-      const about = { ...modulusLike(from * STIFFER), name: `μ ${names[layer - 1] || `layer ${layer}`}`, symbol: "μ", logarithmic: true, step: 1.05 };
+      const about = { ...modulusLike(to), name: `μ ${called}`, symbol: "μ", logarithmic: true, step: 1.05 };
       const field = makeField(into, { ...about, limits, ask: stiffen });
-      stiffen(Math.min(from * STIFFER, limits[1]));
+      stiffen(to);
     },
-  },
-  {
-    sentence: "Which b and μ fit equally well? Drag along the ridge.",
-    see: "Line: pairs with which the tip ends where that of the fit does. Along it the needle hardly moves; across it, it does. Dots: draws of the posterior, whose other parameters differ too.",
-    fits: isDrawnPlane,
-    begin: makeRidge,
-  },
-];
+  };
+}
+
+/** The scenes that the needle of a scene shows, found with a needle of their own. */
+async function prepareScenes(kernel, scene) {
+  const needle = await SteeredNeedle.begin(kernel, scene);
+  const prepare = (one) => {
+    try {
+      for (const changes of [ANEW, ...listSteps(scene)]) needle.apply(changes, { validOnly: false });
+      return one(needle);
+    } catch (error) {
+      if (!error.expected) throw error;
+      return null; // there is no needle
+    }
+  };
+  return [prepareTurn, prepareStiffer, prepareRidge].map(prepare).filter((one) => one);
+}
 
 /** Offer the scenes that the needle allows. `steer(lists)` carries out lists of changes, one after the other; `kernel` is or resolves to the compiled one. */
 export function offerScenes(steer, kernel) {
-  let begin = null; // of a scene, once the needle to compare with has come to rest
+  let [begin, shown] = [null, null]; // of a scene, once the needle to compare with has come to rest; the scene that is shown
   const list = part("scene-list");
+  const leave = () => {
+    [begin, shown, marks] = [null, null, []];
+    part("scene-control").replaceChildren();
+    write("see", "");
+  };
   const choose = (scene, pressed) => {
     for (const one of list.querySelectorAll("button")) one.ariaPressed = String(one === pressed);
-    part("scene-control").replaceChildren();
-    write("see", scene.see);
+    leave();
     begin = () => {
       if (now.pinned) pin();
       pin();
+      shown = scene;
       scene.begin(part("scene-control"), steer, kernel);
     };
     steer([ANEW, ...listSteps(now.scene)]);
   };
-  listen("scene", (shown) => {
-    begin = null;
-    part("scene-control").replaceChildren();
-    write("see", "");
-    list.replaceChildren(...SCENES.filter(({ fits }) => !fits || fits(shown)).map((scene) => {
+  listen("scene", async (given) => {
+    leave();
+    list.replaceChildren();
+    const scenes = await prepareScenes(await kernel, given);
+    if (now.scene.target !== given.target) return; // another one has been opened meanwhile
+    list.replaceChildren(...scenes.map((scene) => {
       const pressed = button(scene.sentence, () => now.state && choose(scene, pressed), { ariaPressed: "false" });
       return element("li", {}, pressed);
     }));
   });
+  listen("state", () => shown && write("see", shown.see()));
   listen("forces", ({ step }) => {
     if (step !== now.state.step || !begin) return;
     const then = begin;
@@ -95,3 +122,14 @@ export function offerScenes(steer, kernel) {
     then();
   });
 }
+
+/** Label what a scene is about where it acts. */
+further.push((context) => {
+  for (const { depth, text } of marks) {
+    const [px, py] = [toPx(depth), toPy(heightAt(now.state, depth))];
+    segments(context, [[[px, py - 12], [px, py + 12]]], palette.accent, 2);
+    ring(context, px, py, 4, palette.accent, palette.air);
+    setFont(context, "strong");
+    labelFree(context, text, [[px, py - 26], [px, py + 26], [px + 40, py - 26], [px - 40, py + 26]], palette.accent);
+  }
+});

@@ -2,9 +2,10 @@
 
 import { part, press, write } from "./dom.js";
 import * as act from "./actions.js";
+import { listSteps } from "./model/inputs.js";
 import { notches } from "./pointers.js";
 import { brief, describeRoll } from "./quantities.js";
-import { command, halt, letGo } from "./steering.js";
+import { command, halt, letGo, rebuild } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it, and a notch of the wheel
@@ -69,11 +70,13 @@ let begun = false;
 
 part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
 
-/** The first needle carries out the steps of its scene, unless the user wants less motion. */
+/** The first needle carries out the steps of its scene, all at once where the user wants less motion. */
 listen("state", ({ depth_mm: depth, undo }) => {
   if (begun) return;
   begun = true;
-  if (depth === 0 && !undo && !matchMedia("(prefers-reduced-motion: reduce)").matches) act.play();
+  if (depth > 0 || undo) return;
+  if (matchMedia("(prefers-reduced-motion: reduce)").matches) rebuild(listSteps(now.scene));
+  else act.play();
 });
 listen("go to", act.goTo);
 listen("scene", (scene) => {

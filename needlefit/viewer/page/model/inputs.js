@@ -1,4 +1,4 @@
-/** The inputs of a needle, as `viewer/steering.py` has them: which values they take, and what they change. */
+/** The inputs of a needle, as `planning/steered_needle.py` has them: which values they take, and what they change. */
 
 /** Why the model does not take something: what, expected, fix. */
 export class ModelError extends Error {

@@ -22,6 +22,7 @@ export class SteeredNeedle {
   }
 
   scene; session; rules; shape; names; number; saved; valid; validity;
+  way = null; // the newest of the changes that led here: {changes, tip: y, mm, before: the one before}
 
   constructor(scene, session) {
     const { shape, steps, rules } = scene.simulation;
@@ -52,9 +53,16 @@ export class SteeredNeedle {
     return this.session.path().map((one) => toStep(one, this.model.pathAngle));
   }
 
+  /** All changes that led here from first contact, without those that were undone by a return: {changes, tip}. */
+  listWay() {
+    const found = [];
+    for (let one = this.way; one; one = one.before) found.push(one);
+    return found.reverse();
+  }
+
   keep() {
-    const { step, shape, valid, validity } = this;
-    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, valid, validity, session: this.session.save() });
+    const { step, shape, valid, validity, way } = this;
+    if (!this.saved.has(this.number)) this.saved.set(this.number, { step, shape, valid, validity, way, session: this.session.save() });
   }
 
   /** Delete the state stored at a step; the initial state stays. */
@@ -103,7 +111,10 @@ export class SteeredNeedle {
       const saved = this.saved.get(changes[0][2]);
       if (!saved) throw new ModelError(`nothing was kept of step ${changes[0][2]}`, "a step to return to");
       this.#return(saved);
-    } else this.#advance(changes, validOnly);
+    } else {
+      this.#advance(changes, validOnly);
+      this.way = { changes, tip: this.tipLateral, before: this.way };
+    }
     this.number += 1;
   }
 

@@ -1,7 +1,7 @@
 /** The needle, what holds it, and what the tissue puts on its shaft. */
 
 import { basePlace, bevelPlace, guidePlace } from "../handles.js";
-import { brief, heightAt, roundStep, shortName } from "../quantities.js";
+import { brief, heightAt, roundStep, shortName, smooth } from "../quantities.js";
 import { now, tipForce } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { arrow, avoid, cross, faintly, label, labelFree, line, palette, placesOf, polygon, reserve, ring, segments, setFont, stroke, trace, turned } from "./strokes.js";
@@ -181,26 +181,6 @@ export function paintLoad(context, { load: { x, y, n_per_mm: values } }) {
   faintly(context, 0.32, () => context.fill());
   trace(context, ...edges);
   stroke(context, palette.load, 1.25);
-}
-
-/** The mean of a load over so many mm to either side of each of its places; less at the ends. */
-export function smooth(x, load, reach) {
-  const sums = [0]; // of the load up to each place, trapezia
-  for (let i = 1; i < x.length; i += 1) sums.push(sums[i - 1] + ((load[i] + load[i - 1]) / 2) * (x[i] - x[i - 1]));
-  const sumTo = (at, i) => { // i: the first place beyond `at`
-    if (i === 0) return 0;
-    if (i === x.length) return sums.at(-1);
-    const part = (at - x[i - 1]) / (x[i] - x[i - 1] || 1);
-    return sums[i - 1] + (load[i - 1] + (part * (load[i] - load[i - 1])) / 2) * (at - x[i - 1]);
-  };
-  let [from, to] = [0, 0];
-  return x.map((at) => {
-    const half = Math.min(reach, at - x[0], x.at(-1) - at);
-    if (half <= 0) return load[at === x[0] ? 0 : x.length - 1];
-    while (from < x.length && x[from] <= at - half) from += 1;
-    while (to < x.length && x[to] <= at + half) to += 1;
-    return (sumTo(at + half, to) - sumTo(at - half, from)) / (2 * half);
-  });
 }
 
 /** The length of a round load, at the upper left, outside the window. */

@@ -1,7 +1,7 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { heightAt, isChanged } from "../quantities.js";
+import { heightAt, isChanged, medianOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
@@ -48,23 +48,35 @@ export function paintBand(context, { x, low, high }, pale) {
   });
 }
 
+/** Draw the predictive median, if it stands for the needle. */
+export function paintMedian(context, state) {
+  const median = medianOf(state, now.scene);
+  if (!median) return;
+  line(context, median.x, median.y, palette.halo, 4.5);
+  line(context, median.x, median.y, palette.accent, 2.5);
+  labelBeside(context, "predictive median", [[[median.x, median.y], -16], [[median.x, median.y], 16]], palette.accent);
+}
+
 /** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. */
 export function paintGaps(context, state, measured) {
-  const { errors, tip } = state;
+  const { errors } = state;
   if (!errors) return;
+  const median = medianOf(state, now.scene);
+  const needle = median ?? state;
+  const tip = { x: needle.x.at(-1), y: needle.y.at(-1) };
   const reach = Math.min(tip.x, measured.x.at(-1));
   const places = Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
-  const gaps = places.map((x) => [state, measured].map((curve) => [toPx(x), toPy(heightAt(curve, x))]));
+  const gaps = places.map((x) => [needle, measured].map((curve) => [toPx(x), toPy(heightAt(curve, x))]));
   segments(context, gaps, palette.gap, 1.25);
   const [x, y] = errors.whole ? [measured.x.at(-1), measured.y.at(-1)] : [reach, heightAt(measured, reach)];
-  const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(state, reach)];
+  const end = errors.whole ? [tip.x, tip.y] : [reach, heightAt(needle, reach)];
   for (const [shown, width] of [[palette.halo, 5], [palette.gap, 2.5]]) line(context, [x, end[0]], [y, end[1]], shown, width);
   setFont(context, "strong");
   const [px, [, [key, named]]] = [toPx(x), measured.metrics];
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
   const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `tip error (${named}) ${errors[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
+  labelFree(context, `tip error (${named}) ${(median?.errors ?? errors)[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
 /** Draw the needles of the draws, and over them the one of the parameters shown. */

@@ -3,65 +3,146 @@
  * point to it. `roll` is that of the bevel at the end, degrees; at 20 mm it was turned by 90 degrees, at 35 mm over.
  */
 
+import { readPoints } from "../model/errors.js";
 import { ModelError, rollOf, wrap } from "../model/inputs.js";
-import { brief, degrees, slope, strengthOf } from "../quantities.js";
+import { SteeredNeedle } from "../model/steered.js";
+import { strengthOf } from "../quantities.js";
 
-const ANEW = [["return_to", null, 0]];
-const SAME = 1e-9; // mm
-const exact = (value) => brief(value, 8);
+export const ANEW = [["return_to", null, 0]];
+const POINTS = 21; // of two needles that are compared
+export const SAME = 1e-6; // mm: what differs by more is another needle
+const ULPS = [0, 1, -1, 2, -2, 3, -3, 4, -4]; // of a number, within which products are rounded
+const same = (one, other) => JSON.stringify(one) === JSON.stringify(other);
 
-/** What can stand in the address besides depth, turns and roll: [key, input, item, factor of the value]. */
+/** What can stand in the address besides depth, turns and roll: {key, input, item, toInput: of its number, toModel, read: from a needle}. */
 function listKeys({ fitted, shape_parameters: shapes }) {
   const { key, throughout } = strengthOf(fitted);
-  const layers = fitted.layers.flatMap((_, i) => [[`mu${i + 1}`, "mu_pa", i + 1, 1e3], ...shapes.map(({ name }) => [`${name}${i + 1}`, name, i + 1, 1])]);
-  return [[key === "offset_mm" ? "b" : "theta", throughout, null, 1], ...layers, ["base_y", "base_y_mm", null, 1], ["base_slope", "base_slope", null, null]];
+  const plain = (value) => value;
+  const strength = key === "offset_mm"
+    ? { key: "b", toModel: plain, read: ({ step }) => step.bevel.offset }
+    : { key: "theta", toModel: (value) => value * (Math.PI / 180), read: ({ step }) => step.bevel.cutAngle };
+  const layers = fitted.layers.flatMap((_, i) => [
+    { key: `mu${i + 1}`, input: "mu_pa", item: i + 1, toInput: (value) => value * 1e3, toModel: (value) => value * 1e3 * 1e-6, read: ({ model }) => model.mu[i] },
+    ...shapes.map(({ name }, row) => ({ key: `${name}${i + 1}`, input: name, item: i + 1, toInput: plain, toModel: plain, read: ({ shape }) => shape[row][i] })),
+  ]);
+  return [{ ...strength, input: throughout, item: null, toInput: plain }, ...layers];
 }
 
-/** The address of a needle without its `#`. `path` are the shortest steps that lead to it; guides and a held tip are not in it. */
-export function writeAddress(state, scene, path, name = null) {
-  const cut = path.filter(({ depth }, i) => depth > (path[i - 1]?.depth ?? 0) + SAME);
-  const rolls = [...cut.map(({ bevel }) => rollOf(bevel)), state.bevel.roll_deg];
-  const turns = cut.map(({ depth }, i) => [depth, wrap(rolls[i + 1] - rolls[i])]).filter(([, by]) => by !== 0);
+/** The shortest text of a number near a guess that `toModel` turns into a value to the bit; null where there is none. */
+function findText(toModel, value, guess) {
+  const near = ULPS.map((ulps) => guess + ulps * Math.abs(guess) * 2 ** -53);
+  const short = Array.from({ length: 15 }, (_, n) => Number(guess.toPrecision(n + 1)));
+  const found = [...short, ...near].find((one) => toModel(one) === value);
+  return found === undefined ? null : String(found);
+}
+
+/** What an address cannot have of the path of a needle, in words. */
+function listLost({ scene: { simulation: { steps: [first] } }, step }, path) {
+  const all = [...path, step];
+  const differs = (read) => all.some((one) => !same(read(one.controls), read(first.controls)));
+  return [
+    [differs(({ baseY }) => baseY), "the base, which was moved"],
+    [differs(({ baseSlope }) => baseSlope), "the base, which was turned"],
+    [differs(({ guides }) => guides.map(({ x, y, slope }) => [x, y, slope])), "the guides"],
+    [differs(({ tip }) => tip && [tip.y, tip.slope]), "the tip, which was held"],
+    [all.some(({ bevel }) => bevel.offset !== step.bevel.offset || bevel.cutAngle !== step.bevel.cutAngle), "b, which changed on the way"],
+  ].filter(([is]) => is).map(([, words]) => words);
+}
+
+/**
+ * Resolves to {address} of a needle, without its `#`, or to {lost}: what it cannot carry, in words.
+ *
+ * It carries depth, turns and roll of the bevel, and parameters of the whole insertion.
+ */
+export async function writeAddress(kernel, steered, name = null) {
+  const { scene, step } = steered;
+  const path = steered.path();
+  const lost = listLost(steered, path);
+  if (lost.length) return { lost };
+  const rolls = path.map(({ bevel }) => wrap(rollOf(bevel)));
   const values = new URLSearchParams(name === null ? {} : { needle: name });
-  values.set("depth", exact(state.depth_mm));
-  values.set("roll", exact(state.bevel.roll_deg));
-  if (turns.length) values.set("turn", turns.map(([depth, by]) => `${exact(depth)}${by === 180 ? "" : `:${exact(by)}`}`).join(","));
-  const { value, key: strength } = strengthOf(state.bevel);
-  for (const [key, input, item, factor] of listKeys(scene)) {
-    const now = item ? state.layers[item - 1][input] / factor : key === "base_y" ? state.base.input_y
-      : key === "base_slope" ? degrees(state.base.input_slope) : value;
-    const begun = item ? scene.fitted.layers[item - 1][input] / factor : key.startsWith("base") ? 0 : scene.fitted[strength];
-    if (exact(now) !== exact(begun) || key === "b" || key === "theta") values.set(key, exact(now));
+  values.set("depth", step.depth);
+  values.set("roll", rolls.at(-1));
+  const turns = path.slice(0, -1).map(({ depth }, i) => {
+    const by = findText((one) => wrap(rolls[i + 1] - one), rolls[i], wrap(rolls[i + 1] - rolls[i]));
+    return by === "180" ? depth : `${depth}:${by}`;
+  });
+  if (turns.length) values.set("turn", turns.join(","));
+  const { model, shape, steps: [first] } = scene.simulation;
+  for (const { key, item, toModel, read } of listKeys(scene)) {
+    const value = read(steered);
+    if (item && value === read({ model, shape, step: first })) continue;
+    const text = findText(toModel, value, value / toModel(1));
+    if (text === null) return { lost: [key] };
+    values.set(key, text);
   }
-  return values.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
+  const address = values.toString().replaceAll("%2C", ",").replaceAll("%3A", ":");
+  return (await leadsTo(kernel, address, steered)) ? { address } : { lost: ["the path"] };
+}
+
+/** Whether an address leads to a needle. */
+async function leadsTo(kernel, address, steered) {
+  const other = await SteeredNeedle.begin(kernel, steered.scene);
+  try {
+    for (const changes of readAddress(address, steered.scene)) other.apply(changes, { validOnly: false });
+  } catch (error) {
+    if (!error.what) throw error;
+    return false;
+  }
+  const { depth } = steered.step;
+  const points = ({ session }) => readPoints(session, Array.from({ length: POINTS }, (_, i) => (depth * i) / (POINTS - 1)));
+  const [found, wanted] = [other, steered].map(points);
+  return found.every((point, i) => Math.hypot(...point.map((one, axis) => one - wanted[i][axis])) < SAME);
+}
+
+/** Simulate a needle anew along its shortest path: where it stands no longer depends, within the tolerance of the solver, on the moves that led there. */
+export function settle(steered) {
+  const [now] = steered.model.mu;
+  const mu = ULPS.map((ulps) => now * 1e6 + ulps * now * 1e6 * 2 ** -53).find((one) => one * 1e-6 === now);
+  if (mu) steered.apply([["mu_pa", 1, mu]], { validOnly: false });
 }
 
 /** The name of the needle that an address has; null without one. */
 export const nameIn = (address) => new URLSearchParams(address).get("needle");
 
-/** Lists of changes that lead to the needle of an address from first contact on; null where it has no depth, a ModelError where it is wrong. */
+/** Lists of changes that lead to the needle of an address from first contact on; none where it only names one. A ModelError where it is wrong. */
 export function readAddress(address, scene) {
   const values = new URLSearchParams(address);
-  if (!values.has("depth")) return null;
   const keys = listKeys(scene);
-  const number = (key, text) => {
-    if (text.trim() !== "" && Number.isFinite(Number(text))) return Number(text);
-    throw new ModelError(`the address has ${key}=${text}`, "a number");
+  const known = ["needle", "depth", "roll", "turn", ...keys.map(({ key }) => key)];
+  const number = (key, text, low = -Infinity) => {
+    const value = Number(text);
+    if (text.trim() !== "" && Number.isFinite(value) && value >= low) return value;
+    throw new ModelError(`the address has ${key}=${text}`, low < 0 ? "a number" : `a number, ${low} or above`);
   };
-  const known = ["needle", "depth", "roll", "turn", ...keys.map(([key]) => key)];
   for (const key of values.keys()) if (!known.includes(key)) throw new ModelError(`the address has ${key}`, known.join(", "));
+  if (!values.has("depth")) {
+    if ([...values.keys()].some((key) => key !== "needle")) throw new ModelError("the address has no depth", "depth=, in mm");
+    return [];
+  }
   const [first] = scene.simulation.steps;
-  const end = values.has("roll") ? number("roll", values.get("roll")) : rollOf(first.bevel);
+  const depth = number("depth", values.get("depth"), 0);
   const turns = (values.get("turn") ?? "").split(",").filter(Boolean).map((text) => {
-    const [depth, by = "180"] = text.split(":");
-    return [depth, by].map((one) => number("turn", one));
+    const [at, by = "180"] = text.split(":");
+    return { at: number("turn", at, 0), by: number("turn", by) };
   });
-  let roll = wrap(end - turns.reduce((sum, [, by]) => sum + by, 0));
-  const inputs = keys.filter(([key]) => values.has(key)).map(([key, input, item, factor]) => {
-    const value = number(key, values.get(key));
-    return [input, item, factor === null ? slope(value) : value * factor];
-  });
+  const ordered = turns.every(({ at }, i) => at > 0 && at >= (turns[i - 1]?.at ?? 0) && at <= depth); // twice in one place: a new ray
+  if (!ordered) throw new ModelError(`the address has turn=${values.get("turn")}`, `increasing depths, up to ${depth} mm`);
+  let roll = values.has("roll") ? number("roll", values.get("roll")) : rollOf(first.bevel);
+  const after = turns.toReversed().map(({ by }) => {
+    const end = roll;
+    roll = wrap(roll - by);
+    return end;
+  }).reverse();
+  const inputs = keys.filter(({ key }) => values.has(key)).map(({ key, input, item, toInput }) => [input, item, toInput(number(key, values.get(key)))]);
   const lists = [ANEW, [["bevel_roll_deg", null, roll], ...inputs]];
-  for (const [depth, by] of turns) lists.push([["depth_mm", null, depth]], [["bevel_roll_deg", null, (roll = wrap(roll + by))]]);
-  return [...lists, [["depth_mm", null, number("depth", values.get("depth"))]]];
+  turns.forEach(({ at }, i) => lists.push([["depth_mm", null, at]], [["bevel_roll_deg", null, after[i]]]));
+  return [...lists, [["depth_mm", null, depth]]];
+}
+
+/** A recording of a needle as `needlefit view` writes it: its `head`, and a row for each input that led there. */
+export function writeRecording(head, steered) {
+  const rows = steered.listWay().flatMap(({ changes, tip }, i) => changes.map(([name, item, value], n) =>
+    `${i + 1},${(i / 10).toFixed(4)},${name},${item ?? ""},${value},${n === changes.length - 1 ? tip : ""}`));
+  return `${head}${rows.join("\n")}\n`;
 }

@@ -2,34 +2,31 @@
 
 import "../above.js";
 import { computeBands } from "../bands.js";
-import { element, isDark, part, press, say, write } from "../dom.js";
+import { element, hand, isDark, part, press, say, write } from "../dom.js";
 import { further, invalidate, paint } from "../drawing.js";
 import { handleAt } from "../handles.js";
-import { turnOver } from "../model/inputs.js";
+import { ModelError, turnOver } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { place } from "../pointers.js";
-import { counted, writeError } from "../quantities.js";
-import { refresh, refreshDescription } from "../readouts.js";
+import { counted, medianOf, writeError } from "../quantities.js";
+import { refresh } from "../readouts.js";
 import { offerScenes } from "../scenes.js";
 import { listen, now, publish, take } from "../store.js";
 import { draw as drawStrip } from "../strip.js";
 import { toggle } from "../toolbar.js";
 import { fit } from "../view.js";
-import { nameIn, readAddress, writeAddress } from "./address.js";
+import { nameIn, readAddress, SAME, settle, writeAddress, writeRecording } from "./address.js";
 import { buildFields, refreshFields } from "./controls.js";
 import { begin, insert, load, prove, Replay } from "./needles.js";
 
 const SHORTEST = 2, LONGEST = 20; // s that a recording lasts while it is played
-const DESCRIBED_EVERY = 2000; // ms, while it changes
-const SAME = 1e-6; // mm: what differs by more is no needle of this file
 
 let data = null;
 let needle = null; // the one that is shown: {scene, recording or methods}
 let steered = null;
 let replay = null;
 let steps = 0; // of all needles together
-let described = 0;
 let frame = 0;
 let fresh = false;
 const shownMethods = new Set();
@@ -45,10 +42,6 @@ function update() {
   refreshFields();
   refreshMethods();
   drawStrip();
-  described ||= setTimeout(() => {
-    described = 0;
-    refreshDescription();
-  }, steps > 1 ? DESCRIBED_EVERY : 0);
 }
 
 function redraw() {
@@ -60,15 +53,18 @@ function redraw() {
   });
 }
 
-/** Carry out lists of changes; what the model does not take is stated below its field or above all, and the needle stays there. */
-function rebuild(lists, below = part("flip").parentElement) {
+/** Carry out lists of changes; what the model does not take is stated below a part, and the needle stays there, or if `whole` as it was. */
+function rebuild(lists, below = part("flip").parentElement, whole = false) {
   if (replay) play(false);
   write(refusal, "");
   const { number } = steered;
+  if (whole) steered.keep();
   try {
-    for (const changes of lists) steered.apply(changes, { validOnly: false });
+    for (const changes of lists) steered.apply(changes.map(([name, item, value]) => [name, item, value + 0]), { validOnly: false }); // a file has no -0
+    settle(steered);
   } catch (error) {
     refuse(error, below);
+    if (whole && steered.number > number) steered.apply([["return_to", null, number]]);
     if (steered.number === number) return refreshFields();
   }
   if (replay) replay.changed = true;
@@ -84,32 +80,48 @@ function refuse(error, below) {
 
 const change = (changes, below) => rebuild([changes], below);
 
-/** Show the needle of the address; returns whether it has one. */
+/** Show the needle of the address; returns whether it has one. The place of another part of a report is none. */
 async function followAddress() {
   const address = location.hash.slice(1);
-  const number = data.needles.findIndex(({ scene }) => nameOf(scene) === nameIn(address));
-  if (number >= 0 && data.needles[number] !== needle) {
-    part("needle-choice").value = number;
-    await choose(number);
-  }
+  if (!address || part(decodeURIComponent(address))) return false;
+  const below = part("proof").parentElement;
   try {
+    const name = nameIn(address);
+    const number = data.needles.findIndex((one) => nameOf(one) === name);
+    if (name !== null && number < 0) throw new ModelError(`the address has needle=${name}`, data.needles.map(nameOf).join(", "));
+    if (number >= 0 && data.needles[number] !== needle) {
+      part("needle-choice").value = number;
+      await choose(number);
+    }
     const lists = readAddress(address, needle.scene);
-    if (lists) rebuild(lists);
-    return lists !== null;
+    if (lists.length) rebuild(lists, below, true);
+    return lists.length > 0;
   } catch (error) {
-    refuse(error, part("flip").parentElement);
+    refuse(error, below);
     return true;
   }
 }
 
-const nameOf = ({ measured, title }) => measured?.id ?? title;
+const nameOf = ({ name, scene }) => name ?? scene.measured?.id ?? scene.title;
 
-/** Copy the address of this file with the needle as it stands. */
+/** Copy the address of this file with the needle as it stands; of a needle that no address leads to, offer its recording. */
 async function copyLink() {
-  const name = data.needles.length > 1 ? nameOf(needle.scene) : null;
-  const address = writeAddress(now.state, needle.scene, steered.path(), name);
+  const name = data.needles.length > 1 ? nameOf(needle) : null;
+  const { address, lost } = await writeAddress(data.kernel, steered, name);
+  part("save-recording").hidden = !lost;
+  write("link-note", lost ? `No link: an address does not carry ${lost.join(", ")}. A recording does.` : "");
+  if (lost) return;
+  rebuild(readAddress(address, needle.scene)); // the same needle within the solver's tolerance: from now on to the bit
   history.replaceState(null, "", `#${address}`); // no change of the needle
   await navigator.clipboard?.writeText(location.href).then(() => say("The link is copied."), () => null);
+}
+
+/** Save how the needle was moved, as `needlefit view --recording` opens it. */
+function saveRecording() {
+  const file = new Blob([writeRecording(needle.head, steered)], { type: "text/csv" });
+  const name = `${nameOf(needle).replace(/[^\w-]+/g, "-")}.csv`;
+  hand(file, name);
+  write("link-note", `Saved ${name}. It opens with: needlefit view --recording ${name}`);
 }
 
 /** Show a needle as the file has it: of a recording its end, else the fit at the depth of the measured needle. */
@@ -131,6 +143,8 @@ async function choose(number) {
 
 function goBack() {
   write(refusal, "");
+  write("link-note", "");
+  part("save-recording").hidden = true;
   if (replay) return showStep(replay.steps.length);
   steered.rewind();
   insert(steered);
@@ -141,6 +155,7 @@ function goBack() {
 // ---- methods: the fit beside the baselines
 
 const errorsOf = (values) => needle.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
+const JUDGED = ["predictive_median"]; // the method that the verdict judges stands first
 let present = []; // the cells of the needle's own errors
 
 /** A colour of a line on paper, as it is on a dark page. */
@@ -155,7 +170,7 @@ function listMethods() {
   const row = (name, values) => element("tr", {}, element("th", { scope: "row" }, name), values.map((one) => element("td", {}, one)));
   const first = row("", errorsOf(null));
   present = [...first.cells];
-  const rows = methods.map((method) => {
+  const rows = methods.toSorted((one, other) => JUDGED.indexOf(other.key) - JUDGED.indexOf(one.key)).map((method) => {
     if (!method.x) return row(method.name, errorsOf(method.errors));
     const swatch = element("i", { className: "swatch line", ariaHidden: "true" });
     swatch.style.background = `light-dark(${method.colour}, ${lighten(method.colour)})`;
@@ -175,7 +190,9 @@ function refreshMethods() {
   if (!needle.methods) return;
   const { errors } = now.state;
   const upto = errors && !errors.whole ? `, first ${errors.upto_mm.toFixed(1)} mm` : "";
-  [`the needle above${upto}`, ...errorsOf(errors)].forEach((text, i) => write(present[i], text));
+  const median = medianOf(now.state, needle.scene);
+  const called = median ? "drawn: predictive median" : `the needle above${upto}`;
+  [called, ...errorsOf(median?.errors ?? errors)].forEach((text, i) => write(present[i], text));
 }
 
 further.push((context) => {
@@ -253,13 +270,14 @@ async function start() {
   const script = new Blob([part("program").textContent], { type: "text/javascript" });
   computeBands(new Worker(URL.createObjectURL(script)), data.kernel, () => ({ name: data.needles.indexOf(needle), steered }));
   const choice = part("needle-choice");
-  choice.append(...data.needles.map(({ scene, group }, i) =>
-    element("option", { value: String(i) }, [nameOf(scene), group].filter(Boolean).join(", "))));
+  choice.append(...data.needles.map((one, i) =>
+    element("option", { value: String(i) }, [nameOf(one), one.group].filter(Boolean).join(", "))));
   part("choosing").hidden = data.needles.length < 2;
   choice.addEventListener("change", () => choose(Number(choice.value)));
   press("flip", () => change([turnOver(now.state.bevel.roll_deg)]));
   press("back", goBack);
   press("copy-link", copyLink);
+  press("save-recording", saveRecording);
   part("canvas").addEventListener("touchstart", (event) => { // a finger on a handle drags it, beside handles it scrolls the page
     if (handleAt(...place(event.touches[0]), "touch")) event.preventDefault();
   }, { passive: false });

@@ -68,7 +68,8 @@ export class Replay {
 }
 
 /** The largest distance, mm, of a needle of a report from the one that its run stored, or difference of an error above `same`; 0: the same bytes. */
-function compareStored(steered, [fit], same) {
+function compareStored(steered, { methods: [fit] = [], tip }, same) {
+  if (!fit) return Math.abs(steered.tipLateral - tip);
   const { target, stored } = steered.scene.measured;
   const fixed = target.x.map((x, i) => [x, target.y[i], target.z[i]]);
   const points = ALIGN[target.pose](readPoints(steered.session, target.s), fixed);
@@ -109,7 +110,7 @@ export async function prove({ needles, kernel }, same) {
         }
       } else {
         insert(steered);
-        compare(compareStored(steered, needle.methods, same));
+        compare(compareStored(steered, needle, same));
       }
     } catch (error) {
       if (!error.what) throw error;

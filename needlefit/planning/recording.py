@@ -10,21 +10,20 @@ import csv
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 
-from needlefit import __version__
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.session import NeedleState
+from needlefit.planning.steered_needle import Change, SteeredNeedle, make_scene
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.viewer.steering import Change, SteeredNeedle, make_scene
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "tip_lateral_mm")
-
 #: digits of the number of a guide or layer; Python refuses to convert thousands of digits
 MAX_ITEM_DIGITS = 6
 
@@ -78,15 +77,10 @@ class RecordingWriter:
         """Create the file with its head, unless it exists; OSError if it cannot be written."""
         if self._begun:
             return
-        tables = self.head.model_dump(mode="json", by_alias=True, exclude_none=True)
-        text = "# a needle steered by hand; `needlefit simulate --recording FILE` replays it\n" + dumps(
-            tables
-        )
-        lines = [f"# {line}".rstrip() for line in text.splitlines()]
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # x: an existing file is never overwritten.
         with self.path.open("xb", buffering=0) as file:
-            file.write(("\n".join([*lines, ",".join(COLUMNS)]) + "\n").encode())
+            file.write(format_head(self.head).encode())
         self._begun = True
 
 
@@ -94,13 +88,21 @@ def make_head(
     target: str, first_cell: float, scene: SceneRecord, placement: PlacementRecord | None = None
 ) -> RecordingRecord:
     """Return the head of a new recording of a scene at `placement`; `first_cell` in mm."""
-    tables = {"needlefit": __version__, "target": target, "first_cell_mm": first_cell}
+    tables = {"needlefit": version("needlefit"), "target": target, "first_cell_mm": first_cell}
     placed = {} if placement is None else {"placement": placement.model_dump(mode="json")}
     tables |= placed | {
         "schema": RecordingRecord.SCHEMA,
         "scene": scene.model_dump(mode="json", by_alias=True),
     }
     return check(tables, RecordingRecord, "recording")
+
+
+def format_head(head: RecordingRecord) -> str:
+    """Return the lines of a recording before its first step."""
+    tables = head.model_dump(mode="json", by_alias=True, exclude_none=True)
+    text = "# a needle steered by hand; `needlefit simulate --recording FILE` replays it\n" + dumps(tables)
+    lines = [f"# {line}".rstrip() for line in text.splitlines()]
+    return "\n".join([*lines, ",".join(COLUMNS)]) + "\n"
 
 
 def read_recording(path: Path) -> Recording:

@@ -39,6 +39,16 @@ def make_scene(record: SceneRecord, where: str) -> Scene:
     return scene
 
 
+def name_guides(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """Return a scene all of whose guides have a name, and the names in the order of their numbers."""
+    steps = []
+    for step in scene.steps:
+        guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
+        steps.append(replace(step, controls=replace(step.controls, guides=guides)))
+    names = tuple(dict.fromkeys(guide.name for step in steps for guide in step.controls.guides))
+    return replace(scene, steps=tuple(steps)), names
+
+
 @dataclass(frozen=True)
 class Change:
     """One input and its new value; ModelError if it is no such input or value."""
@@ -189,12 +199,7 @@ class SteeredNeedle:
     """
 
     def __init__(self, scene: Scene, first_cell: float) -> None:
-        steps = []  # all guides get a name
-        for step in scene.steps:
-            guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
-            steps.append(replace(step, controls=replace(step.controls, guides=guides)))
-        self.names = tuple(dict.fromkeys(guide.name for step in steps for guide in step.controls.guides))
-        self.scene = replace(scene, steps=tuple(steps))
+        self.scene, self.names = name_guides(scene)
         self.number = 0  #: steps so far
         self._session = begin_session(self.scene, first_cell)
         self._saved: dict[int, Session] = {}

@@ -1,0 +1,124 @@
+"""The address of a needle and its recording, run in Node.js: either leads to the same bits, or is refused."""
+
+import json
+import subprocess
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from test_page_model import SCENES, pytestmark  # noqa: F401 - a mark of this module, too
+
+from needlefit.mechanics import native
+from needlefit.mechanics.shape import list_planes
+from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
+from needlefit.planning.steered_needle import SteeredNeedle, make_scene
+from needlefit.viewer.export import PAGE
+from needlefit.viewer.messages import encode_scene
+
+PROGRAM = """
+import {readFileSync} from 'node:fs'
+import {compile} from KERNEL
+const load = (name) => import(PAGE + name)
+const [{SteeredNeedle}, address] = await Promise.all(['model/steered.js', 'share/address.js'].map(load))
+const {scene, head, paths, wrong} = JSON.parse(readFileSync(0, 'utf8'))
+const kernel = await compile(readFileSync(WASM))
+const toHex = (array) => Buffer.from(array.buffer, array.byteOffset, array.byteLength).toString('hex')
+const hex = ({session: {shape: {x, u, slope, constraints}}}) => [x, u, slope, constraints].map(toHex)
+const attempt = (work) => {
+  try { return work() } catch (error) { if (!error.expected) throw error; return error.what }
+}
+const found = []
+for (const path of paths) {
+  const steered = await SteeredNeedle.begin(kernel, scene)
+  for (const changes of path) attempt(() => steered.apply(changes))
+  address.settle(steered)
+  const [recorded, recording] = [hex(steered), address.writeRecording(head, steered)]
+  const {address: written, lost} = await address.writeAddress(kernel, steered)
+  const reopened = await SteeredNeedle.begin(kernel, scene)
+  const before = steered.tipLateral
+  for (const one of written ? [steered, reopened] : []) { // the page shows what it copies
+    for (const changes of address.readAddress(written, scene)) one.apply(changes, {validOnly: false})
+    address.settle(one)
+  }
+  const moved = Math.abs(steered.tipLateral - before)
+  const bits = {recorded, shown: hex(steered), reopened: hex(reopened)}
+  found.push({...bits, recording, written, lost: lost ?? [], moved})
+}
+const refused = wrong.map((one) => attempt(() => address.readAddress(one, scene)))
+console.log(JSON.stringify({found, refused}))
+"""
+LINKED, MIXED = "bits of the address", "all inputs"
+WRONG = (
+    "foo=1", "depth=-5", "depth=50&turn=60", "depth=50&turn=30,20", "depth=50&turn=0", "depth=x",
+    "depth=50&roll=", "depth=50&mu9=1", "depth=50&base_y=1", "b=0.1", "depth=50&turn=20:x",
+)  # fmt: skip
+
+
+def run(job: Mapping[str, Any]) -> Any:
+    program = PROGRAM.replace("KERNEL", repr((native.FOLDER / "needle.js").as_uri()))
+    program = program.replace("PAGE", repr(PAGE.as_uri() + "/")).replace(
+        "WASM", repr(str(native.FOLDER / "kernel.wasm"))
+    )
+    command = ["node", "--input-type=module", "-e", program]
+    done = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def draw_path(rng: np.random.Generator, layers: int, strength: str, kind: str) -> list[list[list[Any]]]:
+    """Return changes of a hand: those that an address carries, or with base, guides, tip and b on the way."""
+    depth, path = 0.0, []
+    for _ in range(12):
+        depth = max(depth + rng.uniform(-3.0, 8.0), 0.5)
+        layer, here = int(rng.integers(1, layers + 1)), strength.replace("_throughout", "")
+        here = "bevel_offset_mm" if here == "offset_mm" else here
+        options = [
+            [["depth_mm", None, depth]],
+            [["depth_mm", None, depth]],
+            [["bevel_roll_deg", None, float(rng.choice([0.0, 180.0, 90.0, rng.uniform(-180, 180)]))]],
+            [["bevel_side", None, float(rng.choice([-1, 1]))]],
+            [["mu_pa", layer, 10 ** rng.uniform(4.5, 6.0)]],
+            [[strength, None, rng.uniform(0.01, 0.15)]],
+        ]
+        more = [
+            [["base_y_mm", None, rng.uniform(-1.0, 1.0)]],
+            [["base_slope", None, rng.uniform(-0.02, 0.02)]],
+            [["guide_x_mm", 3, -rng.uniform(2.0, 20.0)], ["guide_y_mm", 3, rng.uniform(-0.2, 0.2)]],
+            [["tip_y_mm", None, rng.uniform(-0.3, 0.3)]],
+            [["tip_held", None, 0.0]],
+            [[here, None, rng.uniform(0.01, 0.15)]],
+        ]
+        chosen = options + (more if kind == MIXED else [])
+        path.append(chosen[rng.integers(len(chosen))])
+    return [*path, [["depth_mm", None, depth + 5.0]]]
+
+
+@pytest.mark.parametrize("kind", [LINKED, MIXED])
+@pytest.mark.parametrize("name", ["measured", "two terms", "path angle", "rolled"])
+def test_random_paths_reopen_to_the_bit_or_are_refused(name: str, kind: str, tmp_path) -> None:
+    viewed = SCENES[name]()
+    scene = make_scene(viewed.record, name)
+    strength = "cut_angle_throughout_deg" if scene.rules.path_angle else "offset_throughout_mm"
+    rng = np.random.default_rng(79)
+    paths = [draw_path(rng, scene.tissue.layers, strength, kind) for _ in range(20)]
+    encoded = encode_scene(viewed, SteeredNeedle(scene, viewed.first_cell))
+    done = run({"scene": encoded, "head": format_head(viewed.make_head()), "paths": paths, "wrong": WRONG})
+    linked = 0
+    for number, found in enumerate(done["found"]):
+        assert bool(found.get("written")) != bool(found["lost"])
+        if not found["lost"]:
+            linked += 1
+            assert found["reopened"] == found["shown"], found["written"]
+            assert found["moved"] < 1e-6  # mm: within the tolerance of the solver
+        file = tmp_path / f"{number}.csv"
+        file.write_text(found["recording"], "utf-8")
+        recording = read_recording(file)
+        steering = begin_replay(recording)
+        assert max(step.tip_offset_mm for step in replay(recording, steering)) == 0
+        shape = steering.now.shape
+        u, slope = list_planes(shape)
+        parts = (shape.x, u, slope, shape.constraints[:, : 1 + len(u)])
+        assert found["recorded"] == [np.ascontiguousarray(one).tobytes().hex() for one in parts]
+    assert linked == 20 if kind == LINKED else linked < 10
+    assert all(isinstance(one, str) and one for one in done["refused"])
