@@ -158,7 +158,7 @@ READERS: dict[str, Reader] = {
     "archive": Reader(READ_VOLUME, seeds.archives, SLOWEST),
     "segmentation": Reader(READ_LABELS, seeds.segmentations, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 50),
-    "recording": Reader(partial(_call, "viewer.recording.read_recording"), seeds.recordings),
+    "recording": Reader(partial(_call, "planning.recording.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 20, packed=True),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, SLOWEST),
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 40),
