@@ -1,17 +1,23 @@
 """The error-minimising fit: the tolerance of its objective, and the point within it nearest to a target."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, medium, problem, two_layers
+from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, two_layers
 
-from needlefit.datasets.insertion import Noise
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.select import MIN_GROUPS
 from needlefit.inference.error_fit import Target, examine_errors
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import Fit
-from needlefit.inference.problem import Problem
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.problem import Problem, make_problem
+from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.schemas.recipe import WeightsRecord
 
 
 def at_truth(p: Problem) -> Fit:
@@ -56,3 +62,78 @@ def test_the_reported_fit_is_the_target_where_its_errors_are_equal_and_else_as_n
     assert found.objective <= limit < p.objective(far)
     assert found.objective > found.least + 0.5 * found.tolerance.value
     assert np.linalg.norm(np.array(found.theta) - far) < np.linalg.norm(theta - far)
+
+
+# ---- known answers: of one tip error, which one free parameter takes off along one direction
+
+TIP_ALONE = WeightsRecord(ipe=0.0, te=1.0, edp=0.0)
+QUANTILE_95 = 1.96
+"""Of the absolute value of a standard normal variable."""
+
+
+def bevel_alone(made: Sequence[Insertion], noise: Noise, planes: int = 1) -> Problem:
+    """A problem of the tip errors alone, in which b alone is free."""
+    record = medium(mu1_pa={"fixed": TRUTH["mu1_pa"]}, mu2_pa={"fixed": TRUTH["mu2_pa"]})
+    data = replace(dataset(made, noise=noise), planes=planes)
+    return make_problem(data, made, record, TIP_ALONE, PLAIN_LIKELIHOOD)
+
+
+def one_needle(**changed: object) -> Insertion:
+    planned = replace(insertion(36.0, (14.0,), (1, 2)), pose_angle_sd=0.0, roll_sd=0.0, **changed)
+    return measure(TRUTH, medium(), planned)
+
+
+def estimate(p: Problem, theta: np.ndarray | None = None) -> ErrorTolerance:
+    at = np.array(p.parameters.theta(TRUTH)) if theta is None else theta
+    return estimate_tolerance(p, p.parameters, at, np.random.default_rng(5))
+
+
+def find_taken_off(p: Problem) -> np.ndarray:
+    """Return the unit vector along which b moves the tip."""
+    slope = p.distances(np.array(p.parameters.theta(TRUTH))).slopes[-1, :, 0]
+    return slope / np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize(("planes", "roll_sd"), [(1, 0.0), (2, 0.0), (2, 0.1)])
+def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_off(planes, roll_sd):
+    made, sd = replace(one_needle(), roll_sd=roll_sd), 0.1
+    p = bevel_alone([made], Noise(0.0, sd, 0.0, 5.0), planes)
+    along = find_taken_off(p)
+    rng = np.random.default_rng(1)
+    errors = sd * rng.standard_normal((100_000, len(along)))
+    if planes == 2:  # the roll turns the tip out of the plane
+        errors[:, 2] += roll_sd * made.planar[-1, 1] * rng.standard_normal(len(errors))
+    size, taken = np.linalg.norm(errors, axis=1), errors @ along
+    known = np.quantile(size - np.sqrt(np.maximum(size**2 - taken**2, 0.0)), 0.95)
+    assert estimate(p).by_noise == pytest.approx(known, rel=0.12)
+
+
+@pytest.mark.parametrize(("shared_sd", "factor"), [(0.0, 1.0), (0.5, QUANTILE_95)])
+def test_an_error_of_a_surface_is_taken_off_whole_where_insertions_share_it(shared_sd, factor):
+    # of two errors of their own z1, z2 a shift takes off min(|z1|, |z2|) where the signs are alike
+    depths = {"boundary_sd": 0.5, "boundary_shared_sd": shared_sd, "specimen": "one"}
+    first, second = one_needle(**depths), replace(one_needle(**depths), id="second")
+    p = bevel_alone([first, second], Noise(0.0, 1e-6, 0.0, 5.0))
+    deeper, shallower = (predict(TRUTH, p.medium, first, np.array([14.0 + step])) for step in (0.5, -0.5))
+    effect = np.diff([sample_inserted_points(one, 2)[-1, 1] for one in (shallower, deeper)])[0] / 2
+    assert estimate(p).by_noise == pytest.approx(factor * abs(effect), rel=0.15)
+
+
+def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn():
+    one = one_needle()
+    made = [replace(one, id=str(k), specimen=str(k // 2)) for k in range(2 * MIN_GROUPS)]
+    p = bevel_alone(made, Noise(0.0, 1e-6, 0.0, 5.0))
+    theta = np.array(p.parameters.theta(TRUTH)) + 0.2
+    off = p.distances(theta)
+    tip = off.off[off.weights > 0][0]
+    along = find_taken_off(p)
+    excess = np.linalg.norm(tip) - math.sqrt(max(tip @ tip - (tip @ along) ** 2, 0.0))
+    assert estimate(p, theta).by_insertions == pytest.approx(excess, rel=0.01)
+    fewer = replace(p, insertions=tuple(made[: 2 * MIN_GROUPS - 2]))
+    assert math.isnan(estimate(fewer, theta).by_insertions)
+
+
+def test_the_smallest_tolerance_is_a_hundredth_of_the_objective():
+    p = bevel_alone([one_needle()], Noise())
+    theta = np.array(p.parameters.theta(TRUTH)) + 1.0
+    assert estimate(p, theta).value == pytest.approx(0.01 * p.objective(theta)) and p.objective(theta) > 0.2

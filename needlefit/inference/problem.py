@@ -98,6 +98,10 @@ class Problem:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
         return evaluate(self._objective_gradients, np.asarray(theta))
 
+    def objectives(self, thetas: Floats, jobs: int = 1) -> Floats:
+        """Return `objective` (B,) of many thetas (B, P) at once, on `jobs` threads."""
+        return np.array(self._objectives(thetas, jobs))
+
     def _objectives(self, thetas: Floats, jobs: int) -> list[float]:
         goals, total = self.compared_points, np.zeros(len(thetas))
         points = self._model.read_points(self._list_values(thetas), [goal.s for goal in goals], jobs)

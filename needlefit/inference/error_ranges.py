@@ -1,0 +1,156 @@
+"""The range of each parameter among those whose errors are not significantly larger than the least ones.
+
+    least and largest theta_k   subject to   f(theta) <= f_least + tolerance,   bounds
+
+with the metric objective f (docs/fitting.md, "Error-minimising fit"). The ranges are joint: while theta_k goes
+to an end, all others go where f lets it. An end is found by steps: nlopt's SLSQP solves the problem with the
+distances of f made linear, within a radius, and the next step starts where f was evaluated. It begins at the
+least f, and once more at the draw of the posterior that lies farthest out within the limit.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import nlopt
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS
+from needlefit.inference.metric_objective import WeightedDistances
+from needlefit.inference.problem import Problem
+from needlefit.inference.side_by_side import run_side_by_side
+from needlefit.project.tasks import TaskStop
+
+MAX_STEPS = 16  #: evaluations of f with derivatives, at most, of one end from one start
+MAX_LINEAR_EVALUATIONS = 60  #: of one problem with linear distances
+SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
+#: of the tolerance, by which f may exceed the limit on the way: the next step leads back
+MAX_EXCESS = 1.0
+MIN_PROGRESS = 0.01  #: of theta_k (a factor of 1.01), below which steps end
+EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
+
+
+@dataclass(frozen=True)
+class ErrorRange:
+    """The least and the largest value of one parameter within the tolerance, in its coordinate of theta."""
+
+    name: str
+    low: float
+    high: float
+    at_bound: tuple[bool, bool]  #: whether a bound of the parameter ends it
+
+
+def find_error_ranges(
+    problem: Problem, least: Floats, tolerance: float, draws: Floats, jobs: int, stop: TaskStop
+) -> tuple[ErrorRange, ...]:
+    """Return the range of each free parameter, in the order of theta; fewer after a stop.
+
+    `least` (P,) has the least f, `tolerance` is in mm, `draws` (B, P) are of the posterior.
+    """
+    limit = problem.objective(least) + tolerance
+    known = _list_inside(problem, draws[:EXAMINED_DRAWS], limit, jobs)
+    inside = np.concatenate([least[None], known])
+    searches = [
+        _EndSearch(problem, k, side, limit, tolerance, start)
+        for k in range(len(least))
+        for side in (-1, 1)
+        for start in _choose_starts(inside, k, side)
+    ]
+    ends: dict[tuple[int, int], Floats] = {}
+    for number, theta in run_side_by_side(_EndSearch.run, searches, jobs, stop):
+        search = searches[number]
+        place = search.k, search.side
+        if place not in ends or search.side * (theta[search.k] - ends[place][search.k]) > 0:
+            ends[place] = theta
+    found = []
+    for k, name in enumerate(problem.names):
+        if (k, -1) in ends and (k, 1) in ends:
+            low, high = float(ends[k, -1][k]), float(ends[k, 1][k])
+            at_bound = low <= problem.lower[k], high >= problem.upper[k]
+            found.append(ErrorRange(name, low, high, at_bound))
+    return tuple(found)
+
+
+def _list_inside(problem: Problem, draws: Floats, limit: float, jobs: int) -> Floats:
+    """Return those of the draws (B, P) whose f is within the limit."""
+    values = problem.objectives(draws, jobs) if len(draws) else np.empty(0)
+    return draws[values <= limit].reshape(-1, len(problem.names))
+
+
+def _choose_starts(inside: Floats, k: int, side: int) -> Sequence[Floats]:
+    """Return the least point, and another one that lies farther out."""
+    outermost = inside[np.argmax(side * inside[:, k])]
+    return [inside[0]] if outermost is inside[0] or outermost[k] == inside[0, k] else [inside[0], outermost]
+
+
+@dataclass(frozen=True)
+class _EndSearch:
+    """The search for the end of parameter `k` toward `side`, from theta `start` (P,) within the limit."""
+
+    problem: Problem
+    k: int
+    side: int
+    limit: float  #: of f, mm
+    tolerance: float  #: mm
+    start: Floats
+
+    def run(self) -> Floats:
+        """Return the outermost theta (P,) found within the limit."""
+        problem, k, side = self.problem, self.k, self.side
+        bound = float((problem.upper if side > 0 else problem.lower)[k])
+        theta, radius, best = self.start, FIRST_RADIUS, self.start
+        at = self._evaluate(theta)
+        for _ in range(MAX_STEPS):
+            if at is None or best[k] == bound:
+                break
+            step = self._step(at, theta, radius)
+            ahead = np.clip(theta + step, problem.lower, problem.upper)
+            trial = self._evaluate(ahead)
+            excess = math.inf if trial is None else (trial.total - self.limit) / self.tolerance
+            progress = side * (ahead[k] - best[k])
+            if excess <= SLACK and progress > 0:
+                best = ahead
+            if excess <= MAX_EXCESS:
+                theta, at = ahead, trial
+                radius *= 2 if excess <= SLACK else 1
+            else:
+                radius = 0.25 * float(np.max(np.abs(step)))
+            if excess <= SLACK and progress < MIN_PROGRESS:
+                break
+        return best
+
+    def _evaluate(self, theta: Floats) -> WeightedDistances | None:
+        try:
+            found = self.problem.distances(theta)
+        except EVALUATION_ERRORS:
+            return None
+        return found if np.isfinite(found.total) and np.all(np.isfinite(found.slopes)) else None
+
+    def _step(self, at: WeightedDistances, theta: Floats, radius: float) -> Floats:
+        """Return the step (P,) that leads `k` farthest where the distances are linear, by SLSQP."""
+        along = np.zeros(len(theta))
+        along[self.k] = -self.side
+
+        def outward(step: Floats, slope: Floats) -> float:
+            if slope.size:
+                slope[:] = along
+            return float(along @ step)
+
+        def over(step: Floats, slope: Floats) -> float:
+            moved = at.move(step)
+            if slope.size:
+                slope[:] = moved.differentiate() / self.tolerance
+            return (moved.total - self.limit) / self.tolerance
+
+        optimizer = nlopt.opt(nlopt.LD_SLSQP, len(theta))
+        optimizer.set_min_objective(outward)
+        optimizer.add_inequality_constraint(over, SLACK / 2)
+        optimizer.set_lower_bounds(np.maximum(self.problem.lower - theta, -radius))
+        optimizer.set_upper_bounds(np.minimum(self.problem.upper - theta, radius))
+        optimizer.set_xtol_abs(np.full(len(theta), MIN_PROGRESS / 4))
+        optimizer.set_maxeval(MAX_LINEAR_EVALUATIONS)
+        try:
+            return np.asarray(optimizer.optimize(np.zeros(len(theta))))
+        except (nlopt.RoundoffLimited, RuntimeError, ValueError):
+            return np.zeros(len(theta))
