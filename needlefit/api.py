@@ -49,7 +49,7 @@ from needlefit.schemas.base import FileRecord
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
-from needlefit.schemas.study import FitRecord
+from needlefit.schemas.study import FitRecord, SelectionRecord
 from needlefit.studies.folds import group_insertions, prepare
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.judge import judge_fits as judge_fits
@@ -246,8 +246,8 @@ def fit(
     medium : str, Path, MediumRecord or table, optional
         The model: layers, and which parameters are free.
     tune : table, optional
-        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default all, or those of the
-        target.
+        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default those of the target; of
+        a dataset with several media those into the medium of this name, else all.
     recipe : str, Path, RecipeRecord or table, optional
         How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`. By default
         that of the target, else `default`.
@@ -674,8 +674,16 @@ def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _S
     found = _replace_inputs(empty, target, medium, stored=stored)
     record, inputs = _require_fit(found.record), found.inputs
     dataset = load_dataset(record.dataset) if inputs.dataset is None else inputs.dataset
-    name = dataset.name if inputs.medium else f"{dataset.name}-{Path(record.medium).stem}"
-    return _Study(name, record, replace(inputs, dataset=dataset))
+    inputs = replace(inputs, dataset=dataset)
+    if inputs.medium:
+        return _Study(dataset.name, record, inputs)
+    own = Path(record.medium).stem
+    if own in dataset.media and len(dataset.media) > 1:
+        note = (
+            f"Fitted to the insertions into {own}, one of the {len(dataset.media)} media of {dataset.name}."
+        )
+        record = record.model_copy(update={"tune": SelectionRecord(medium=own), "note": note})
+    return _Study(f"{dataset.name}-{own}", record, inputs)
 
 
 def _load_study(study: Name | FileRecord | Table) -> _Study:

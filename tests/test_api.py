@@ -200,6 +200,19 @@ def test_models_are_compared_by_what_they_predict_of_insertions_left_out(sampled
         needlefit.estimate_elpd(run, leave_out="needle")
 
 
+def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(dataset):
+    fitted = api._open_fit("twin", "phantom1", stored=False)
+    assert (
+        len(dataset.media) > 1
+        and fitted.record.tune.medium == "phantom1"
+        and "phantom1" in fitted.record.note
+    )
+    other = api._open_fit("twin", "gel_wax", stored=False).record
+    assert other.tune.medium is None and not other.note
+    with pytest.raises(ConfigError, match="1 layer, insertion .* meets layer"):
+        needlefit.fit("twin", "chicken", tune={"medium": "phantom2"}, recipe=RECIPE)
+
+
 def test_a_changed_dataset_is_refused(dataset):
     one, *others = dataset.insertions
     moved = replace(dataset, insertions=(one.with_planar(one.planar + 1.0), *others))

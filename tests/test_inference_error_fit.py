@@ -83,9 +83,9 @@ def one_needle(**changed: object) -> Insertion:
     return measure(TRUTH, medium(), planned)
 
 
-def estimate(p: Problem, theta: np.ndarray | None = None) -> ErrorTolerance:
+def estimate(p: Problem, theta: np.ndarray | None = None, seed: int = 5) -> ErrorTolerance:
     at = np.array(p.parameters.theta(TRUTH)) if theta is None else theta
-    return estimate_tolerance(p, p.parameters, at, np.random.default_rng(5))
+    return estimate_tolerance(p, p.parameters, at, np.random.default_rng(seed))
 
 
 def find_taken_off(p: Problem) -> np.ndarray:
@@ -105,7 +105,8 @@ def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_o
         errors[:, 2] += roll_sd * made.planar[-1, 1] * rng.standard_normal(len(errors))
     size, taken = np.linalg.norm(errors, axis=1), errors @ along
     known = np.quantile(size - np.sqrt(np.maximum(size**2 - taken**2, 0.0)), 0.95)
-    assert estimate(p).by_noise == pytest.approx(known, rel=0.12)
+    found = [estimate(p, seed=seed).by_noise for seed in range(6)]  # of 200 replicates each
+    assert np.mean(found) == pytest.approx(known, rel=0.08)
 
 
 @pytest.mark.parametrize(("shared_sd", "factor"), [(0.0, 1.0), (0.5, QUANTILE_95)])
@@ -129,7 +130,7 @@ def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn()
     along = find_taken_off(p)
     excess = np.linalg.norm(tip) - math.sqrt(max(tip @ tip - (tip @ along) ** 2, 0.0))
     assert estimate(p, theta).by_insertions == pytest.approx(excess, rel=0.01)
-    fewer = replace(p, insertions=tuple(made[: 2 * MIN_GROUPS - 2]))
+    fewer = replace(p, insertions=tuple(made[: MIN_GROUPS - 1]))
     assert math.isnan(estimate(fewer, theta).by_insertions)
 
 

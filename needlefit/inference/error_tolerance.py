@@ -67,7 +67,8 @@ def estimate_tolerance(
     count = int(group.max()) + 1
     if count >= MIN_GROUPS:
         counts = rng.multinomial(count, np.full(count, 1 / count), size=REPLICATES)  # (B, G)
-        off, repeats = [one.off for one in parts], counts[:, group] * (len(group) / count)
+        times = counts[:, group]  # (B, insertions) how often each is drawn
+        off, repeats = [one.off for one in parts], times * (len(group) / times.sum(axis=1, keepdims=True))
         found = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
         by_insertions = float(np.quantile(found, PROBABILITY))
     smallest = max(MIN_RELATIVE_TOLERANCE * problem.objective(theta), MIN_TOLERANCE_MM)

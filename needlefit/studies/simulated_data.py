@@ -258,9 +258,8 @@ def find_true_value(problem: Problem, name: str, seed: int, population: TrueSpre
         return float(np.exp(np.mean(np.log(known))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]
-    if not layers:
-        return math.nan
-    return float(1e6 * np.exp(np.mean([np.log(specimen.mu[layers]) for specimen in specimens])))
+    known = [specimen.mu[layer] for specimen in specimens for layer in layers if layer < len(specimen.mu)]
+    return float(1e6 * np.exp(np.mean(np.log(known)))) if known else math.nan
 
 
 def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Problem | None:
