@@ -246,8 +246,8 @@ def fit(
     medium : str, Path, MediumRecord or table, optional
         The model: layers, and which parameters are free.
     tune : table, optional
-        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default those of the target; of
-        a dataset with several media those into the medium of this name, else all.
+        The insertions fitted to, by the keys of `[tune]`: `{"layers": [3]}`. By default those of the target;
+        of a dataset with several media those into the medium of this name, else all.
     recipe : str, Path, RecipeRecord or table, optional
         How to search and sample; a table changes keys of the recipe `default`: `{"starts": 4}`. By default
         that of the target, else `default`.
@@ -679,9 +679,8 @@ def _begin_fit(target: Name | Dataset | Run, medium: Medium, stored: bool) -> _S
         return _Study(dataset.name, record, inputs)
     own = Path(record.medium).stem
     if own in dataset.media and len(dataset.media) > 1:
-        note = (
-            f"Fitted to the insertions into {own}, one of the {len(dataset.media)} media of {dataset.name}."
-        )
+        media = f"{len(dataset.media)} media of {dataset.name}"
+        note = f"Fitted to the insertions into {own}, one of the {media}."
         record = record.model_copy(update={"tune": SelectionRecord(medium=own), "note": note})
     return _Study(f"{dataset.name}-{own}", record, inputs)
 

@@ -209,7 +209,7 @@ def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(da
     )
     other = api._open_fit("twin", "gel_wax", stored=False).record
     assert other.tune.medium is None and not other.note
-    with pytest.raises(ConfigError, match="1 layer, insertion .* meets layer"):
+    with pytest.raises(ConfigError, match=r"1 layer, insertion .* meets layer"):
         needlefit.fit("twin", "chicken", tune={"medium": "phantom2"}, recipe=RECIPE)
 
 
