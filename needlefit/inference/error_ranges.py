@@ -3,9 +3,9 @@
     least and largest theta_k   subject to   f(theta) <= f_least + tolerance,   bounds
 
 with the metric objective f (docs/fitting.md, "Error-minimising fit"). The ranges are joint: while theta_k
-goes to an end, all others go where f lets it. An end is found by steps: nlopt's SLSQP solves the problem with the
-distances of f made linear, within a radius, and the next step starts where f was evaluated. It begins at the
-least f, and once more at the draw of the posterior that lies farthest out within the limit.
+goes to an end, all others go where f lets it. An end is found by steps: nlopt's SLSQP solves the problem with
+the distances of f made linear, within a radius, and the next step starts where f was evaluated. It begins at
+the least f, and once more at the draw of the posterior that lies farthest out within the limit.
 """
 
 import math
