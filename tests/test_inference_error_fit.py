@@ -6,17 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, two_layers
+from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, problem, two_layers
+from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.select import MIN_GROUPS
-from needlefit.inference.error_fit import Target, examine_errors
+from needlefit.inference.error_fit import examine_errors
+from needlefit.inference.error_ranges import find_error_ranges
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.project.progress import never_stop
+from needlefit.project.tasks import TaskStop
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -25,8 +29,10 @@ def at_truth(p: Problem) -> Fit:
     return Fit(tuple(theta.tolist()), p.values(theta), p.objective(theta), (), 0, 0, False, "metric")
 
 
-def examine(p: Problem, target: Target | None = None):
-    return examine_errors(p, at_truth(p), target, p.parameters, np.random.default_rng(3))
+def examine(p: Problem, median: np.ndarray | None = None):
+    """Examine the errors with draws of unit standard deviation about a median."""
+    draws = np.empty((0, len(p.names))) if median is None else np.array([median - 1, median + 1])
+    return examine_errors(p, at_truth(p), draws, p.parameters, np.random.default_rng(3))
 
 
 def test_the_tolerance_grows_with_the_noise_and_not_with_what_a_step_cannot_take_off():
@@ -53,11 +59,11 @@ def test_without_noise_and_with_few_insertions_the_tolerance_is_the_smallest():
 
 def test_the_reported_fit_is_the_target_where_its_errors_are_equal_and_else_as_near_as_the_limit_allows():
     p = two_layers()
-    theta, ones = np.array(at_truth(p).theta), np.ones(len(p.names))
-    near = examine(p, Target(theta + 0.01, ones))
-    assert near.theta == tuple((theta + 0.01).tolist()) and near.objective > near.least
+    theta = np.array(at_truth(p).theta)
+    near = examine(p, theta + 0.01)
+    assert near.theta == pytest.approx(theta + 0.01) and near.objective > near.least
     far = theta + np.array([2.0, 0.0, 0.0])  # across the ridge
-    found = examine(p, Target(far, ones))
+    found = examine(p, far)
     limit = found.least + found.tolerance.value
     assert found.objective <= limit < p.objective(far)
     assert found.objective > found.least + 0.5 * found.tolerance.value
@@ -138,3 +144,37 @@ def test_the_smallest_tolerance_is_a_hundredth_of_the_objective():
     p = bevel_alone([one_needle()], Noise())
     theta = np.array(p.parameters.theta(TRUTH)) + 1.0
     assert estimate(p, theta).value == pytest.approx(0.01 * p.objective(theta)) and p.objective(theta) > 0.2
+
+
+def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance():
+    # of one tip and one parameter the error is the distance that b moves the tip
+    made = [one_needle()]
+    p, tolerance = bevel_alone(made, NOISE), 0.5
+    theta = np.array(p.parameters.theta(TRUTH))
+    (found,) = find_error_ranges(p, theta, tolerance, np.empty((0, 1)), 1, TaskStop(never_stop))
+    excess = [p.objective(np.array([end])) - p.objective(theta) for end in (found.low, found.high)]
+    assert excess == pytest.approx([tolerance, tolerance], rel=0.03)
+    assert found.low < theta[0] < found.high and found.at_bound == (False, False)
+    (wide,) = find_error_ranges(p, theta, 100.0, np.empty((0, 1)), 1, TaskStop(never_stop))
+    assert (wide.low, wide.high) == (p.lower[0], p.upper[0]) and wide.at_bound == (True, True)
+
+
+def test_the_ranges_are_joint_along_the_ridge_of_modulus_and_bevel():
+    p, tolerance = two_layers(), 0.05
+    theta = np.array(p.parameters.theta(TRUTH))
+    found = {
+        one.name: one for one in find_error_ranges(p, theta, tolerance, theta[None], 1, TaskStop(never_stop))
+    }
+    for k, name in enumerate(p.names):
+        for end in (found[name].low, found[name].high):
+            held = [n for n in range(len(theta)) if n != k]
+
+            def errors(rest, end=end, k=k, held=held):
+                at = np.empty(len(theta))
+                at[k], at[held] = end, rest
+                return p.objective(at)
+
+            alone = errors(theta[held])
+            best = minimize(errors, theta[held], method="Nelder-Mead", options={"maxfev": 400}).fun
+            bound = end in (p.lower[k], p.upper[k])
+            assert best <= 1.05 * tolerance and (bound or alone > 2 * tolerance)

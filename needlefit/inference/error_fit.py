@@ -1,9 +1,9 @@
 """The error-minimising fit: parameters whose errors (IPE, TE, EDP) are the least, or not significantly more.
 
-Of the parameters whose objective f is within the tolerance of the least one (docs/fitting.md,
-"Error-minimising fit") the nearest to a target is reported. It minimises f / tolerance + mu d^2 / 2 with the
-largest mu for which f is within the limit (Tikhonov regularisation with Morozov's discrepancy principle), by
-gradients, with SLSQP.
+The set of those whose objective f is within the tolerance of the least one is described by the range of each
+parameter (docs/fitting.md, "Error-minimising fit"). Needles are predicted by the point of it that is nearest
+to a target. It minimises f / tolerance + mu d^2 / 2 with the largest mu for which f is within the limit
+(Tikhonov regularisation with Morozov's discrepancy principle), by gradients, with SLSQP.
 """
 
 import math
@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.inference.error_ranges import ErrorRange, find_error_ranges
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
-from needlefit.inference.fit import EvaluationRecorder, Fit, ObjectiveFunction
+from needlefit.inference.fit import Callbacks, EvaluationRecorder, Fit, ObjectiveFunction
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.inference.slsqp import run_slsqp
 from needlefit.project.progress import never_stop
+from needlefit.project.tasks import TaskStop
 
 MIN_TARGET_SD = 0.05  #: smallest standard deviation of the distance to a target
 SEARCH_EVALUATIONS = 40  #: most evaluations of one search
@@ -28,34 +30,51 @@ NEAREST_STEPS = 8  #: bisections of the weight of the distance
 
 @dataclass(frozen=True)
 class ErrorMinimisingFit:
-    """The fit of the errors that is reported."""
+    """The least errors that a search found, and what of the parameters has errors as small."""
 
-    theta: tuple[float, ...]  #: within the tolerance, nearest to the target
-    objective: float  #: there, mm
-    least: float  #: the least objective found, mm
+    least_theta: tuple[float, ...]
+    least: float  #: the objective there, mm
     tolerance: ErrorTolerance
-    evaluations: int  #: beside those of the search for the least objective
+    ranges: tuple[ErrorRange, ...]  #: of each free parameter within the tolerance; of none after a stop
+    theta: tuple[float, ...]  #: within the tolerance, nearest to the target: what predicts needles
+    objective: float  #: there, mm
+    evaluations: int  #: of the search for `theta`
 
 
 class Target(NamedTuple):
-    """What the reported fit is to be near: theta (P,), and the standard deviations (P,) of the distance."""
+    """What a point is to be near: theta (P,), and the standard deviations (P,) of the distance."""
 
     theta: Floats
     sds: Floats
 
 
 def examine_errors(
-    problem: Problem, fit: Fit, target: Target | None, stated: Parameters, rng: np.random.Generator
+    problem: Problem,
+    fit: Fit,
+    draws: Floats,
+    stated: Parameters,
+    rng: np.random.Generator,
+    callbacks: Callbacks | None = None,
 ) -> ErrorMinimisingFit:
-    """Return the point to be reported of a fit that minimised the errors; without a `target`, the least.
+    """Return what a fit that minimised the errors, by a search, tells of the parameters.
 
-    `stated` are the parameters with the ties that have a spread, which the problem takes as exact.
+    `draws` (B, P) are of the posterior, in the problem's coordinates; needles are predicted by the point
+    nearest to their median, without any by the least one. `stated` are the parameters with the ties that have
+    a spread, which the problem takes as exact. Of `callbacks` the number of threads and the stop count.
     """
+    callbacks = Callbacks() if callbacks is None else callbacks
     least = _Point(fit.objective, np.array(fit.theta))
     tolerance = estimate_tolerance(problem, stated, least.theta, rng)
-    nearest = least if target is None else _find_nearest(problem, target, least, tolerance.value)
+    nearest = least
+    if len(draws):
+        target = Target(np.median(draws, axis=0), np.std(draws, axis=0))
+        nearest = _find_nearest(problem, target, least, tolerance.value)
+    stop = TaskStop(callbacks.stop)
+    ranges = find_error_ranges(problem, least.theta, tolerance.value, draws, callbacks.jobs, stop)
     theta = tuple(nearest.theta.tolist())
-    return ErrorMinimisingFit(theta, nearest.value, least.value, tolerance, nearest.evaluations)
+    return ErrorMinimisingFit(
+        tuple(fit.theta), least.value, tolerance, ranges, theta, nearest.value, nearest.evaluations
+    )
 
 
 class _Point(NamedTuple):

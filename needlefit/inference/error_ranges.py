@@ -27,7 +27,8 @@ MAX_LINEAR_EVALUATIONS = 60  #: of one problem with linear distances
 SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
 #: of the tolerance, by which f may exceed the limit on the way: the next step leads back
 MAX_EXCESS = 1.0
-MIN_PROGRESS = 0.01  #: of theta_k (a factor of 1.01), below which steps end
+#: of theta_k (of a logarithm: a factor of 1.01), below which steps end, and a bound is reached
+MIN_PROGRESS = 0.01
 EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
 
 
@@ -67,7 +68,9 @@ def find_error_ranges(
     for k, name in enumerate(problem.names):
         if (k, -1) in ends and (k, 1) in ends:
             low, high = float(ends[k, -1][k]), float(ends[k, 1][k])
-            at_bound = low <= problem.lower[k], high >= problem.upper[k]
+            bounds = float(problem.lower[k]), float(problem.upper[k])
+            at_bound = low - bounds[0] < MIN_PROGRESS, bounds[1] - high < MIN_PROGRESS
+            low, high = bounds[0] if at_bound[0] else low, bounds[1] if at_bound[1] else high
             found.append(ErrorRange(name, low, high, at_bound))
     return tuple(found)
 
@@ -102,7 +105,7 @@ class _EndSearch:
         theta, radius, best = self.start, FIRST_RADIUS, self.start
         at = self._evaluate(theta)
         for _ in range(MAX_STEPS):
-            if at is None or best[k] == bound:
+            if at is None or abs(bound - best[k]) < MIN_PROGRESS:
                 break
             step = self._step(at, theta, radius)
             ahead = np.clip(theta + step, problem.lower, problem.upper)

@@ -292,7 +292,7 @@ END_DIGITS = 2  #: significant digits of the ends of an interval
 def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> Row:
     """Return the cells of one parameter from its rows of every method, of several folds their range.
 
-    A value stands with its 95 % interval, that of the error-minimising fit alone.
+    The posterior's value stands with its 95 % interval, that of the least errors with its range.
     """
     ours, errors, paper = (
         to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
@@ -307,7 +307,7 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
         "parameter": label,
         "posterior": own,
         "determined": "" if fixed else find_least_determined(str(row["determined"]) for row in ours),
-        "error_minimising": "" if fixed else _join_range([row["value"] for row in errors], unit),
+        "error_minimising": "" if fixed else _format_least_errors(errors, unit),
         "hand_tuned": _join_range([row["value"] for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
@@ -330,6 +330,19 @@ def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: 
         at = any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
         ends.append(f"{format_plain(round_significant(end / unit, END_DIGITS))}{AT_BOUND if at else ''}")
     return f"{estimate} ({' to '.join(ends)})"
+
+
+def _format_least_errors(rows: Sequence[Row], unit: float) -> str:
+    """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance."""
+    value, ends = _join_range([row["value"] for row in rows], unit), []
+    for side, choose in (("low", min), ("high", max)):
+        known = [row[side] for row in rows if is_known(row[side])]
+        if not known:
+            return value
+        end, bounds = choose(known), [row[f"bound_{side}"] for row in rows]
+        at = any(math.isclose(end, bound, rel_tol=1e-6) for bound in bounds if is_known(bound))
+        ends.append("bound" if at else format_plain(round_significant(end / unit, END_DIGITS)))
+    return f"{value} ({' to '.join(ends)})"
 
 
 #: what the intervals of parameters are from, by `draw_source`

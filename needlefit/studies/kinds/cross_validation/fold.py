@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from needlefit.inference.error_fit import ErrorMinimisingFit, Target, examine_errors
+from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -139,7 +139,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     predicted = drawn.predicted if drawn else ()
     usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
     fitted, error_fit = usable.get("fitted"), usable.pop("fitted_metric", None)
-    if least is not None and error_fit is not None:  # at the point to be reported
+    if least is not None and error_fit is not None:  # at the point that predicts needles
         values = job.problem(fold, "fitted_metric").values(np.array(least.theta))
         usable["fitted_metric"] = replace(error_fit, theta=least.theta, values=values)
     about_fit = _FitRows()
@@ -155,7 +155,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         starts=tuple(_list_starts(job, fold, found.fits)),
         parameters=(
             *about_fit.parameters,
-            *list_error_fit(job, fold, usable.get("fitted_metric")),
+            *list_error_fit(job, fold, least),
             *list_published(job, fold, usable.get("hand_tuned_b")),
         ),
         error_fit=() if least is None else (describe_error_fit(fold, least),),
@@ -324,18 +324,18 @@ def _holds_tracks(fold: Fold) -> bool:
 def _minimise_errors(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None, services: FoldServices
 ) -> ErrorMinimisingFit | None:
-    """Return the point to be reported of the fit that minimises the errors."""
+    """Return what the fit that minimises the errors tells of the parameters."""
     fit = fits.get("fitted_metric")
     if fit is None or fit.interrupted or not math.isfinite(fit.objective) or services.settings.stop():
         return None
-    problem, target = job.problem(fold, "fitted_metric"), None
-    if drawn is not None and len(thetas := drawn.draws.thetas):
-        median = job.parameters.values(np.median(thetas, axis=0))
-        columns = [job.parameters.free.index(name) for name in problem.names]
-        target = Target(problem.parameters.theta(median), np.std(thetas, axis=0)[columns])
+    problem, settings = job.problem(fold, "fitted_metric"), services.settings
+    draws = np.empty((0, len(problem.names)))
+    if drawn is not None and len(drawn.draws.thetas):
+        draws = drawn.draws.thetas[:, [job.parameters.free.index(name) for name in problem.names]]
     services.progress.report(fold, "errors of the fit")
     rng = random_stream(job.recipe.seed, fold.name, "error tolerance")
-    return examine_errors(problem, fit, target, job.parameters, rng)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    return examine_errors(problem, fit, draws, job.parameters, rng, callbacks)
 
 
 def _mark_estimate(row: Row) -> Row:

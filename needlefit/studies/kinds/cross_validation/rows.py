@@ -15,7 +15,7 @@ from needlefit.inference.identifiability.identify import (
     objective_excess,
     within_tolerance,
 )
-from needlefit.inference.parameter_names import HYPERPARAMETERS
+from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.studies.identification import NO_SOURCE
 from needlefit.studies.job import Fold, Job
@@ -100,18 +100,27 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> lis
     return rows
 
 
-def list_error_fit(job: Job, fold: Fold, fit: Fit | None) -> Iterator[Row]:
-    """Yield the values that minimise the errors; hyperparameters are of the likelihood alone."""
+def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> Iterator[Row]:
+    """Yield the values with the least errors, each with its range (`low`, `high`) within the tolerance.
+
+    Hyperparameters are of the likelihood alone.
+    """
+    if found is None:
+        return
     parameters = job.problem(fold, "fitted_metric").parameters
-    for name, value in () if fit is None else fit.values.items():
+    ranges = {one.name: one for one in found.ranges}
+    for name, value in parameters.values(np.array(found.least_theta)).items():
         if name in HYPERPARAMETERS:
             continue
         factor, source = parameters.ties.get(name, (1.0, name))
         row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
         row["status"] = parameters.status[name]
         if source in parameters.bounds:
-            ends = (factor * bound for bound in parameters.bounds[source])
-            row |= dict(zip(("bound_low", "bound_high"), ends, strict=True))
+            low, high = (factor * bound for bound in parameters.bounds[source])
+            row |= {"bound_low": low, "bound_high": high}
+        if source in ranges:
+            low, high = (to_value(source, end) for end in (ranges[source].low, ranges[source].high))
+            row |= {"low": factor * low, "high": factor * high}
         yield row
 
 
