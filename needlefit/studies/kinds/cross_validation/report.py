@@ -38,6 +38,7 @@ from needlefit.studies.judge import CRPS, STATUS, judge, limit_status, list_chec
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
+from needlefit.studies.validity import FITTED_METHODS
 
 __all__ = ["FRAMES", "REPORT"]
 
@@ -87,11 +88,31 @@ def collect_values(run: Run) -> dict[str, Any]:
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
         "failed": int(starts["failed_solves"].sum()),
+        "computation": describe_computation(run),
         "population": fit_tables.list_spreads(run),
         "chains": fit_tables.tabulate_percentiles(run),
         "notes": list_data_notes(run),
         "rigidity": stated.dataset.rigidity,
         "contradictions": [name_doubt(kind) for kind in list_contradictions(run.warnings)],
+    }
+
+
+def describe_computation(run: Run) -> dict[str, Any]:
+    """Return by what the parameters were found: searches of nlopt, and draws of the posterior."""
+    starts, draws = run.frames["starts"], run.frames["draws"]
+    recipe = run.knows(FitMetadata).recipe
+    searched = starts[starts["fit"].isin(FITTED_METHODS)]
+    weights = [(recipe.weights.ipe, "IPE"), (recipe.weights.te, "TE"), (recipe.weights.edp, "EDP")]
+    errors = (f"{weight:g} {name}" if weight != 1 else name for weight, name in weights if weight)
+    goals = {"posterior": "the posterior", "metric": " + ".join(errors)}
+    source = "" if draws.empty else str(draws["draw_source"].iloc[0])
+    return {
+        "starts": int((searched["fit"] == "fitted").sum()),
+        "evaluations": int(searched["evaluations"].sum()),
+        "goals": [goals[name] for name in dict.fromkeys(searched["minimized"])],
+        "source": source,
+        "walkers": recipe.sample.walkers if source == "posterior" else None,
+        "draws": None if draws.empty else int(draws["ess"].min()),
     }
 
 
