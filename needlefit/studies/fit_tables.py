@@ -20,6 +20,7 @@ from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
 from needlefit.reporting.number_format import (
     choose_printed_unit,
+    format_bare_symbol,
     format_metric,
     format_number,
     format_plain,
@@ -399,8 +400,11 @@ def find_known_combination(run: Run) -> str:
     return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
 
 
+CHAIN_COLUMNS = ("r_hat", "ess", "autocorrelation_time", "acceptance")  #: how a sampled posterior converged
+
+
 def tabulate_percentiles(run: Run) -> pd.DataFrame:
-    """Return one row per fold and free parameter: percentiles (Pa, mm), R-hat, effective sample size.
+    """Return one row per fold and free parameter: percentiles (Pa, mm), and how the chains converged.
 
     `acceptance` is the fold's. `converged` is false where the criteria, which concern more than the
     parameters, are not met: percentiles are then not final.
@@ -413,7 +417,20 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
         }
         about |= {"fold": fold, "origin": run.origin}
         for number, (name, values) in enumerate(posterior.percentiles().items()):
-            of_chain = {"r_hat": float(posterior.r_hat[number]), "ess": float(posterior.ess[number])}
+            of_chain = {
+                "r_hat": float(posterior.r_hat[number]),
+                "ess": float(posterior.ess[number]),
+                "autocorrelation_time": float(posterior.autocorrelation_time[number]),
+            }
             found.append({"parameter": name, **dict(zip(names, values, strict=True)), **about, **of_chain})
-    columns = ("fold", "parameter", *names, "r_hat", "ess", "acceptance", "converged", "origin")
+    columns = ("fold", "parameter", *names, *CHAIN_COLUMNS, "converged", "origin")
     return pd.DataFrame(found, columns=columns)
+
+
+def lay_out_chains(run: Run) -> TableLayout:
+    """Return one row per fold and parameter that emcee sampled: how its walkers converged."""
+    rows = [
+        {**row, "parameter": format_bare_symbol(row["parameter"])}
+        for row in to_records(tabulate_percentiles(run))
+    ]
+    return _lay_out(Table("chains", rows, ("fold", "parameter", *CHAIN_COLUMNS), groups=("fold",), heads=1))

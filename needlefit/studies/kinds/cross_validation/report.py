@@ -252,6 +252,7 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
         fit_tables.lay_out_insertions(run, role),
         fit_tables.lay_out_parameters(run),
         *([lay_out_identification(explained)] if len(explained) else []),
+        fit_tables.lay_out_chains(run),
         fit_tables.lay_out_tuning(run),
     ]
     return [table for table in found if table.rows]
