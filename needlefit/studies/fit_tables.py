@@ -13,7 +13,7 @@ from needlefit.inference.identifiability.directions import (
     UNINFORMED_SD_RATIO,
     find_least_determined,
 )
-from needlefit.inference.parameter_names import HYPERPARAMETERS
+from needlefit.inference.parameter_names import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
 from needlefit.metrics import Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
@@ -307,11 +307,20 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
     return {
         "parameter": label,
         "posterior": own,
-        "determined": "" if fixed else find_least_determined(str(row["determined"]) for row in ours),
+        "determined": "" if fixed else _format_determined(name, ours),
         "error_minimising": "" if fixed else _format_least_errors(errors, unit),
         "hand_tuned": _join_range([row["value"] for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
+
+
+def _format_determined(name: str, rows: Sequence[Row]) -> str:
+    """Return the word of the fold in which a parameter is determined least: "yes, factor 1.6"."""
+    word = find_least_determined(str(row["determined"]) for row in rows)
+    lows, highs = ([row[f"interval_{side}"] for row in rows] for side in ("low", "high"))
+    if word != "yes" or not all(map(is_known, (*lows, *highs))) or not is_logarithmic(name):
+        return word
+    return f"{word}, factor {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
 
 
 def _join_range(values: Sequence[float | None], unit: float) -> str:

@@ -114,8 +114,11 @@ def _print_factor(sd: float) -> str:
     return "more than 1e6" if factor >= 1e6 else f"{factor:.2g}" if factor < 10 else f"{factor:.0f}"
 
 
+NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
+MAX_FACTOR = 2.0  #: largest factor between the ends of the 95 % interval of a determined modulus or length
 #: largest standard deviations, of a logarithm and of a shape parameter, of one called determined
-MAX_LOG_SD, MAX_SHAPE_SD = 0.3, 0.5
+MAX_LOG_SD = math.log(MAX_FACTOR) / (2 * NORMAL_95_HALF_WIDTH_SD)
+MAX_SHAPE_SD = 0.5
 #: largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine
 MAX_SD_RATIO = 0.5
 BOUND_FRACTION = 1e-3  #: a parameter closer to a bound than this part of its range lies at it
@@ -126,7 +129,6 @@ CUT_OFF_FRACTION = 0.01
 #: whether data determine a parameter: by itself, only together with others (where these are held), or not
 Determined = Literal["yes", "only together", "no"]
 DETERMINED: tuple[Determined, ...] = get_args(Determined)
-NORMAL_95_HALF_WIDTH_SD = 1.96  #: half width of a Gaussian 95 % interval, in standard deviations
 
 
 def name_determined(alone: bool, together: bool) -> Determined:
