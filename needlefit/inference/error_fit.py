@@ -1,51 +1,56 @@
-"""The error-minimising fit: parameters whose errors (IPE, TE, EDP) are the least, or not significantly more.
+"""The error-minimising fit: the least errors (IPE, TE, EDP), and which parameters have errors as small.
 
-The set of those whose objective f is within the tolerance of the least one is described by the range of each
-parameter (docs/fitting.md, "Error-minimising fit"). Needles are predicted by the point of it that is nearest
-to a target. It minimises f / tolerance + mu d^2 / 2 with the largest mu for which f is within the limit
-(Tikhonov regularisation with Morozov's discrepancy principle), by gradients, with SLSQP.
+    least and largest theta_k   subject to   f(theta) <= f_least + tolerance,   bounds
+
+with the metric objective f (docs/fitting.md, "Error-minimising fit"). The ranges are joint: while theta_k
+goes to an end, all others go where f lets it. An end is found by steps: nlopt's SLSQP solves the problem with
+the distances of f made linear, within a radius, and the next step starts where f was evaluated. It begins at
+the least f, and once more at the draw of the posterior that lies farthest out within the limit.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
+import nlopt
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.inference.error_ranges import ErrorRange, find_error_ranges
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
-from needlefit.inference.fit import Callbacks, EvaluationRecorder, Fit, ObjectiveFunction
+from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS, Callbacks, Fit
+from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
-from needlefit.inference.slsqp import run_slsqp
-from needlefit.project.progress import never_stop
+from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.tasks import TaskStop
 
-MIN_TARGET_SD = 0.05  #: smallest standard deviation of the distance to a target
-SEARCH_EVALUATIONS = 40  #: most evaluations of one search
-ACCURACY = 1e-4  #: relative tolerance of a search
-NEAREST_STEPS = 8  #: bisections of the weight of the distance
+MAX_STEPS = 16  #: evaluations of f with derivatives, at most, of one end from one start
+MAX_LINEAR_EVALUATIONS = 60  #: of one problem with linear distances
+SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
+#: of the tolerance, by which f may exceed the limit on the way: the next step leads back
+MAX_EXCESS = 1.0
+#: of theta_k (of a logarithm: a factor of 1.01), below which steps end, and a bound is reached
+MIN_PROGRESS = 0.01
+EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
+
+
+@dataclass(frozen=True)
+class ErrorRange:
+    """The least and the largest value of one parameter within the tolerance, in its coordinate of theta."""
+
+    name: str
+    low: float
+    high: float
+    at_bound: tuple[bool, bool]  #: whether a bound of the parameter ends it
 
 
 @dataclass(frozen=True)
 class ErrorMinimisingFit:
     """The least errors that a search found, and what of the parameters has errors as small."""
 
-    least_theta: tuple[float, ...]
-    least: float  #: the objective there, mm
+    fit: Fit  #: the search; its objective is the least, mm
     tolerance: ErrorTolerance
-    ranges: tuple[ErrorRange, ...]  #: of each free parameter within the tolerance; of none after a stop
-    theta: tuple[float, ...]  #: within the tolerance, nearest to the target: what predicts needles
-    objective: float  #: there, mm
-    evaluations: int  #: of the search for `theta`
-
-
-class Target(NamedTuple):
-    """What a point is to be near: theta (P,), and the standard deviations (P,) of the distance."""
-
-    theta: Floats
-    sds: Floats
+    ranges: tuple[ErrorRange, ...]  #: of each free parameter within the tolerance; fewer after a stop
 
 
 def examine_errors(
@@ -58,68 +63,129 @@ def examine_errors(
 ) -> ErrorMinimisingFit:
     """Return what a fit that minimised the errors, by a search, tells of the parameters.
 
-    `draws` (B, P) are of the posterior, in the problem's coordinates; needles are predicted by the point
-    nearest to their median, without any by the least one. `stated` are the parameters with the ties that have
-    a spread, which the problem takes as exact. Of `callbacks` the number of threads and the stop count.
+    `draws` (B, P) are of the posterior, in the problem's coordinates. `stated` are the parameters with the
+    ties that have a spread, which the problem takes as exact. Of `callbacks` the number of threads and the
+    stop count.
     """
-    callbacks = Callbacks() if callbacks is None else callbacks
-    least = _Point(fit.objective, np.array(fit.theta))
-    tolerance = estimate_tolerance(problem, stated, least.theta, rng)
-    nearest = least
-    if len(draws):
-        target = Target(np.median(draws, axis=0), np.std(draws, axis=0))
-        nearest = _find_nearest(problem, target, least, tolerance.value)
+    callbacks, least = Callbacks() if callbacks is None else callbacks, np.array(fit.theta)
+    tolerance = estimate_tolerance(problem, stated, least, rng)
     stop = TaskStop(callbacks.stop)
-    ranges = find_error_ranges(problem, least.theta, tolerance.value, draws, callbacks.jobs, stop)
-    theta = tuple(nearest.theta.tolist())
-    return ErrorMinimisingFit(
-        tuple(fit.theta), least.value, tolerance, ranges, theta, nearest.value, nearest.evaluations
-    )
+    ranges = find_error_ranges(problem, least, tolerance.value, draws, callbacks.jobs, stop)
+    return ErrorMinimisingFit(fit, tolerance, ranges)
 
 
-class _Point(NamedTuple):
-    value: float  #: of the objective, mm; infinite where it failed
-    theta: Floats  #: (P,)
-    evaluations: int = 0
+def find_error_ranges(
+    problem: Problem, least: Floats, tolerance: float, draws: Floats, jobs: int, stop: TaskStop
+) -> tuple[ErrorRange, ...]:
+    """Return the range of each free parameter, in the order of theta; fewer after a stop.
+
+    `least` (P,) has the least f, `tolerance` is in mm, `draws` (B, P) are of the posterior.
+    """
+    limit = problem.objective(least) + tolerance
+    known = _list_inside(problem, draws[:EXAMINED_DRAWS], limit, jobs)
+    inside = np.concatenate([least[None], known])
+    searches = [
+        _EndSearch(problem, k, side, limit, tolerance, start)
+        for k in range(len(least))
+        for side in (-1, 1)
+        for start in _choose_starts(inside, k, side)
+    ]
+    ends: dict[tuple[int, int], Floats] = {}
+    for number, theta in run_side_by_side(_EndSearch.run, searches, jobs, stop):
+        search = searches[number]
+        place = search.k, search.side
+        if place not in ends or search.side * (theta[search.k] - ends[place][search.k]) > 0:
+            ends[place] = theta
+    found = []
+    for k, name in enumerate(problem.names):
+        if (k, -1) in ends and (k, 1) in ends:
+            low, high = float(ends[k, -1][k]), float(ends[k, 1][k])
+            bounds = float(problem.lower[k]), float(problem.upper[k])
+            at_bound = low - bounds[0] < MIN_PROGRESS, bounds[1] - high < MIN_PROGRESS
+            low, high = bounds[0] if at_bound[0] else low, bounds[1] if at_bound[1] else high
+            found.append(ErrorRange(name, low, high, at_bound))
+    return tuple(found)
 
 
-def _find_nearest(problem: Problem, target: Target, least: _Point, tolerance: float) -> _Point:
-    """Return the point within the tolerance (mm) of the least one that is nearest to the target."""
-    limit, goal = least.value + tolerance, np.clip(target.theta, problem.lower, problem.upper)
-    found = _Point(problem.objective(goal), goal, 1)
-    if found.value <= limit or not len(goal):
-        return found
-    inside, spent, sds = least, 1, np.maximum(target.sds, MIN_TARGET_SD)
-    distance = np.sum(((least.theta - goal) / sds) ** 2)
-    # of the weight mu: with the first one both terms are alike; it is bisected in its logarithm
-    low, middle, high = -math.inf, math.log(2 / distance), math.inf
-    for _ in range(NEAREST_STEPS):
-        function = _add_distance(problem, tolerance, goal, sds, math.exp(middle))
-        recorder = EvaluationRecorder(function, SEARCH_EVALUATIONS, never_stop)
-        run_slsqp(recorder, inside.theta, ACCURACY)
-        theta = inside.theta if recorder.theta is None else recorder.theta
-        value = problem.objective(theta)
-        spent += recorder.evaluations + 1
-        if value <= limit:
-            inside, low = _Point(value, theta), middle
-        else:
-            high = middle
-        middle = low + 2 if math.isinf(high) else high - 2 if math.isinf(low) else 0.5 * (low + high)
-    return inside._replace(evaluations=spent)
+def _list_inside(problem: Problem, draws: Floats, limit: float, jobs: int) -> Floats:
+    """Return those of the draws (B, P) whose f is within the limit."""
+    values = problem.objectives(draws, jobs) if len(draws) else np.empty(0)
+    return draws[values <= limit].reshape(-1, len(problem.names))
 
 
-def _add_distance(
-    problem: Problem, tolerance: float, goal: Floats, sds: Floats, weight: float
-) -> ObjectiveFunction:
-    """Return the objective in tolerances plus half the weighted square of the distance from `goal`."""
+def _choose_starts(inside: Floats, k: int, side: int) -> Sequence[Floats]:
+    """Return the least point, and another one that lies farther out."""
+    outermost = inside[np.argmax(side * inside[:, k])]
+    return [inside[0]] if outermost is inside[0] or outermost[k] == inside[0, k] else [inside[0], outermost]
 
-    def gradient(theta: Floats) -> tuple[float, Floats]:
-        value, slope = problem.objective_gradient(theta)
-        away = (theta - goal) / sds
-        return value / tolerance + 0.5 * weight * float(away @ away), slope / tolerance + weight * away / sds
 
-    def value(theta: Floats) -> float:
-        away = (theta - goal) / sds
-        return problem.objective(theta) / tolerance + 0.5 * weight * float(away @ away)
+@dataclass(frozen=True)
+class _EndSearch:
+    """The search for the end of parameter `k` toward `side`, from theta `start` (P,) within the limit."""
 
-    return ObjectiveFunction(problem.lower, problem.upper, value, gradient)
+    problem: Problem
+    k: int
+    side: int
+    limit: float  #: of f, mm
+    tolerance: float  #: mm
+    start: Floats
+
+    def run(self) -> Floats:
+        """Return the outermost theta (P,) found within the limit."""
+        problem, k, side = self.problem, self.k, self.side
+        bound = float((problem.upper if side > 0 else problem.lower)[k])
+        theta, radius, best = self.start, FIRST_RADIUS, self.start
+        at = self._evaluate(theta)
+        for _ in range(MAX_STEPS):
+            if at is None or abs(bound - best[k]) < MIN_PROGRESS:
+                break
+            step = self._step(at, theta, radius)
+            ahead = np.clip(theta + step, problem.lower, problem.upper)
+            trial = self._evaluate(ahead)
+            excess = math.inf if trial is None else (trial.total - self.limit) / self.tolerance
+            progress = side * (ahead[k] - best[k])
+            if excess <= SLACK and progress > 0:
+                best = ahead
+            if excess <= MAX_EXCESS:
+                theta, at = ahead, trial
+                radius *= 2 if excess <= SLACK else 1
+            else:
+                radius = 0.25 * float(np.max(np.abs(step)))
+            if excess <= SLACK and progress < MIN_PROGRESS:
+                break
+        return best
+
+    def _evaluate(self, theta: Floats) -> WeightedDistances | None:
+        try:
+            found = self.problem.distances(theta)
+        except EVALUATION_ERRORS:
+            return None
+        return found if np.isfinite(found.total) and np.all(np.isfinite(found.slopes)) else None
+
+    def _step(self, at: WeightedDistances, theta: Floats, radius: float) -> Floats:
+        """Return the step (P,) that leads `k` farthest where the distances are linear, by SLSQP."""
+        along = np.zeros(len(theta))
+        along[self.k] = -self.side
+
+        def outward(step: Floats, slope: Floats) -> float:
+            if slope.size:
+                slope[:] = along
+            return float(along @ step)
+
+        def over(step: Floats, slope: Floats) -> float:
+            moved = at.move(step)
+            if slope.size:
+                slope[:] = moved.differentiate() / self.tolerance
+            return (moved.total - self.limit) / self.tolerance
+
+        optimizer = nlopt.opt(nlopt.LD_SLSQP, len(theta))
+        optimizer.set_min_objective(outward)
+        optimizer.add_inequality_constraint(over, SLACK / 2)
+        optimizer.set_lower_bounds(np.maximum(self.problem.lower - theta, -radius))
+        optimizer.set_upper_bounds(np.minimum(self.problem.upper - theta, radius))
+        optimizer.set_xtol_abs(np.full(len(theta), MIN_PROGRESS / 4))
+        optimizer.set_maxeval(MAX_LINEAR_EVALUATIONS)
+        try:
+            return np.asarray(optimizer.optimize(np.zeros(len(theta))))
+        except (nlopt.RoundoffLimited, RuntimeError, ValueError):
+            return np.zeros(len(theta))

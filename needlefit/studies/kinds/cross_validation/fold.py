@@ -138,10 +138,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     drawn, least = found.drawn, found.error_fit
     predicted = drawn.predicted if drawn else ()
     usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
-    fitted, error_fit = usable.get("fitted"), usable.pop("fitted_metric", None)
-    if least is not None and error_fit is not None:  # at the point that predicts needles
-        values = job.problem(fold, "fitted_metric").values(np.array(least.theta))
-        usable["fitted_metric"] = replace(error_fit, theta=least.theta, values=values)
+    fitted = usable.get("fitted")
     about_fit = _FitRows()
     if fitted is not None:
         about_fit = _describe_fit(job, fold, fitted, found.profiles, drawn)

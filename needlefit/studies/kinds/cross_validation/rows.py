@@ -42,7 +42,7 @@ PARAMETER_COLUMNS = (
 #: Of the table "error_fit": per fold the objective of the error-minimising fit, at the reported point, at the
 #: least one, and the tolerance within which it is not significantly larger, with its two estimates.
 ERROR_FIT_COLUMNS = (
-    *("fold", "objective_mm", "least_objective_mm", "tolerance_mm"),
+    *("fold", "objective_mm", "tolerance_mm"),
     *("tolerance_by_noise_mm", "tolerance_by_insertions_mm", "evaluations"),
 )
 #: of the table "directions": combinations of parameters, and the SD to which each is known
@@ -109,7 +109,7 @@ def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> It
         return
     parameters = job.problem(fold, "fitted_metric").parameters
     ranges = {one.name: one for one in found.ranges}
-    for name, value in parameters.values(np.array(found.least_theta)).items():
+    for name, value in found.fit.values.items():
         if name in HYPERPARAMETERS:
             continue
         factor, source = parameters.ties.get(name, (1.0, name))
@@ -128,12 +128,11 @@ def describe_error_fit(fold: Fold, found: ErrorMinimisingFit) -> Row:
     """Return the objective of the fit that minimises the errors, and its tolerance."""
     return {
         "fold": fold.name,
-        "objective_mm": found.objective,
-        "least_objective_mm": found.least,
+        "objective_mm": found.fit.objective,
         "tolerance_mm": found.tolerance.value,
         "tolerance_by_noise_mm": found.tolerance.by_noise,
         "tolerance_by_insertions_mm": found.tolerance.by_insertions,
-        "evaluations": found.evaluations,
+        "evaluations": found.fit.evaluations,
     }
 
 
