@@ -62,10 +62,10 @@ QUANTILE_95 = 1.96
 """Of the absolute value of a standard normal variable."""
 
 
-def bevel_alone(made: Sequence[Insertion], noise: Noise, planes: int = 1) -> Problem:
+def bevel_alone(made: Sequence[Insertion], noise: Noise, compared: str = "plane") -> Problem:
     """A problem of the tip errors alone, in which b alone is free."""
     record = medium(mu1_pa={"fixed": TRUTH["mu1_pa"]}, mu2_pa={"fixed": TRUTH["mu2_pa"]})
-    data = replace(dataset(made, noise=noise), planes=planes)
+    data = replace(dataset(made, noise=noise), compared=compared)
     return make_problem(data, made, record, TIP_ALONE, PLAIN_LIKELIHOOD)
 
 
@@ -85,14 +85,14 @@ def find_taken_off(p: Problem) -> np.ndarray:
     return slope / np.linalg.norm(slope)
 
 
-@pytest.mark.parametrize(("planes", "roll_sd"), [(1, 0.0), (2, 0.0), (2, 0.1)])
-def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_off(planes, roll_sd):
+@pytest.mark.parametrize(("compared", "roll_sd"), [("plane", 0.0), ("space", 0.0), ("space", 0.1)])
+def test_the_tolerance_by_noise_is_the_quantile_of_what_a_free_parameter_takes_off(compared, roll_sd):
     made, sd = replace(one_needle(), roll_sd=roll_sd), 0.1
-    p = bevel_alone([made], Noise(0.0, sd, 0.0, 5.0), planes)
+    p = bevel_alone([made], Noise(0.0, sd, 0.0, 5.0), compared)
     along = find_taken_off(p)
     rng = np.random.default_rng(1)
     errors = sd * rng.standard_normal((100_000, len(along)))
-    if planes == 2:  # the roll turns the tip out of the plane
+    if compared == "space":  # the roll turns the tip out of the plane
         errors[:, 2] += roll_sd * made.planar[-1, 1] * rng.standard_normal(len(errors))
     size, taken = np.linalg.norm(errors, axis=1), errors @ along
     known = np.quantile(size - np.sqrt(np.maximum(size**2 - taken**2, 0.0)), 0.95)

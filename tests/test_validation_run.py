@@ -348,7 +348,7 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> Non
     assert mu2["status"] == "tied" and mu2["note"].startswith("tied: 50 * mu1_pa")
     for column in ("value", "low", "high", "interval_low", "interval_high"):
         assert mu2[column] == pytest.approx(50 * mu1[column])
-    assert (mu1["determined"], mu2["determined"]) == ("yes", "only together")
+    assert (mu1["determined"], mu2["determined"]) == ("only together", "only together")  # a factor above 2
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])
     assert rows.loc["alpha1", "note"].startswith("fixed") and rows.loc["alpha1", "determined"] == ""
