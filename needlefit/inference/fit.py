@@ -73,6 +73,8 @@ class Fit:
     interrupted: bool  #: whether the search was stopped before all starts had ended
     minimized: ObjectiveName = "posterior"
     gradients: int = 0  #: over all starts
+    #: free parameters that were held at the centre of their prior, since no residual shows them
+    held: tuple[str, ...] = ()
 
     @property
     def fault(self) -> str:

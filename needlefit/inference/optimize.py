@@ -30,8 +30,10 @@ from needlefit.inference.fit import (
     StartPoint,
     half_square,
 )
+from needlefit.inference.held_parameters import central_range, measure_shifts
 from needlefit.inference.least_squares import certify_minimum, run_least_squares
 from needlefit.inference.problem import Problem, make_objective
+from needlefit.inference.sampling.importance import find_modes
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.slsqp import run_slsqp
 from needlefit.project.processes import one_thread
@@ -110,22 +112,83 @@ def minimize(
 ) -> Fit:
     """Minimise the recipe's objective from every start, and return the best point of all.
 
+    Parameters that are held stand at the centre of their prior. If the best points show one, the search goes
+    on from there with it free: `held` of the fit are the others.
+
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
 
     Raises FitError if no evaluation succeeded, or finished starts belong to another fit.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
+    searched = problem.searched
+    design = starting_points(searched.lower, searched.upper, recipe.starts, rng)  # (n, S)
+    fit = _extend(_search_from(design, searched, recipe, callbacks), problem)
+    if not fit.held or fit.interrupted or not math.isfinite(fit.objective):
+        return fit
+    modes = find_modes(fit, problem.upper - problem.lower)
+    shifts = measure_shifts(problem, modes)
+    wider = problem.holding([name for name in fit.held if shifts[name].is_hidden])
+    if wider is problem:
+        return fit
+    further = wider.parameters.restrict(_spread_over_prior(problem, wider, modes))
+    found = _search_from(further, wider.searched, recipe, callbacks, len(design))
+    return _join(fit, _extend(found, wider))
+
+
+def _spread_over_prior(problem: Problem, wider: Problem, modes: Floats) -> Floats:
+    """Return `modes` (M, P), and each with one parameter of those no longer held at either end of its prior."""
+    found = [*modes]
+    for name in (name for name in problem.parameters.held if name not in wider.parameters.held):
+        for end in central_range(problem.parameters, name):
+            moved = modes.copy()
+            moved[:, problem.names.index(name)] = end
+            found += [*moved]
+    return np.array(found)
+
+
+def _extend(fit: Fit, problem: Problem) -> Fit:
+    """Return a fit of the searched parameters of a problem as one of all free ones."""
+    known = problem.parameters
+    if not known.held:
+        return fit
+
+    def extend(theta: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(known.extend(np.array(theta)).tolist())
+
+    starts = tuple(replace(s, theta0=extend(s.theta0), theta=extend(s.theta)) for s in fit.starts)
+    return replace(fit, theta=extend(fit.theta), starts=starts, held=known.held)
+
+
+def _join(first: Fit, then: Fit) -> Fit:
+    """Return the fit of two searches, of which the second went on with more parameters free."""
+    best = min(first, then, key=lambda one: one.objective)
+    return replace(
+        then,
+        theta=best.theta,
+        values=best.values,
+        objective=best.objective,
+        starts=(*first.starts, *then.starts),
+        evaluations=first.evaluations + then.evaluations,
+        gradients=first.gradients + then.gradients,
+        failures=first.failures + then.failures,
+    )
+
+
+def _search_from(
+    design: Floats, problem: Problem, recipe: RecipeRecord, callbacks: Callbacks, first: int = 0
+) -> Fit:
+    """Return the fit of the searches that begin at `design` (n, P), numbered from `first`."""
     whole = _SearchTask(problem, recipe)
-    design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
-    done = {index: start for index, start in callbacks.finished.items() if index < len(design)}
+    points = {first + k: tuple(theta0.tolist()) for k, theta0 in enumerate(design)}
+    done = {index: start for index, start in callbacks.finished.items() if index in points}
     for index, start in done.items():
-        if start.theta0 != tuple(design[index].tolist()):
+        if start.theta0 != points[index]:
             raise FitError(
                 f"start {index} of the checkpoint began elsewhere than this fit's",
                 fix="run again without --resume; seed, bounds or recipe have changed",
             )
-    start_points = [StartPoint(k, tuple(theta0.tolist())) for k, theta0 in enumerate(design)]
+    start_points = [StartPoint(index, theta0) for index, theta0 in points.items()]
     easier = whole.objective_function.approach
     if easier is None or len(done) == len(start_points):
         for start in whole.run_each([p for p in start_points if p.index not in done], callbacks):

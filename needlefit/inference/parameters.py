@@ -6,14 +6,14 @@ prior, a Gaussian in theta within the flat bounds.
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Bools, Floats
 from needlefit.errors import ConfigError
 from needlefit.inference.parameter_names import (
     BEVEL_PARAMETERS,
@@ -27,17 +27,17 @@ from needlefit.inference.parameter_names import (
     is_shape_parameter,
     to_coordinate,
 )
-from needlefit.inference.prior import Prior, SoftTie, add_ties, make_prior
-from needlefit.mechanics.laws import LAWS
+from needlefit.inference.prior import Prior, SoftTie, add_ties, alpha_of, make_prior
+from needlefit.mechanics.laws import LAWS, ShapeParameter
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.toml import add_key_context
-from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.scene import CUT_ANGLE_LIMIT_DEG
 
 Theta = Sequence[float] | Floats
 Values = Mapping[str, float]  #: of every parameter (Pa, mm)
-Status = Literal["free", "fixed", "tied"]
+Status = Literal["free", "prior", "fixed", "tied"]
 
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
@@ -120,6 +120,8 @@ class Parameters:
     prior: Prior = field(default=Prior())
     #: standard deviation of the half-normal prior of a spread, by its name
     half_normal: Mapping[str, float] = field(default_factory=dict)
+    #: free ones that searches hold at the centre of their prior, which is then their posterior
+    held: tuple[str, ...] = ()
 
     @classmethod
     def from_record(cls, record: MediumRecord) -> Self:
@@ -159,6 +161,7 @@ class Parameters:
             fixed=fixed,
             ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
             prior=make_prior({name: table[name] for name in names}, ties),
+            held=tuple(name for name in names if _has_own_prior(name, table)),
         )
 
     @cached_property
@@ -183,11 +186,43 @@ class Parameters:
 
     @property
     def status(self) -> dict[str, Status]:
-        """Whether each parameter is free, fixed or tied."""
-        return {
-            name: "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
-            for name in self.names
-        }
+        """Whether each parameter is free, its prior alone is known, or it is fixed or tied."""
+        found: dict[str, Status] = {}
+        for name in self.names:
+            found[name] = "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
+        tied = [name for name, (_, source) in self.ties.items() if source in self.held]
+        return found | dict.fromkeys([*self.held, *tied], "prior")
+
+    def holding(self, names: Collection[str]) -> Self:
+        """Return the parameters of which only `names` are held, among those that are."""
+        return replace(self, held=tuple(name for name in self.held if name in names))
+
+    @property
+    def searched(self) -> Self:
+        """The parameters that are searched: those held are fixed at the centre of their prior."""
+        if not self.held:
+            return self
+        free = [name for name in self.free if name not in self.held]
+        return self.with_only(free, self.values(self.expected))
+
+    @cached_property
+    def _is_searched(self) -> Bools:
+        return np.array([name not in self.held for name in self.free], dtype=np.bool_)
+
+    def restrict(self, thetas: Floats) -> Floats:
+        """Return theta (..., S) of the parameters that are searched, from theta (..., P) of all free ones."""
+        return thetas[..., self._is_searched]
+
+    def extend(self, thetas: Floats, held: Floats | None = None) -> Floats:
+        """Return theta (..., P) of all free parameters, from theta (..., S) of those that are searched.
+
+        `held` (..., H) are theta of the others, by default the centre of their prior.
+        """
+        found = np.broadcast_to(self.expected, (*thetas.shape[:-1], len(self.free))).copy()
+        found[..., self._is_searched] = thetas
+        if held is not None:
+            found[..., ~self._is_searched] = held
+        return found
 
     def values(self, theta: Theta) -> dict[str, float]:
         """Return every parameter's value (Pa, mm), ties and fixed ones resolved, for `theta` (P,)."""
@@ -250,7 +285,7 @@ class Parameters:
             bounds={name: self.bounds[name] for name in self.free if name in free},
             fixed={name: float(known[name]) for name in held},
             ties=ties,
-        )
+        ).holding(free)
 
 
 def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
@@ -298,7 +333,11 @@ def choose_hyperparameters(parameters: Parameters) -> dict[str, float]:
 
 
 def without_prior(parameters: Parameters) -> Parameters:
-    """Return the parameters for an objective that knows no prior: all ties exact, no hyperparameters."""
+    """Return the parameters for an objective that knows no prior: all ties exact, no hyperparameters.
+
+    What is held at the centre of its prior is fixed there.
+    """
+    parameters = parameters.searched
     soft = {
         tie.name: (tie.factor, tie.source) for tie in parameters.prior.ties if tie.name in parameters.free
     }
@@ -404,11 +443,28 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
 
 
+def _has_own_prior(name: str, table: Mapping[str, ParameterRecord]) -> bool:
+    """Return whether a shape parameter has a normal prior that no modulus is correlated with."""
+    if not is_shape_parameter(name) or table[name].prior is None:
+        return False
+    priors = {other: one.prior for other, one in table.items() if dimension(other) == "modulus"}
+    return all(one is None or not one.correlation or alpha_of(mu) != name for mu, one in priors.items())
+
+
 def state_usual_bounds(record: MediumRecord) -> dict[str, ParameterRecord]:
     """Return the law's shape parameters, free within the usual bounds: for those that a medium leaves out."""
     law = LAWS[record.law]
     rows = zip(law.parameters, law.name_shape(range(1, record.layers + 1)), strict=True)
-    return {name: ParameterRecord(bounds=one.usual) for one, row in rows for name in row}
+    return {name: state_usual(one) for one, row in rows for name in row}
+
+
+def state_usual(parameter: ShapeParameter) -> ParameterRecord:
+    """Return a shape parameter of a law, free within its usual bounds, with its usual prior."""
+    prior = None
+    if parameter.prior is not None:
+        mean, sd = parameter.prior
+        prior = PriorRecord(mean=mean, sd=sd)
+    return ParameterRecord(bounds=parameter.usual, prior=prior)
 
 
 def check_values(name: str, parameter: ParameterRecord, law: str) -> None:

@@ -210,6 +210,16 @@ class Problem:
         return replace(self, parameters=parameters)
 
     @cached_property
+    def searched(self) -> "Problem":
+        """The problem of a search: parameters that are held are fixed at the centre of their prior."""
+        return self.with_parameters(self.parameters.searched) if self.parameters.held else self
+
+    def holding(self, names: Collection[str]) -> "Problem":
+        """Return the same problem with `names` held alone, among the parameters that are."""
+        parameters = self.parameters.holding(names)
+        return self if parameters.held == self.parameters.held else self.with_parameters(parameters)
+
+    @cached_property
     def compared_points(self) -> tuple[ComparedPoints, ...]:
         """The measured points that each simulated needle is compared with; computed once."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal

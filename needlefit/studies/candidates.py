@@ -67,8 +67,10 @@ def rank_candidates(
 ) -> pd.DataFrame:
     """Return the expected gain of every candidate, the largest first; `CANDIDATE_COLUMNS`.
 
-    `problem` has the measured shapes that the parameters `theta` (P,) predict for the design.
+    `problem` has the measured shapes that the parameters `theta` (P,) predict for the design. Parameters that
+    are held stay at the centre of their prior.
     """
+    problem, theta = problem.searched, problem.parameters.restrict(theta)
     rng = random_stream(job.recipe.seed, job.name, "candidates")
     found = sample_about_modes(problem, [minimize_squares(problem, theta)], rng, settings.jobs, (EFFORT,))
     weights = np.exp(found.log_weights)

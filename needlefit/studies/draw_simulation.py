@@ -10,7 +10,7 @@ draw.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -122,7 +122,8 @@ class DrawSimulation:
     """The needles of B sets of values at beam coordinates `s` (K,), through the layers that each meets.
 
     `deep`, `wrong`: from `draw_depth_errors`. Nothing of the measured shape is used. What all sets have in
-    common is computed once, the needle of a set when it is first asked for.
+    common is computed once, the needle of a set when it is first asked for. Between sets that differ in
+    `hidden` parameters alone, which hardly move a needle, nothing is interpolated.
     """
 
     def __init__(
@@ -134,7 +135,9 @@ class DrawSimulation:
         deep: Floats,
         wrong: Floats,
         jobs: int = 1,
+        hidden: Collection[str] = (),
     ) -> None:
+        self._coordinates = make_coordinates(sets, hidden)
         self._sets, self._medium, self._insertion = sets, medium, insertion
         self._s, self._deep, self._wrong, self._jobs = s, deep, wrong, jobs
         self._table: _SurfaceTable | None = None
@@ -145,7 +148,7 @@ class DrawSimulation:
     def _prepare(self) -> None:
         insertion, sets = self._insertion, self._sets
         stations = np.concatenate([np.linspace(0.0, insertion.depth, PATH_POINTS), self._s])
-        some: Sets = [sets[n] for n in choose_draws(make_coordinates(sets))]
+        some: Sets = [sets[n] for n in choose_draws(self._coordinates)]
         table = _tabulate_surfaces(insertion, 0.0, 0.0)
         if table is None or max(table.sequence) > self._medium.layers:
             return
@@ -171,7 +174,7 @@ class DrawSimulation:
         def move(which: Sets, moves: Sequence[tuple[Floats, float]]) -> tuple[Floats, Bools]:
             return self._simulate(which, [shift_depths(centre, stations, *one) for one in moves])
 
-        self._draws = _InterpolatedDraws(sets, move, self._reach, insertion.depth_sd)
+        self._draws = _InterpolatedDraws(sets, self._coordinates, move, self._reach, insertion.depth_sd)
 
     def _simulate(self, which: Sets, nodes: Sequence[tuple[Insertion, Floats]]) -> tuple[Floats, Bools]:
         """Return the points (m, B, K, 2) at some nodes, and the validity (B,) at the first."""
@@ -232,10 +235,12 @@ def simulate_scene_draws(
     s: Floats,
     deep: Floats,
     wrong: Floats,
+    hidden: Collection[str] = (),
 ) -> DrawnNeedles:
     """Return the needles of B sets of values in a scene, at arc lengths `s` (K,), mm.
 
-    `deep` (B,) are the errors of the entry, `wrong` (B, n - 1) those of the layers' depths, mm.
+    `deep` (B,) are the errors of the entry, `wrong` (B, n - 1) those of the layers' depths, mm; `hidden` as
+    of `DrawSimulation`.
     """
     layers = range(1, scene.tissue.layers + 1)
 
@@ -255,7 +260,7 @@ def simulate_scene_draws(
         return np.array(points), valid[0]
 
     reach = np.maximum(NODE_SD * np.std(wrong, axis=0), MIN_NODE_MM)
-    draws = _InterpolatedDraws(sets, move, reach, float(np.std(deep)))
+    draws = _InterpolatedDraws(sets, make_coordinates(sets, hidden), move, reach, float(np.std(deep)))
 
     def simulate(some: Ints) -> DrawnNeedles:
         each = [move([sets[n]], [(wrong[n] + deep[n], float(deep[n]))]) for n in some]
@@ -271,14 +276,15 @@ def simulate_scene_draws(
 class _InterpolatedDraws:
     """The needles of B sets of values at the middle of all depths, and how they change with these.
 
-    `reach` (n - 1,) are typical shifts of the boundaries, mm, `depth_sd` the deviation of the entry.
+    `coordinates` are those of `make_coordinates`, `reach` (n - 1,) typical shifts of the boundaries, mm, and
+    `depth_sd` the deviation of the entry.
     """
 
-    def __init__(self, sets: Sets, move: Move, reach: Floats, depth_sd: float) -> None:
+    def __init__(self, sets: Sets, coordinates: Floats, move: Move, reach: Floats, depth_sd: float) -> None:
         self._sets, self._move, self._middle = sets, move, (np.zeros(len(reach)), 0.0)
         entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
         self._units = np.append(reach, entry) if entry else reach
-        self._coordinates = make_coordinates(sets)
+        self._coordinates = coordinates
         chosen = choose_draws(self._coordinates)
         moves = [(row, 0.0) for row in np.diag(reach)]
         moves += [(np.full(len(reach), entry), entry)] if entry else []
@@ -306,9 +312,12 @@ class _InterpolatedDraws:
         self._points[rows], self._valid[rows], self._known[rows] = points, valid, True
 
 
-def make_coordinates(sets: Sets) -> Floats:
-    """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes."""
-    table = np.array([list(values.values()) for values in sets])
+def make_coordinates(sets: Sets, hidden: Collection[str] = ()) -> Floats:
+    """Return what differs between sets of values, (B, P): ln of positive parameters, on principal axes.
+
+    Without `hidden` parameters.
+    """
+    table = np.array([[at for name, at in values.items() if name not in hidden] for values in sets])
     finite = np.isfinite(table).all(axis=1)
     if not finite.any():
         return np.empty((len(table), 0))

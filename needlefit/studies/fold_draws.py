@@ -72,7 +72,7 @@ def sample_posterior(
 
     `step` is called with the number of steps made, and of all.
     """
-    known = add_estimated_noise(problem, np.array(fit.theta))
+    known = add_estimated_noise(problem.holding(fit.held), np.array(fit.theta))
     rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
     # of another fit with the same key the chain would be another
@@ -143,9 +143,11 @@ class Specimens:
     @cached_property
     def model(self) -> specimens.SpreadModel:
         """Which parameters differ between specimens, and the prior of their spread."""
-        problem, near = self.job.problem(self.fold), self.draws.thetas
-        begin = problem.parameters.expected
-        theta = near.mean(axis=0) if near.size else minimize_squares(problem, begin).theta
+        problem, near = self.job.problem(self.fold).searched, self.draws.thetas
+        if near.size:
+            theta = self.job.parameters.restrict(near.mean(axis=0))
+        else:
+            theta = minimize_squares(problem, problem.parameters.expected).theta
         return specimens.make_spread_model(problem, self.job.recipe.specimens, theta)
 
     @property
@@ -246,15 +248,15 @@ class Specimens:
         """Return draws of the posterior of one specimen by itself: about one mode, else about all."""
         job, key = self.job, ("specimen", specimen)
         problem = replace(job.problem(self.fold), insertions=self.tuned[specimen])
-        begin, easier = job.parameters.expected, problem.plain
+        searched = problem.searched
+        begin, easier = searched.parameters.expected, searched.plain
         near = begin if easier is None else minimize_squares(easier, begin).theta
-        minimum = minimize_squares(problem, near)
+        minimum = minimize_squares(searched, near)
         rng = random_stream(job.recipe.seed, *key)
         if minimum.converged:
-            known = add_estimated_noise(problem, minimum.theta)
-            found = sample_about_modes(
-                known, [minimize_squares(known, minimum.theta)], rng, efforts=SPECIMEN_EFFORTS
-            )
+            known = add_estimated_noise(problem, job.parameters.extend(minimum.theta))
+            modes = [minimize_squares(known.searched, minimum.theta)]
+            found = sample_about_modes(known, modes, rng, efforts=SPECIMEN_EFFORTS)
             if found.certified:
                 return resample_draws(found, PREDICTION_DRAWS, rng)
         fit = find_fit(job, problem, key, Settings())

@@ -258,7 +258,8 @@ class _Predictor:
     ) -> DrawSimulation:
         """Return the needles of sets of values at beam coordinates (K,), each with depths of its own."""
         deep, wrong = draw_depth_errors(insertion, len(sets), rng)
-        return DrawSimulation(sets, self.known.job.medium, insertion, s, deep, wrong, self.jobs)
+        job, jobs = self.known.job, self.jobs
+        return DrawSimulation(sets, job.medium, insertion, s, deep, wrong, jobs, job.parameters.held)
 
     def _estimate_after_one(
         self,

@@ -79,8 +79,14 @@ def identify(
     """Return what the data determine at the best point of a fit, given `draws` (B, P) of its posterior.
 
     Where several specimens were fitted these are of their mean, and `further` (B, P) are in another specimen.
+    Of parameters that are held nothing is returned.
     """
-    theta, names = np.array(fit.theta), problem.names
+    restrict = problem.parameters.restrict
+    ends = [s.theta for s in fit.starts if within_tolerance(s, fit)] or [fit.theta]
+    equal = restrict(np.array(ends, dtype=np.float64).reshape(len(ends), len(problem.names)))
+    theta, problem = restrict(np.array(fit.theta)), problem.searched
+    draws, further = (None if some is None else restrict(some) for some in (draws, further))
+    names = problem.names
     noisy = add_estimated_noise(problem, theta)
     at = linearize(noisy, theta)
     known, information = compute_sds(noisy, theta, draws, at)
@@ -90,8 +96,6 @@ def identify(
     wider = np.linalg.pinv(np.linalg.pinv(information, hermitian=True) + added, hermitian=True)
     found = principal_directions(wider.astype(np.float64), names, before)
     together = find_together(names, information, before)
-    ends = [s.theta for s in fit.starts if within_tolerance(s, fit)] or [fit.theta]
-    equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, find_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
     prior = problem.parameters.prior
@@ -166,7 +170,7 @@ def objective_excess(start: Start, fit: Fit) -> float:
 
 @dataclass(frozen=True)
 class FitProfiles:
-    """The profiles of all parameters of one fit."""
+    """The profiles of all parameters of one fit that are not held."""
 
     parameters: tuple[LikelihoodProfile, ...]  #: in the order of theta
     scale: float  #: what deviances were divided by: the reduced chi-square where it is above 1
@@ -186,8 +190,9 @@ def profile_parameters(
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     `step` is called with the number of profiles that are finished, and of all.
     """
-    noisy = add_estimated_noise(problem, np.array(fit.theta))
-    optimum = minimize_squares(noisy, np.array(fit.theta))
+    known, theta = problem.parameters, np.array(fit.theta)
+    noisy, theta = add_estimated_noise(problem, theta).searched, known.restrict(theta)
+    optimum = minimize_squares(noisy, theta)
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
     work = partial(compute_profile, noisy, optimum=optimum, scale=scale)
     every: dict[int, LikelihoodProfile] = {}
@@ -195,10 +200,10 @@ def profile_parameters(
         every[n] = one
         step(len(every), len(noisy.names))
     found = tuple(every[n] for n in sorted(every))
-    at_fit = noisy.jacobian(np.array(fit.theta))[0]
+    at_fit = noisy.jacobian(theta)[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
-    return FitProfiles(found, scale, gain, tuple(optimum.theta.tolist()))
+    return FitProfiles(found, scale, gain, tuple(known.extend(optimum.theta).tolist()))
 
 
 def is_determined_by_profile(profile: LikelihoodProfile, prior_sd: float) -> bool:

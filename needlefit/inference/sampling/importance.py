@@ -32,6 +32,7 @@ from scipy.special import gammaln, logsumexp
 
 from needlefit.arrays import Bools, Floats
 from needlefit.inference.fit import Fit
+from needlefit.inference.held_parameters import draw_held, log_prior_integral
 from needlefit.inference.identifiability.directions import UNINFORMED_SD_RATIO
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import (
@@ -40,6 +41,7 @@ from needlefit.inference.identifiability.profile import (
     minimize_squares,
     trace_profile,
 )
+from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.interpolated_density import InterpolatedDensity
@@ -261,6 +263,8 @@ class WeightedDraws:
     log_evidence: float
     proposal: Proposal | None = None  #: from which the last round was drawn: wide, with what the draws taught
     interpolated: InterpolatedDensity | None = None  #: by which the densities were evaluated
+    #: of all free parameters: those held are not in `thetas`
+    parameters: Parameters | None = None
 
     @property
     def effective_sample_size(self) -> float:
@@ -476,7 +480,11 @@ def sample_about_modes(
     jobs: int = 1,
     efforts: Sequence[Effort] = EFFORTS,
 ) -> WeightedDraws:
-    """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met."""
+    """Return weighted draws of a posterior whose modes, the best first, a search by Gauss-Newton has met.
+
+    Draws and modes are of the parameters that are searched.
+    """
+    known, problem = problem.parameters, problem.searched
     uniform = find_uninformed(problem, modes[0])
     traced = trace_profiles(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
     points = [*modes, *traced]
@@ -486,7 +494,8 @@ def sample_about_modes(
     nodes = None if problem.plain is None else InterpolatedDensity(problem, jobs)
     evaluator = Evaluator(problem, jobs, interpolated=nodes)
     found = sample_by_importance(evaluator, approximations, bounds, rng, efforts, uniform)
-    return replace(found, interpolated=nodes)
+    log_evidence = found.log_evidence + log_prior_integral(known)
+    return replace(found, interpolated=nodes, log_evidence=log_evidence, parameters=known)
 
 
 def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
@@ -531,14 +540,14 @@ def sample_about_fit(
     """Return weighted draws of the posterior about a fit with at least one free parameter.
 
     Where the dataset states no noise, the fit's residuals stand for it; a fit of the metric objective is
-    first led to the posterior's peak.
+    first led to the posterior's peak. What the fit held is held here, too.
     """
     theta = np.array(fit.theta)
-    known = add_estimated_noise(problem, theta)
+    known = add_estimated_noise(problem.holding(fit.held), theta)
     # the minimum of the metric is no mode of the posterior
     of_posterior = fit.minimized == "posterior"
     ends = find_modes(fit, problem.upper - problem.lower) if of_posterior else theta[None]
-    modes = [minimize_squares(known, end) for end in ends]
+    modes = [minimize_squares(known.searched, end) for end in known.parameters.restrict(ends)]
     return sample_about_modes(known, modes, rng, jobs, efforts)
 
 
@@ -549,5 +558,7 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
         f"effective sample size is {found.effective_sample_size:.0f} (at least {found.min_ess:.0f})"
     )
     thetas = found.thetas[resample(found, count, rng)]
+    if found.parameters is not None:  # of a stream of its own: the others do not depend on it
+        thetas = draw_held(found.parameters, thetas, rng.spawn(1)[0])
     faults = () if found.certified else (warning,)
     return Draws(thetas, "importance", faults, found.k, found.effective_sample_size)

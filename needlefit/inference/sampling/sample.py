@@ -15,11 +15,13 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import Callbacks
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.log_density import Evaluator
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
 from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
@@ -48,10 +50,51 @@ def sample(
     first half of the steps is burn-in; else densities are `interpolated` as those of the draws were, and if
     that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`, nor on
     where a run was interrupted that goes on from the chain that `checkpoint` keeps under `name`.
+
+    Parameters that are held are independent draws of their prior.
     """
+    options = (settings, rng, callbacks or Callbacks(), checkpoint, name)
+    found = _sample(problem.searched, begin, *options, interpolated=interpolated)
+    return found and _add_held(found, problem.parameters, rng.spawn(1)[0])
+
+
+def _add_held(found: Posterior, parameters: Parameters, rng: np.random.Generator) -> Posterior:
+    """Return a posterior of the searched parameters as one of all free ones."""
+    if not parameters.held:
+        return found
+    drawn = draw_from_prior(parameters, found.log_posterior.size, rng)
+    table = dict(zip(parameters.free, drawn.T, strict=True))
+    columns = {name: table[name].reshape(found.log_posterior.shape) for name in parameters.held}
+    columns |= dict(zip(found.names, np.moveaxis(found.draws, 2, 0), strict=True))
+    # independent by construction, not as far as an estimate knows
+    r_hat, time = dict.fromkeys(parameters.held, 1.0), dict.fromkeys(parameters.held, 1.0)
+    r_hat |= dict(zip((*found.names, LOG_POSTERIOR), found.r_hat.tolist(), strict=True))
+    time |= dict(zip((*found.names, LOG_POSTERIOR), found.autocorrelation_time.tolist(), strict=True))
+    quantities = (*parameters.free, LOG_POSTERIOR)
+    return replace(
+        found,
+        names=parameters.free,
+        draws=np.stack([columns[name] for name in parameters.free], axis=2),
+        r_hat=np.array([r_hat[name] for name in quantities]),
+        autocorrelation_time=np.array([time[name] for name in quantities]),
+    )
+
+
+def _sample(
+    problem: Problem,
+    begin: importance.WeightedDraws,
+    settings: SampleRecord,
+    rng: np.random.Generator,
+    callbacks: Callbacks,
+    checkpoint: Checkpoint,
+    name: str,
+    *,
+    interpolated: bool,
+) -> Posterior | None:
+    """Return the posterior of a problem of which no parameter is held, as `sample` does."""
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
-    callbacks, walkers = callbacks or Callbacks(), max(settings.walkers, 2 * len(problem.names))
+    walkers = max(settings.walkers, 2 * len(problem.names))
     most = max(1, settings.densities // walkers)
     # the largest of weights times Gumbel's noise: drawn in turn by weight
     order = np.argsort(-(begin.log_weights + rng.gumbel(size=len(begin.thetas))), kind="stable")
@@ -97,7 +140,7 @@ def sample(
             thetas = found.draws.reshape(-1, len(problem.names))
             if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
                 name = f"{name} with all nodes"
-                return sample(problem, begin, settings, rng, callbacks, checkpoint, name, interpolated=False)
+                return _sample(problem, begin, settings, rng, callbacks, checkpoint, name, interpolated=False)
         if ended:
             return found and replace(found, draws=problem.tabulate_values(found.draws))
         first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)

@@ -41,6 +41,8 @@ class ShapeParameter:
     default: float  #: where nothing is known of it
     bounds: tuple[float, float] = (-math.inf, math.inf)  #: what the law is meant for, in `unit`
     unit: str = ""  #: empty for a number without one. If there is one, `name` ends with it: `_mm`, `_pa`.
+    #: mean and standard deviation of the normal prior of a fit that states none; None: flat in `usual`
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not re.fullmatch("[a-z]+(_[a-z]+)*", self.name) or self.name in _TAKEN:

@@ -10,7 +10,10 @@ class Ogden(PowerLaw):
     """K = 2 mu (lambda^(alpha - 1) + 1/2 lambda^(-alpha / 2 - 1))."""
 
     name, label = "ogden", "Ogden foundation"
-    parameters = (ShapeParameter("alpha", "α", "exponent of the Ogden law", (-3.0, 5.0), 1.0),)
+    # the prior holds the exponents that the paper chose for its tissues, -1 to 1
+    parameters = (
+        ShapeParameter("alpha", "α", "exponent of the Ogden law", (-7.0, 9.0), 1.0, prior=(1.0, 2.0)),
+    )
 
     def terms(self, alpha: float) -> list[tuple[float, float]]:
         """Return the two powers."""

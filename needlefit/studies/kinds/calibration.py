@@ -118,9 +118,12 @@ def infer_posterior(
     Draws are by importance sampling, and by MCMC from these where their weights are not certified.
     """
     searched = recipe.model_copy(update={"minimize": "posterior"})
-    ends = importance.find_modes(minimize(problem, searched, rng), problem.upper - problem.lower)
+    fit = minimize(problem, searched, rng)
+    problem = problem.holding(fit.held)
+    ends = importance.find_modes(fit, problem.upper - problem.lower)
     rng.integers(1, 2**31, size=recipe.starts)  # not used: with it a seed gives the stored replicates
-    found = importance.sample_about_modes(problem, [minimize_squares(problem, end) for end in ends], rng)
+    modes = [minimize_squares(problem.searched, end) for end in problem.parameters.restrict(ends)]
+    found = importance.sample_about_modes(problem, modes, rng)
     posterior = None if found.certified else sample(problem, found, recipe.sample, rng)
     if posterior is None:
         return importance.resample_draws(found, count, rng), ends[0]

@@ -229,7 +229,8 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
     deep = entry_sd * rng.standard_normal(len(sets))
     wrong = boundary_sd * rng.standard_normal((len(sets), scene.tissue.layers - 1))
-    found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong)
+    held = job.parameters.held
+    found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
     points = found.points[found.solved]  # (B, K, 3)
     if not len(points):
         raise ModelError(
