@@ -26,7 +26,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameter_changes import change_fit, change_parameters, set_priors
+from needlefit.inference.parameter_changes import change_fit, set_priors
 from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
@@ -46,7 +46,7 @@ from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.project.toml import IN_MEMORY, add_file_context, check, dumps, read_given, spell_name
 from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
-from needlefit.schemas.medium import MaterialRecord, MediumRecord, spell_parameter
+from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
@@ -788,13 +788,9 @@ def _change_fit(
         chosen, changes["recipe"] = _read_recipe(recipe)
         inputs = replace(inputs, recipe=chosen)
     record = check(_plain(record, changes), type(record), "needlefit.fit")
-    record = change_fit(record, free, fix, "needlefit.fit")
-    if inputs.medium is not None:
-        medium = set_priors(inputs.medium, {} if priors is None else record.priors)
-        values = {name: record.fix[name] for name in map(spell_parameter, fix)}
-        medium = change_parameters(medium, [*map(spell_parameter, free)], values)
-        inputs = replace(inputs, medium=medium)
-    return replace(study, record=record, inputs=inputs)
+    medium = inputs.medium and set_priors(inputs.medium, {} if priors is None else record.priors)
+    record, medium = change_fit(record, medium, free, fix, "needlefit.fit")
+    return replace(study, record=record, inputs=replace(inputs, medium=medium))
 
 
 def _reopen(run: Run) -> _Study:

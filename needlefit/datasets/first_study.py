@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
+from needlefit.mechanics.laws.ogden import OGDEN
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps, load
 from needlefit.schemas.dataset import DatasetRecord, list_needles
@@ -80,12 +81,20 @@ def _choose_advance(dataset: Dataset) -> Advance:
     return "path_angle" if left or any(one.turns for one in dataset.insertions) else "tangent"
 
 
+def _state_usual_alpha() -> dict[str, object]:
+    """Return the usual bounds and prior of the exponent alpha."""
+    (alpha,) = OGDEN.parameters
+    assert alpha.prior is not None
+    mean, sd = alpha.prior
+    return {"bounds": list(alpha.usual), "prior": {"mean": mean, "sd": sd}}
+
+
 def write_starter_study(folder: Path, dataset: Dataset) -> bool:
     """Write a study and its `tissue.toml` into `folder`; return False if there are too few insertions.
 
     The study leaves out one specimen at a time, or, of a single specimen, one insertion. The tissue model has
-    as many layers as the deepest insertion meets; the exponents alpha are fixed at 1, as shapes hardly depend
-    on them.
+    as many layers as the deepest insertion meets; of the exponents alpha it states the usual prior, as shapes
+    hardly depend on them.
     """
     if len(dataset.insertions) < 2:
         return False
@@ -100,7 +109,7 @@ def write_starter_study(folder: Path, dataset: Dataset) -> bool:
         **({"advance": advance} if advance == "path_angle" else {}),
         "parameters": {
             **{f"mu{n}_pa": {"bounds": MODULUS_BOUNDS_PA} for n in numbers},
-            **{f"alpha{n}": {"fixed": 1.0} for n in numbers},
+            **{f"alpha{n}": _state_usual_alpha() for n in numbers},
             bevel: {"bounds": BEVEL_BOUNDS[bevel]},
         },
     }

@@ -137,7 +137,7 @@ def minimize(
 
 
 def _spread_over_prior(problem: Problem, wider: Problem, modes: Floats) -> Floats:
-    """Return `modes` (M, P), and each with one parameter of those no longer held at either end of its prior."""
+    """Return `modes` (M, P), and each with one of the freed parameters at either end of its prior."""
     found = [*modes]
     for name in (name for name in problem.parameters.held if name not in wider.parameters.held):
         for end in central_range(problem.parameters, name):

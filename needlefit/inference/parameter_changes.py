@@ -6,7 +6,13 @@ from typing import Any
 
 from needlefit.errors import ConfigError
 from needlefit.inference.parameter_names import dimension, is_shape_parameter
-from needlefit.inference.parameters import Parameters, check_values, state_usual_bounds, without_prior
+from needlefit.inference.parameters import (
+    Parameters,
+    check_values,
+    state_usual,
+    state_usual_bounds,
+    without_prior,
+)
 from needlefit.mechanics.laws import LAWS
 from needlefit.project.json_values import to_json_values
 from needlefit.project.toml import add_file_context, add_key_context, check, find_named, load, renamed_keys
@@ -39,12 +45,19 @@ def load_changed_medium(record: FitRecord) -> tuple[MediumRecord, Path]:
     return change_parameters(medium, record.free, record.fix), file
 
 
-def change_fit(record: FitRecord, free: Sequence[str], fix: Mapping[str, float], where: str) -> FitRecord:
-    """Return a fit that also estimates the parameters `free`, and holds those in `fix` (Pa, mm, degrees).
+def change_fit(
+    record: FitRecord,
+    medium: MediumRecord | None,
+    free: Sequence[str],
+    fix: Mapping[str, float],
+    where: str,
+) -> tuple[FitRecord, MediumRecord | None]:
+    """Return a fit that also searches the parameters `free`, and holds those in `fix` (Pa, mm, degrees).
 
-    They take the place of what the fit itself frees and fixes. `where` is what messages name.
+    They take the place of what the fit itself frees and fixes. A `medium` in memory, which takes the place of
+    the file that the fit names, changes too. `where` is what messages name.
 
-    Raises ConfigError if a name is in both.
+    Raises ConfigError if a name is in both, or as of `change_parameters`.
     """
     names = [spell_parameter(name) for name in free]
     values = {spell_parameter(name): value for name, value in fix.items()}
@@ -52,7 +65,9 @@ def change_fit(record: FitRecord, free: Sequence[str], fix: Mapping[str, float],
         "free": [*(name for name in record.free if name not in values), *names],
         "fix": to_json_values({n: at for n, at in record.fix.items() if n not in names} | values),
     }
-    return check(record.model_dump(mode="json", by_alias=True) | changes, type(record), where)
+    if medium is not None:
+        medium = change_parameters(medium, names, values)
+    return check(record.model_dump(mode="json", by_alias=True) | changes, type(record), where), medium
 
 
 def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[str, float]) -> MediumRecord:
@@ -63,9 +78,10 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
     Parameters
     ----------
     free : sequence of str
-        A shape parameter gets the law's usual bounds, a modulus those of the one that it is tied to, times
-        the factor of the tie, else those that span all moduli that are free and not tied. All are widened to
-        contain the value at which the parameter is fixed.
+        A shape parameter gets the law's usual bounds and prior, a modulus the bounds of the one that it is
+        tied to, times the factor of the tie, else those that span all moduli that are free and not tied. All
+        are widened to contain the value at which the parameter is fixed. Of one that is free with a prior of
+        its own nothing changes: `search_freed` searches it. `alpha` stands for that of every layer.
     fix : mapping
         Values in Pa, mm or degrees. A prior of the parameter is left out.
 
@@ -77,7 +93,7 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
     if not (free or fix):
         return medium
     stated, table = Parameters.from_record(medium), state_usual_bounds(medium) | medium.parameters
-    shape = LAWS[medium.law].shape_names
+    free, shape = name_layers(medium, free), LAWS[medium.law].shape_names
     known = [name for name in stated.names if not is_shape_parameter(name) or dimension(name) in shape]
     for key, names in (("free", free), ("fix", fix)):
         for name in (one for one in names if one not in known):
@@ -92,6 +108,8 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
         if name in fix:
             raise ConfigError(f"`{name}` is in `fix` too", key="free", fix="leave it out of one of them")
         bounds = table[name].bounds
+        if name in stated.held:
+            continue
         if bounds is not None:
             raise ConfigError(
                 f"`{name}` is free already, within {bounds[0]:g} to {bounds[1]:g}",
@@ -99,7 +117,7 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
                 expected="a parameter that the tissue model fixes or ties",
                 fix="leave it out; its bounds are in the tissue model",
             )
-        changed[name] = ParameterRecord(bounds=_find_freed_bounds(stated, name, medium.law))
+        changed[name] = _make_free(stated, name, medium.law)
     for name, value in fix.items():
         changed[name] = ParameterRecord(fixed=value)
         with renamed_keys({"parameters": "fix"}):
@@ -107,13 +125,31 @@ def change_parameters(medium: MediumRecord, free: Sequence[str], fix: Mapping[st
     return medium.model_copy(update={"parameters": medium.parameters | changed})
 
 
-def _find_freed_bounds(parameters: Parameters, name: str, law: str) -> tuple[float, float]:
-    """Return the bounds (Pa, mm, degrees) of a fixed or tied parameter once it is free."""
+def name_layers(medium: MediumRecord, names: Sequence[str]) -> list[str]:
+    """Return the names of parameters, "alpha" as those of all layers of which it is not tied."""
+    table, found = state_usual_bounds(medium) | medium.parameters, list[str]()
+    for name in names:
+        layers = [f"{name}{number}" for number in range(1, medium.layers + 1)]
+        is_shape = name in LAWS[medium.law].shape_names
+        found += [one for one in layers if table[one].tie is None] if is_shape else [name]
+    return list(dict.fromkeys(found))
+
+
+def search_freed(parameters: Parameters, medium: MediumRecord, free: Sequence[str]) -> Parameters:
+    """Return the parameters of a medium of which none in `free` is held."""
+    freed = name_layers(medium, free)
+    return parameters.holding([name for name in parameters.held if name not in freed])
+
+
+def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
+    """Return a fixed or tied parameter once it is free, with its bounds (Pa, mm, degrees)."""
     exact = without_prior(parameters)  # all ties lead to a parameter that is not tied
     factor, source = exact.ties.get(name, (1.0, ""))
+    prior = None
     if is_shape_parameter(name):
-        usual = {one.name: one.usual for one in LAWS[law].parameters}
-        low, high = usual[dimension(name)]
+        usual = {one.name: state_usual(one) for one in LAWS[law].parameters}[dimension(name)]
+        assert usual.bounds is not None
+        (low, high), prior = usual.bounds, usual.prior
     elif source in exact.bounds:
         low, high = (factor * bound for bound in exact.bounds[source])
     elif dimension(name) == "modulus":
@@ -124,9 +160,9 @@ def _find_freed_bounds(parameters: Parameters, name: str, law: str) -> tuple[flo
         low, high = FREED_BOUNDS[name]
     at = exact.fixed.get(name)
     # a bevel of 0 steers nowhere, and has no logarithm
-    if at is None or (at == 0 and not is_shape_parameter(name)):
-        return low, high
-    return min(low, at), max(high, at)
+    if at is not None and (at != 0 or is_shape_parameter(name)):
+        low, high = min(low, at), max(high, at)
+    return ParameterRecord(bounds=(low, high), prior=prior)
 
 
 def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
@@ -146,8 +182,8 @@ TEST_LAW = "ogden"  #: the law that alpha and mu of a compression test belong to
 def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
     """Return the medium with the prior of a compression test on one layer.
 
-    An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
-    mean.
+    An alpha that the medium fixes, or of which it states a prior, becomes free within `ALPHA_REACH_SD`
+    standard deviations of the mean of the test's prior.
 
     Raises ConfigError if there is no such layer, the medium's law is another one, or the layer's parameter is
     tied or fixed.
@@ -163,7 +199,8 @@ def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecor
         if stated is None or name not in table:
             continue
         bounds, tie = table[name].bounds, table[name].tie
-        if bounds is None and tie is None and stated.mean is not None and stated.sd is not None:
+        open_ended = tie is None and (bounds is None or table[name].prior is not None)
+        if open_ended and stated.mean is not None and stated.sd is not None:
             bounds = (stated.mean - ALPHA_REACH_SD * stated.sd, stated.mean + ALPHA_REACH_SD * stated.sd)
         if bounds is None:
             fix = "give it bounds" + (", or the prior to the layer that it is tied to" if tie else "")

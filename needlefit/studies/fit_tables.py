@@ -42,6 +42,7 @@ from needlefit.studies.fit_frames import (
     select_fitted,
     select_free,
 )
+from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
 
@@ -298,12 +299,18 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
     ours, errors, paper = (
         to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
     )
-    fixed = ours[0]["status"] == "fixed"
+    statuses = {str(row["status"]) for row in ours}
+    fixed = not statuses & {"free", "tied"}  # in no fold it was searched
     ends = [row[end] for row in ours for end in ("interval_low", "interval_high")]
     label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0]["value"]])
     # the median of the draws, without any the fit's value
     estimates = [row["value"] if row["median"] is None else row["median"] for row in ours]
-    own = f"{_join_range(estimates, unit)}, fixed" if fixed else _format_estimate(ours, estimates, unit)
+    own = _format_estimate(ours, estimates, unit)
+    if statuses == {"fixed"}:
+        own = f"{own}, fixed"
+    elif "prior" in statuses:
+        shifts = (row["tip_shift_mm"] for row in ours if is_known(row["tip_shift_mm"]))
+        own = f"{own}, {describe_prior(max(shifts, default=None))}"
     return {
         "parameter": label,
         "posterior": own,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needlefit.inference.held_parameters import PriorShift, central_range
 from needlefit.inference.identifiability import directions, precision
 from needlefit.inference.identifiability.identify import (
     FitProfiles,
@@ -31,7 +32,7 @@ IDENTIFICATION_COLUMNS = (
     *("fold", "parameter", "determined", "note", "value", "prior_sd"),
     *("sd", "fisher_sd", "sd_ratio", "low", "high", "end_low", "end_high"),
     *("interval_low", "interval_high", "draw_source", "bound_low", "bound_high"),
-    "rise",
+    *("rise", "tip_shift_mm"),
 )
 #: Of the table "profiles": deviances and their derivatives by ln (by alpha itself); then a column per
 #: parameter.
@@ -84,6 +85,28 @@ def identify_parameters(
     return IdentificationRows(by_profile, tuple(rows), tuple(points))
 
 
+def list_held(parameters: Parameters, shifts: Mapping[str, PriorShift]) -> list[Row]:
+    """Return the rows of parameters that the data cannot tell from their prior, and of those tied to them.
+
+    `tip_shift_mm` is by how much the prior moves a tip, at most.
+    """
+    rows, centre = list[Row](), parameters.values(parameters.expected)
+    sources = {name: (1.0, name) for name in parameters.held}
+    sources |= {name: tie for name, tie in parameters.ties.items() if tie[1] in sources}
+    for name in (name for name in parameters.names if name in sources):
+        factor, source = sources[name]
+        sd = abs(factor) * parameters.prior.sd(source)
+        low, high = sorted(factor * end for end in central_range(parameters, source))
+        bounds = sorted(factor * end for end in parameters.bounds[source])
+        row: Row = {"parameter": name, "value": centre[name], "status": "prior", "prior_sd": sd, "sd": sd}
+        row |= {"sd_ratio": 1.0, "low": low, "high": high, "end_low": "prior", "end_high": "prior"}
+        row |= ParameterInterval(low, high, "prior").columns() | {"median": centre[name]}
+        row |= dict(zip(("bound_low", "bound_high"), bounds, strict=True))
+        row |= {"tip_shift_mm": shifts[source].tip_mm} if source in shifts else {}
+        rows.append(row | {"determined": "", "note": ""})
+    return rows
+
+
 def reconcile_verdict(verdict: Identifiability, by_profile: Mapping[str, bool]) -> Identifiability:
     """Return the verdict without the parameters whose profiles contradict it; notes state that."""
     denied = {n for n, found in by_profile.items() if verdict.determined.get(n) and not found}
@@ -110,6 +133,7 @@ def _parameter_row(one: LikelihoodProfile, bounds: tuple[float, float], prior_sd
         "bound_low": to_value(one.name, bounds[0]),
         "bound_high": to_value(one.name, bounds[1]),
         "rise": one.rise,
+        "tip_shift_mm": math.nan,
     }
 
 
@@ -184,10 +208,11 @@ def intervals_of_draws(
     source = "" if draws is None else draws.source
     if draws is not None and draws.certified is not None:
         sets = [parameters.values(theta) for theta in draws.thetas]
-        for name in (name for name in sets[0] if parameters.status[name] != "fixed"):
+        for name in (name for name in sets[0] if parameters.status[name] in ("free", "tied")):
             found[name] = tuple(np.percentile([values[name] for values in sets], _PERCENTILES).tolist())
     if posterior is not None and not posterior.faults:
         found, source = posterior.percentiles(_PERCENTILES), "posterior"
+        found = {name: ends for name, ends in found.items() if parameters.status[name] == "free"}
     return {name: ParameterInterval(low, high, source, median) for name, (low, median, high) in found.items()}
 
 
@@ -208,7 +233,7 @@ def add_intervals(
     profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
                 for row in identification}  # fmt: skip
     judged = {row["parameter"]: row for row in identification}
-    for row in parameters:
+    for row in (row for row in parameters if row["status"] != "prior"):
         name = str(row["parameter"])
         found = None if row["status"] == "fixed" else sampled.get(name, profiles.get(name))
         if found is None and name in ties and row["status"] != "fixed":

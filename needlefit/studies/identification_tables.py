@@ -1,5 +1,7 @@
 """The table of what is identifiable, of a fit and of a design."""
 
+import math
+
 import pandas as pd
 
 from needlefit.inference.identifiability import directions
@@ -41,4 +43,12 @@ def _format_cells(row: Row, expected: bool) -> Row:
         "sd": None if row["sd"] is None else directions.format_sd(row["sd"], is_logarithmic(name)),
         "parameter": label,
         "interval_95": typeset_interval(row, unit),
+        **({} if row["tip_shift_mm"] is None else {"note": describe_prior(row["tip_shift_mm"])}),
     }
+
+
+def describe_prior(tip_shift_mm: float | None) -> str:
+    """Return in words that a parameter is known by its prior alone, which moves a tip by so much at most."""
+    if tip_shift_mm is None:
+        return "the prior"
+    return f"the prior: moves tips by at most {max(1, math.ceil(1000 * tip_shift_mm)) / 1000:g} mm"

@@ -1,6 +1,6 @@
 """Load a study or fit with everything that it names: dataset, medium, recipe, and the paper's parameters."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
-from needlefit.inference.parameter_changes import load_changed_medium
+from needlefit.inference.parameter_changes import load_changed_medium, search_freed
 from needlefit.inference.parameters import (
     Parameters,
     with_hyperparameters,
@@ -142,6 +142,10 @@ class Job:
         """Return how messages name a key of the medium."""
         return key if self.medium_file is None else locate_key(self.medium_file, key)
 
+    def holding(self, names: Collection[str]) -> "Job":
+        """Return the work of which only `names` are held, among the parameters that are."""
+        return replace(self, parameters=self.parameters.holding(names))
+
     @property
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
@@ -208,7 +212,7 @@ def load_study(
     if recipe.minimize == "posterior" and not dataset.noise.stated:
         recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
     with nullcontext() if medium_file is None else add_file_context(medium_file):
-        stated = Parameters.from_record(medium)
+        stated = search_freed(Parameters.from_record(medium), medium, record.free)
     hand_tuned = None
     if record.paper_parameters is not None:
         with add_key_context("paper_parameters"):

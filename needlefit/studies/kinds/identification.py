@@ -8,6 +8,7 @@ import pandas as pd
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.fit import Fit
+from needlefit.inference.held_parameters import measure_shifts
 from needlefit.inference.identifiability import precision
 from needlefit.inference.identifiability.design_gain import fisher_information
 from needlefit.inference.identifiability.identify import find_together, profile_parameters
@@ -22,7 +23,12 @@ from needlefit.schemas.run_metadata import IdentificationMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Verdict
 from needlefit.studies.candidates import CANDIDATE_COLUMNS, lay_out_candidates, rank_candidates
-from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, identify_parameters
+from needlefit.studies.identification import (
+    IDENTIFICATION_COLUMNS,
+    PROFILE_COLUMNS,
+    identify_parameters,
+    list_held,
+)
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.job import Settings
 from needlefit.studies.kind import StudyKind
@@ -73,6 +79,10 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
             fix="name a set of the paper's parameters (`paper_parameters`), or narrow the bounds",
         )
     theta = problem.parameters.theta(values)
+    shifts = measure_shifts(problem, theta[None])
+    problem = problem.holding([name for name, one in shifts.items() if one.is_hidden])
+    parameters, problem = problem.parameters, problem.searched
+    theta = parameters.restrict(theta)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(problem.names, cramer_rao(fisher_information(problem, theta)).tolist(), strict=True))
     profiles = profile_parameters(problem, here, settings.jobs, settings.stop)
@@ -82,7 +92,8 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     loosened = precision.loosen(problem, theta, at=at)
     found = identify_parameters(problem, profiles, sds, loosened=loosened, together=together)
     rows = [{"fold": fold.name, **row, "value": values[row["parameter"]]} for row in found.rows]
-    parameters = [n for n in job.parameters.names if any(n in row for row in found.points)]
+    rows += [{"fold": fold.name, **row} for row in list_held(parameters, shifts)]
+    columns = [n for n in job.parameters.names if any(n in row for row in found.points)]
     depths = [insertion.depth for insertion in fold.tune]
     metadata = about.metadata.extend(
         IdentificationMetadata,
@@ -94,7 +105,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     frames = {
         "identify": pd.DataFrame(rows, columns=list(FRAMES["identify"])),
         "profiles": pd.DataFrame(
-            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *parameters]
+            [{"fold": fold.name, **row} for row in found.points], columns=[*PROFILE_COLUMNS, *columns]
         ),
         "candidates": rank_candidates(job, fold, problem, theta, settings),
     }

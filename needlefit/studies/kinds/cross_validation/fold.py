@@ -14,6 +14,7 @@ import numpy as np
 
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
+from needlefit.inference.held_parameters import PriorShift, measure_shifts
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
@@ -37,9 +38,11 @@ from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.held_out_tracks import predict_tracks
 from needlefit.studies.identification import (
+    IDENTIFICATION_COLUMNS,
     add_intervals,
     identify_parameters,
     intervals_of_draws,
+    list_held,
     reconcile_verdict,
 )
 from needlefit.studies.job import Fold, Job, Settings
@@ -124,10 +127,12 @@ class FoldDrawn:
 class FoldFits:
     """The fits of a fold by the names of their searches, their profiles, and draws about the first one."""
 
+    job: Job  #: with those parameters alone held that the data cannot tell from their prior
     fits: Mapping[str, Fit]
     profiles: FitProfiles | None
     drawn: FoldDrawn | None
     error_fit: ErrorMinimisingFit | None
+    shifts: Mapping[str, PriorShift]  #: by the parameters that are held
     interrupted: bool
 
 
@@ -135,13 +140,14 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     """Fit to the insertions of a fold, learn what they determine, score and predict the others."""
     found = fit_fold(job, fold, services)
     services.progress.finish(fold, "errors")
+    job = found.job
     drawn, least = found.drawn, found.error_fit
     predicted = drawn.predicted if drawn else ()
     usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
     fitted = usable.get("fitted")
     about_fit = _FitRows()
     if fitted is not None:
-        about_fit = _describe_fit(job, fold, fitted, found.profiles, drawn)
+        about_fit = _describe_fit(job, fold, fitted, found, drawn)
     scored = list(_score(job, fold, usable, predicted))
     tracks = dict[str, list[Row]](runs=[], readings=[])
     if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
@@ -195,6 +201,7 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     stop = services.settings.stop
     (first, *others), profiles = job.searches, None
     fits = search_fits(job, fold, [first], services)
+    job = job.holding(fits[first].held) if first in fits else job
     _note_fit(job, fits, services)
     beside: list[Callable[[], bytes]] = [
         lambda: pickle.dumps(search_fits(job, fold, others, services.here(job))),
@@ -211,8 +218,12 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
         profiles = _profile(job, fold, fits, services)
     drawn = drawn or _draw(job, fold, fits, services)
     interrupted = interrupted or stop()
+    shifts = _measure_shifts(job, fold, fits, drawn)
+    hidden = [name for name, one in shifts.items() if one.is_hidden]
+    if len(hidden) < len(shifts) and not interrupted:  # the draws show a parameter that the fit does not
+        return fit_fold(job.holding(hidden), fold, services)
     error_fit = _minimise_errors(job, fold, fits, drawn, services)
-    return FoldFits(fits, profiles, drawn, error_fit, interrupted)
+    return FoldFits(job, fits, profiles, drawn, error_fit, shifts, interrupted)
 
 
 def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldServices) -> dict[str, Fit]:
@@ -227,7 +238,8 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
 
 def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
     """Return the fit of one search; each finished start is kept and reported."""
-    settings, key, phase = services.settings, f"{fold.name}/{search}", SEARCH_PHASES[search]
+    settings, phase = services.settings, SEARCH_PHASES[search]
+    key = "/".join([fold.name, search, *job.parameters.held])
     kept, starts = read_starts(services.checkpoint, key), job.recipe.starts
     ended = len(kept)
 
@@ -253,7 +265,7 @@ def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None
         return
     values = (
         f"{format_bare_symbol(name)} {format_quantity(name, fit.values[name])}"
-        for name in job.parameters.free
+        for name in job.parameters.searched.free
     )
     services.settings.first(f"{job.name}: best fit: {', '.join(values)}; intervals follow")
 
@@ -316,6 +328,23 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
 def _holds_tracks(fold: Fold) -> bool:
     """Return whether the insertions that a fold holds out are read on the way, and predicted together."""
     return any(OBSERVATIONS[one.observed].on_the_way for one in fold.validate)
+
+
+SHIFT_DRAWS = 4  #: draws in which it is looked how far parameters that are held move the needles
+
+
+def _measure_shifts(
+    job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
+) -> dict[str, PriorShift]:
+    """Return how far the prior of each parameter that is held moves the needles, at the fit and at draws."""
+    fit = fits.get("fitted")
+    if fit is None or not math.isfinite(fit.objective) or not job.parameters.held:
+        return {}
+    thetas = np.array([fit.theta])
+    if drawn is not None and len(drawn.draws.thetas):
+        few = np.linspace(0, len(drawn.draws.thetas) - 1, SHIFT_DRAWS).round().astype(np.int64)
+        thetas = np.concatenate([thetas, drawn.draws.thetas[few]])
+    return measure_shifts(job.problem(fold), thetas)
 
 
 def _minimise_errors(
@@ -417,9 +446,7 @@ class _FitRows:
     population: Rows = ()
 
 
-def _describe_fit(
-    job: Job, fold: Fold, fit: Fit, profiles: FitProfiles | None, drawn: FoldDrawn | None
-) -> _FitRows:
+def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> _FitRows:
     """Return the fitted parameters of a fold and what the data determine.
 
     They are judged by draws of the posterior; without certified ones, by the information.
@@ -441,15 +468,24 @@ def _describe_fit(
         verdict = replace(verdict, determined=nothing, together=nothing, conditions={})
         verdict = replace(verdict, notes=notes) if invalid else verdict
     judged, points = list[Row](), list[Row]()
-    if profiles is not None:
-        found = identify_parameters(problem, profiles, verdict.sds, verdict, verdict.loosened)
-        judged = [{**place, **row} for row in found.rows]
-        points = [{**place, **row} for row in found.points]
-        verdict = reconcile_verdict(verdict, found.by_profile)
-    fitted = list_fitted(job, fold, fit, verdict)
+    if found.profiles is not None:
+        known = identify_parameters(problem.searched, found.profiles, verdict.sds, verdict, verdict.loosened)
+        judged = [{**place, **row} for row in known.rows]
+        points = [{**place, **row} for row in known.points]
+        verdict = reconcile_verdict(verdict, known.by_profile)
+    held = {row["parameter"]: row for row in list_held(job.parameters, found.shifts)}
+    fitted = [_take(row, held.get(row["parameter"], {})) for row in list_fitted(job, fold, fit, verdict)]
     sampled = intervals_of_draws(job.parameters, draws, posterior)
     add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error)
+    if found.profiles is not None:
+        for row in held.values():
+            judged.append(place | {key: row[key] for key in IDENTIFICATION_COLUMNS if key in row})
     return _FitRows(tuple(fitted), directions, tuple(judged), tuple(points), tuple(population))
+
+
+def _take(row: Row, known: Row) -> Row:
+    """Return a row with those of its values that are known otherwise."""
+    return {key: known.get(key, value) for key, value in row.items()}
 
 
 # ---- scores

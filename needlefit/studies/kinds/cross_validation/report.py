@@ -214,7 +214,7 @@ MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand withou
 def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     """Return the free parameters by whether the data determine them, and whether those have intervals."""
     rows = run.frames["parameters"]
-    rows = rows[(rows["method"] == "fitted") & (rows["status"] != "fixed")]
+    rows = rows[(rows["method"] == "fitted") & rows["status"].isin(["free", "tied"])]
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     words = {
         str(name): find_least_determined(map(str, some["determined"]))
@@ -242,7 +242,8 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
     role, frames = find_scored_role(run.frames["errors"]), run.frames
     # the parameters of which more is to say than their interval
-    explained = frames["identification"][frames["identification"]["note"] != ""]
+    known = frames["identification"]
+    explained = known[(known["note"] != "") | known["tip_shift_mm"].notna()]
     found = [
         *([track_report.lay_out_tracks(run)] if track_report.holds_tracks(run) else []),
         fit_tables.lay_out_summary(run),

@@ -32,11 +32,12 @@ START_COLUMNS = (
 #: Of the table "parameters": values per fold and method. `sd` is of ln for moduli and lengths, of the value
 #: for alpha; `low`, `high` is the range among starts within tolerance of the best; `interval_low`,
 #: `interval_high` is the 95 % interval that is printed, `draw_source` what it is from, `median` that of the
-#: same draws. `determined` is "yes", "only together" (with the others held it is), or "no".
+#: same draws. `status` is "prior" where the data
+#: cannot tell a parameter from its prior, by which `tip_shift_mm` says how far a tip moves. `determined` is "yes", "only together" (with the others held it is), or "no".
 PARAMETER_COLUMNS = (
     *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
     *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
-    "median",
+    *("median", "tip_shift_mm"),
     *("determined", "condition", "note"),
 )
 #: Of the table "error_fit": per fold the objective of the error-minimising fit, at the reported point, at the
@@ -70,7 +71,7 @@ def make_start_row(problem: Problem, start: Start, fit: Fit) -> Row:
 _UNKNOWN: Row = {
     **dict.fromkeys(("bound_low", "bound_high"), math.nan),
     **NO_SOURCE,
-    **dict.fromkeys(("sd", "low", "high"), math.nan),
+    **dict.fromkeys(("sd", "low", "high", "tip_shift_mm"), math.nan),
     **dict.fromkeys(("determined", "condition", "note"), ""),
 }
 
@@ -85,14 +86,14 @@ def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> lis
         row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
         row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
         known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
-        if status != "fixed":
+        if status in ("free", "tied"):
             row["determined"] = name_determined(known and not condition, bool(condition) or known or together)
         if source in verdict.sds:
             row["low"] = factor * verdict.spread_low[source]
             row["high"] = factor * verdict.spread_high[source]
         if status == "free":
             row |= {"sd": verdict.sds[name], "note": verdict.notes[name]}
-        else:
+        elif status != "prior" or name in job.parameters.ties:
             tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
             note = ["fixed" if status == "fixed" else tied]
             row["note"] = "; ".join([*note, *filter(None, [condition])])
