@@ -1,4 +1,4 @@
-"""Parameters that data may not tell from their prior, such as alpha: held in searches, drawn from their prior.
+"""Parameters that data may not tell from their prior, such as alpha: held in searches, drawn from it.
 
 A search holds each at the centre of its prior. While the central 95 % of its prior move no residual by more
 than a tenth of the noise, the data cannot tell it: its posterior is its prior. Else it is searched and
