@@ -4,7 +4,7 @@ import hashlib
 import inspect
 import re
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
@@ -172,6 +172,35 @@ Changes = Annotated[
         "--set",
     ),
 ]
+Free = Annotated[
+    list[str] | None,
+    option(
+        "Search a parameter that is fixed, tied or known by its prior: alpha1; alpha: of every layer. May be "
+        "repeated.",
+        "NAME",
+    ),
+]
+Fix = Annotated[
+    list[str] | None,
+    option("Hold a parameter, in Pa, mm or degrees: alpha1=1, b=0.05. May be repeated.", "NAME=VALUE"),
+]
+
+
+def split_values(assignments: Sequence[str]) -> dict[str, float]:
+    """Return the values of words of --fix by the name of their parameter."""
+    found = {}
+    for name, text in (split_pair(one, "--fix") for one in assignments):
+        try:
+            found[name] = float(text)
+        except ValueError:
+            raise typer.BadParameter(f"`{name}={text}` is not NAME=NUMBER", param_hint="--fix") from None
+    return found
+
+
+def name_parameters(free: Sequence[str], fix: Mapping[str, float]) -> str:
+    """Return what --free and --fix change of a fit, as the end of the name of its folder."""
+    words = [f"free={'+'.join(free)}"] * bool(free) + [f"{name}={value:g}" for name, value in fix.items()]
+    return re.sub(r"[^A-Za-z0-9_.=+-]+", "_", "".join(f"-{word}" for word in words))
 
 
 def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:

@@ -8,7 +8,16 @@ import typer
 
 from needlefit.cli import exit_codes, options, screen
 from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
-from needlefit.cli.options import argument, change_scene, name_changes, option, scene_record, split_pair
+from needlefit.cli.options import (
+    argument,
+    change_scene,
+    name_changes,
+    name_parameters,
+    option,
+    scene_record,
+    split_pair,
+    split_values,
+)
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
@@ -23,6 +32,8 @@ def tune(
         bool,
         option("Intervals by importance sampling alone, without MCMC and posterior.nc.", None, "--no-sample"),
     ] = False,
+    free: options.Free = None,
+    fix: options.Fix = None,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = None,
@@ -41,17 +52,27 @@ def tune(
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
-    Results go to OUT/TARGET/ (default: ./reports); of a study only the fit is run, to OUT/STUDY-tune/. The
-    folder slicer/ holds every needle, measured and fitted with the 95 % band of the parameters, for 3D
-    Slicer. Ctrl-C writes the best result so far, marked as interrupted, and prints the command that
-    continues; a second Ctrl-C stops at once.
+    An alpha that the data cannot tell from its prior is not searched: the table states by how much that prior
+    moves the tips. --free alpha searches it nevertheless, --fix alpha1=1 holds it; both take any parameter.
+
+    Results go to OUT/TARGET/ (default: ./reports); of a study only the fit is run, to OUT/STUDY-tune/. With
+    --free or --fix the folder is named after these too: phantom1-free=alpha. The folder slicer/ holds every
+    needle, measured and fitted with the 95 % band of the parameters, for 3D Slicer. Ctrl-C writes the best
+    result so far, marked as interrupted, and prints the command that continues; a second Ctrl-C stops at
+    once.
     """
     with begin(context) as execution:
+        from needlefit.inference.parameter_changes import change_fit
         from needlefit.project.toml import add_file_context
         from needlefit.studies.study_files import load_target
 
         fit = load_target(target)
         name, record, inputs, file, _ = fit
+        with add_file_context(file):
+            values = split_values(fix or [])
+            record, medium = change_fit(record, inputs.medium, free or [], values, str(file))
+        name += name_parameters(free or [], values)
+        inputs = replace(inputs, medium=medium)
         execution = replace(execution, inputs=inputs)
         if design:
             about = f"{name.removesuffix('-tune')}-design"

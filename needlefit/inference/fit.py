@@ -73,7 +73,7 @@ class Fit:
     interrupted: bool  #: whether the search was stopped before all starts had ended
     minimized: ObjectiveName = "posterior"
     gradients: int = 0  #: over all starts
-    #: free parameters that were held at the centre of their prior, since no residual shows them
+    #: free parameters that were held at the centre of their prior, since no point shows them
     held: tuple[str, ...] = ()
 
     @property

@@ -1,13 +1,13 @@
 """Parameters that data may not tell from their prior, such as alpha: held in searches, drawn from it.
 
-A search holds each at the centre of its prior. While the central 95 % of its prior move no residual by more
-than a tenth of the noise, the data cannot tell it: its posterior is its prior. Else it is searched and
-sampled as all others are.
+A search holds each at the centre of its prior. While the central 95 % of the prior move no measured point by
+a tenth of the standard deviation of its error, the data cannot tell the parameter: its posterior is its
+prior. Else it is searched and sampled as all others are.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -15,20 +15,23 @@ from scipy.special import ndtr
 from needlefit.arrays import Floats
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.inference.parameter_names import to_coordinate
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.likelihood.observations import make_observation
+from needlefit.inference.parameter_names import NOISE_SCALE, to_coordinate
+from needlefit.inference.parameters import Parameters, Values
 from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 
-MAX_HIDDEN_SHIFT = 0.1  #: standard deviations of the noise by which a held parameter may move a residual
+MAX_HIDDEN_SHIFT = 0.1  #: standard deviations of its error by which a held parameter may move a point
+#: of a likelihood: points are compared as they are stored, of needles as deep and bevels as large as stated
+MEASURED_POINTS = {"depths": "fixed", "bevel_spread": 0.0, "measurement": "points"}
 
 
 @dataclass(frozen=True)
 class PriorShift:
-    """How far the central 95 % range of the prior of a parameter moves the needles that are fitted to."""
+    """How far the central 95 % of the prior of a parameter move the needles that are fitted to, at most."""
 
-    tip_mm: float  #: any tip, at most
-    in_noise: float  #: any residual, which have unit variance, at most; infinite where a solve fails
+    tip_mm: float  #: any tip
+    in_noise: float  #: any point, in standard deviations of its error; infinite where a solve fails
 
     @property
     def is_hidden(self) -> bool:
@@ -46,37 +49,54 @@ def central_range(parameters: Parameters, name: str) -> tuple[float, float]:
 def measure_shifts(problem: Problem, thetas: Floats) -> dict[str, PriorShift]:
     """Return by how much each held parameter moves the needles, at most over `thetas` (N, P).
 
-    From the centre of its prior to either end, all other parameters as they are. Points that have no solution
-    there are left out.
+    From the centre of its prior to either end, all other parameters as they are. A theta without a solution
+    at the centre is left out.
     """
-    known, found = problem.parameters, dict[str, PriorShift]()
+    known, sets = problem.parameters, list[Values]()
     for theta in known.extend(known.restrict(thetas)):
-        sets = [theta]
+        centre = problem.values(theta)
+        sets.append(centre)
         for name in known.held:
             for end in central_range(known, name):
-                sets.append(theta.copy())
-                sets[-1][known.free.index(name)] = to_coordinate(name, end)
-        tips, residuals = _simulate(problem, np.array(sets))
-        if not np.all(np.isfinite(residuals[0])):
-            continue
-        for number, name in enumerate(known.held):
-            ends = slice(1 + 2 * number, 3 + 2 * number)
-            moved = float(np.max(np.linalg.norm(tips[ends] - tips[0], axis=-1), initial=0.0))
-            by_noise = float(np.max(np.abs(residuals[ends] - residuals[0]), initial=0.0))
-            before = found.get(name, PriorShift(0.0, 0.0))
-            in_noise = by_noise if math.isfinite(by_noise) else math.inf
-            found[name] = PriorShift(max(before.tip_mm, moved), max(before.in_noise, in_noise))
+                moved = theta.copy()
+                moved[known.free.index(name)] = to_coordinate(name, end)
+                sets.append(problem.values(moved))
+    tips, by_noise = _compare_ends(problem, sets, 1 + 2 * len(known.held))  # (N, H, 2) each
+    solved = np.isfinite(by_noise).any(axis=(1, 2))
+    found = {}
+    for number, name in enumerate(known.held):
+        moved_tips, moved = (part[solved, number].ravel() for part in (tips, by_noise))
+        in_noise = float(np.max(moved, initial=0.0))  # NaN where a solve fails
+        tip_mm = float(np.nanmax(moved_tips, initial=0.0))
+        found[name] = PriorShift(tip_mm, math.inf if math.isnan(in_noise) else in_noise)
     return found
 
 
-def _simulate(problem: Problem, thetas: Floats) -> tuple[Floats, Floats]:
-    """Return the tips (N, I, 2 or 3) of all insertions, mm, and their residuals (N, R)."""
-    sets, searched = [problem.values(theta) for theta in thetas], problem.searched
-    places = [goal.s[-1:] for goal in problem.compared_points]
-    tips = PreparedModel(problem.medium, problem.insertions).read_points(sets, places)
-    count = sum(searched.density.residual_counts)
-    residuals = [one[:count] for one, _ in searched.density.jacobians(sets)]
-    return np.stack([points[:, 0] for points in tips], axis=1), np.array(residuals)
+def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[Floats, Floats]:
+    """Return how far tips, mm, and points, in SDs of their errors, lie from those of the first set.
+
+    Of N times `size` sets each `size` have a first one. The largest over all insertions: (N, H, 2), of the two
+    ends of H parameters; NaN where a solve fails.
+    """
+    scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
+    likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
+    known = [
+        make_observation(problem.dataset, replace(one, curvature=None), problem.noise, likelihood)
+        for one in problem.insertions
+    ]
+    model = PreparedModel(problem.medium, problem.insertions)
+    every = model.read_points(sets, [one.nodes.s[0] for one in known])
+    tips, by_noise = [], []
+    for one, points in zip(known, every, strict=True):
+        groups = points.reshape(-1, size, *points.shape[1:])  # (N, 1 + 2 H, K, 3)
+        away = groups[:, 1:] - groups[:, :1]
+        tips.append(np.linalg.norm(away[..., -1, :], axis=-1))
+        sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])  # (N, K), in space (N, 2 K)
+        shifts = np.abs(one.stack(away))
+        relative = np.divide(shifts, sds[:, None], out=np.zeros_like(shifts), where=shifts > 0)
+        by_noise.append(np.max(np.where(np.isnan(shifts), np.nan, relative), axis=-1))
+    shape = (len(scales), -1, 2)
+    return np.max(tips, axis=0).reshape(shape), np.max(by_noise, axis=0).reshape(shape)
 
 
 def draw_held(parameters: Parameters, thetas: Floats, rng: np.random.Generator) -> Floats:
@@ -98,8 +118,3 @@ def log_prior_integral(parameters: Parameters) -> float:
         low, high = ((to_coordinate(name, end) - mean) / sd for end in bounds)
         total += math.log(math.sqrt(2 * math.pi) * sd * (ndtr(high) - ndtr(low)))
     return total
-
-
-def describe_shift(shifts: Mapping[str, PriorShift], name: str) -> str:
-    """Return in words that the data cannot tell a parameter."""
-    return f"the prior: moves tips by at most {shifts[name].tip_mm:.2g} mm"

@@ -33,7 +33,7 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
 
 def _format_cells(row: Row, expected: bool) -> Row:
     name = str(row["parameter"])
-    closed = {side: row[side] for side in ("low", "high") if row[f"end_{side}"] == "closed"}
+    closed = {side: row[side] for side in ("low", "high") if row[f"end_{side}"] in ("closed", "prior")}
     if expected:
         label, unit = choose_printed_unit(name, [row["value"], *closed.values()])
     else:
