@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
-from needlefit.inference.parameters import without_bevel_spread
+from needlefit.inference.parameters import Parameters, without_bevel_spread
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
@@ -149,8 +150,18 @@ def assert_one_density(p: Problem, theta: np.ndarray, rtol: float = 1e-5, shape_
     assert np.all(off < np.where(shape, max(1e-3, rtol), rtol)), dict(zip(p.names, off, strict=True))
 
 
+class NothingHeld:
+    """What stands for a problem of which no parameter is held at the centre of its prior."""
+
+    parameters = Parameters((), {}, {}, {})
+
+    @property
+    def searched(self) -> Self:
+        return self
+
+
 @dataclass(frozen=True)
-class Analytic:
+class Analytic(NothingHeld):
     """A function on a box, in the form that `minimize` and `sample` ask for; its slope by differences."""
 
     function: Callable[[np.ndarray], float]
@@ -178,7 +189,7 @@ class Analytic:
 
 
 @dataclass(frozen=True)
-class Squares:
+class Squares(NothingHeld):
     """Residuals with their Jacobian on a box, as a posterior: a constant minus half their squares."""
 
     slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]

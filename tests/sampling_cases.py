@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from inference_cases import NothingHeld
 
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling.importance import Effort, WeightedDraws, sample_by_importance
@@ -21,7 +22,7 @@ EFFORT = Effort(draws=1000, min_ess=1000)
 
 
 @dataclass(frozen=True)
-class Known:
+class Known(NothingHeld):
     """A log density of rows (W, P) on a box of half width `half` about 0."""
 
     log_density: Callable[[np.ndarray], np.ndarray]

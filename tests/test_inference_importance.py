@@ -1,7 +1,5 @@
 """Importance sampling about modes: densities known in closed form come back, or k says that they do not."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from sampling_cases import Known, banana, gaussian, two_hills, weighted
@@ -79,8 +77,6 @@ def test_parameters_without_information_are_proposed_uniformly():
 
 class Plateau(Known):
     """A peak of x0 at 5, SD 0.2, on a plateau e^-2.88 as high; x1 is normal with SD 0.05 about 4 sin x0."""
-
-    parameters = SimpleNamespace(prior=SimpleNamespace(ties=(), names=()), half_normal={})
 
     def __init__(self):
         super().__init__(

@@ -22,13 +22,15 @@ def changed(record: MediumRecord, *free: str, **fix: float) -> Parameters:
 
 
 def test_a_shape_parameter_gets_the_usual_bounds_widened_to_its_value():
-    assert changed(medium(), "alpha1").bounds["alpha1"] == (-3.0, 5.0)
-    found = changed(medium(alpha1={"fixed": 8.0}), "alpha1")
-    assert found.bounds["alpha1"] == (-3.0, 8.0) and found.fixed == {"alpha2": -1.0}
+    found = changed(medium(), "alpha1")
+    assert found.bounds["alpha1"] == (-7.0, 9.0)
+    assert found.prior.marginals["alpha1"] == pytest.approx((1.0, 2.0))
+    found = changed(medium(alpha1={"fixed": 12.0}), "alpha1")
+    assert found.bounds["alpha1"] == (-7.0, 12.0) and found.fixed == {"alpha2": -1.0}
     # alpha2 follows alpha1, which becomes free, or is freed itself
     tied = medium(alpha2={"tie": "-1 * alpha1"})
     assert changed(tied, "alpha1").ties["alpha2"] == (-1.0, "alpha1")
-    assert changed(tied, "alpha2").bounds["alpha2"] == (-3.0, 5.0)
+    assert changed(tied, "alpha2").bounds["alpha2"] == (-7.0, 9.0)
     assert change_parameters(tied, (), {}) is tied
 
 
@@ -74,13 +76,17 @@ def test_what_cannot_be_freed_or_fixed_is_refused(free, fix, key, fixed_by):
 def test_a_fit_states_names_as_they_are_printed_and_later_changes_take_their_place():
     record = FitRecord.model_validate(FIT | {"free": ("alpha1", "mu4"), "fix": {"b": 0.1, "mu1": 2e5}})
     assert record.free == ("alpha1", "mu4_pa") and record.fix == {"bevel_mm": 0.1, "mu1_pa": 2e5}
-    found = change_fit(record, ["b", "alpha1"], {"alpha2": np.float64(2.0), "mu4": 3e7}, "here")
+    changes = (["b", "alpha1"], {"alpha2": np.float64(2.0), "mu4": 3e7})
+    found, nothing = change_fit(record, None, *changes, "here")
+    assert nothing is None
     assert found.free == ("alpha1", "bevel_mm")
     assert found.fix == {"mu1_pa": 2e5, "alpha2": 2.0, "mu4_pa": 3e7}
     both = {"free": ("alpha1",), "fix": {"alpha1": 1.0}}
     with pytest.raises(ValidationError, match="alpha1"):
         FitRecord.model_validate(FIT | both)
-    error = refusal(ConfigError, "alpha2", lambda: change_fit(record, ["alpha2"], {"alpha2": 1.0}, "here"))
+    error = refusal(
+        ConfigError, "alpha2", lambda: change_fit(record, None, ["alpha2"], {"alpha2": 1.0}, "here")
+    )
     assert error.where == "here"
-    error = refusal(ConfigError, "", lambda: change_fit(record, [], {"b": float("nan")}, "here"))
+    error = refusal(ConfigError, "", lambda: change_fit(record, None, [], {"b": float("nan")}, "here"))
     assert re.search("fix.bevel_mm", error.what)

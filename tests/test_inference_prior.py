@@ -43,7 +43,7 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
     many = stated.log_posteriors(thetas) - flat.log_posteriors(thetas)
     assert many == pytest.approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
     record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
-    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
+    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE).holding(())
     verdict = identify(p, fit_at(p, TRUTH))
     assert verdict.sds["alpha1"] == pytest.approx(0.2, rel=0.01)
     assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]

@@ -75,8 +75,8 @@ def measure_shifts(problem: Problem, thetas: Floats) -> dict[str, PriorShift]:
 def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[Floats, Floats]:
     """Return how far tips, mm, and points, in SDs of their errors, lie from those of the first set.
 
-    Of N times `size` sets each `size` have a first one. The largest over all insertions: (N, H, 2), of the two
-    ends of H parameters; NaN where a solve fails.
+    The largest over all insertions, (N, H, 2): of N times `size` sets, in which the ends of H parameters
+    follow the centre. NaN where a solve fails.
     """
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
