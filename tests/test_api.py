@@ -93,11 +93,11 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     found = needlefit.fit("gel", free=["alpha1"], fix={"mu2": 1.5e7})
     assert found.metadata.study["free"] == ["alpha1"] and found.metadata.study["fix"] == {"mu2_pa": 1.5e7}
     parameters = found.metadata.medium.parameters
-    assert parameters["alpha1"].bounds == (-3.0, 5.0) and parameters["mu2_pa"].fixed == 1.5e7
+    assert parameters["alpha1"].bounds == (-7.0, 9.0) and parameters["mu2_pa"].fixed == 1.5e7
     row = found.frames["identification"].set_index("parameter").loc["alpha1"]
-    assert row["sd_ratio"] > 0.9
+    assert row["fisher_sd"] == pytest.approx(row["prior_sd"], rel=1e-3) and row["prior_sd"] == 2.0
     drawn = found.frames["draws"]
-    assert drawn["alpha1"].between(-3, 5).all() and drawn["alpha1"].std() > 1.5
+    assert drawn["alpha1"].between(-7, 9).all() and drawn["alpha1"].std() > 1.5
     assert set(drawn["alpha2"]) == {-1.0} and set(drawn["mu2_pa"]) == {1.5e7}
     # a bound says nothing of an alpha that may have any value within its bounds
     assert not [one for one in found.warnings if "alpha1" in one.what]
@@ -105,8 +105,8 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     assert pd.read_csv(tmp_path / "run/draws.csv")["alpha1"].nunique() > 10
     predicted = needlefit.predict(found, "ahead")
     assert predicted.kind == "prediction" and len(predicted.frames["forecast"]) > 10
-    with pytest.raises(ConfigError, match="alpha1"):
-        needlefit.fit(found, free=["alpha1"])  # is free there
+    with pytest.raises(ConfigError, match="mu1"):
+        needlefit.fit(found, free=["mu1"])  # is free there
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -76,7 +76,7 @@ def test_densities_of_shipped_insertions():
     for name, (changes, noise, how) in DENSITIES.items():
         dataset = replace(twin, noise=replace(twin.noise, **noise), **changes)
         plain = [replace(one, sections=None) for one in chosen] if "measurement" in changes else chosen
-        one = make_problem(dataset, plain, document.MEDIUM, weights, LikelihoodRecord(**how))
+        one = make_problem(dataset, plain, document.MEDIUM, weights, LikelihoodRecord(**how)).searched
         values = document.VALUES | {"bevel_spread": 0.07, "noise_scale": 1.3}
         theta = np.log([values[key] for key in one.parameters.free])
         residuals, jacobian = one.jacobian(theta)

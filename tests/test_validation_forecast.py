@@ -64,6 +64,7 @@ def sure(job):
 
 def theta(job, **changes):
     values = {"mu1_pa": 2e5, "mu2_pa": 3e7, "mu3_pa": 2e5, "mu4_pa": 3e7, "bevel_mm": 0.08}
+    values |= {"alpha1": 1.0, "alpha2": -1.0}
     return job.parameters.theta({**values, "bevel_spread": 1e-9, **changes})
 
 

@@ -203,7 +203,8 @@ class Parameters:
         if not self.held:
             return self
         free = [name for name in self.free if name not in self.held]
-        return self.with_only(free, self.values(self.expected))
+        found = self.with_only(free, self.values(self.expected))
+        return replace(found, prior=self.prior.without(self.held))
 
     @cached_property
     def _is_searched(self) -> Bools:

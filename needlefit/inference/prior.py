@@ -1,7 +1,7 @@
 """The prior that a medium states of its parameters: Gaussians in theta, and ties with a spread."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -72,6 +72,14 @@ class Prior:
     def sd(self, name: str) -> float:
         """Return the standard deviation of one parameter's coordinate; infinite where nothing is stated."""
         return self.marginals.get(name, (math.nan, math.inf))[1]
+
+    def without(self, names: Collection[str]) -> "Prior":
+        """Return the prior without parameters that are independent of all others, and not tied."""
+        columns = [k for k, name in enumerate(self.names) if name not in names]
+        rows = [k for k, row in enumerate(self.whitening) if any(row[column] for column in columns)]
+        whitening = tuple(tuple(self.whitening[k][column] for column in columns) for k in rows)
+        kept, centre = tuple(self.names[k] for k in columns), tuple(self.centre[k] for k in rows)
+        return Prior(kept, whitening, centre, self.ties) if kept else Prior()
 
     def without_ties(self) -> "Prior":
         """Return the prior without its ties, which `add_ties` put last."""
