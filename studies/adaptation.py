@@ -40,7 +40,7 @@ def widen(medium: dict, draws: pd.DataFrame, sd_ln_mu: float) -> dict:
     """Return a tissue model whose priors are posterior draws (Pa, mm), widened by the SD between media."""
     changed = dict(medium["parameters"])
     for name, stated in changed.items():
-        if "bounds" in stated and name in draws:
+        if "bounds" in stated and name in draws and not name.startswith("alpha"):  # that keeps its prior
             logs, between = np.log(draws[name]), sd_ln_mu if name.startswith("mu") else SD_LN_BEVEL
             factor = math.exp(math.sqrt(logs.var() + 2 * between**2))
             changed[name] = stated | {"prior": {"median": float(np.exp(logs.mean())), "factor": factor}}

@@ -63,6 +63,8 @@ def compare(source: str, folds: int | None = None) -> pd.DataFrame:
     rows = []
     for law in LAWS:
         changed = change_law(load_medium(medium), law)
+        if control and law == "ogden":  # what a compression test would have determined
+            changed["parameters"]["alpha1"] = {"fixed": CONTROL["values"]["alpha1"]}
         found = {}
         for left_out in (-1, *range(folds or count)):  # -1: none
             tune = {"insertions": list(table["insertion"][fold != left_out])}
