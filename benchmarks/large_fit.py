@@ -19,7 +19,7 @@ from sampling import prepare_target
 def measure(count, sets):
     """Print the time of Jacobians of so many insertions and sets of values, and the most memory so far."""
     job = prepare_target("phantom1")
-    one = job.problem(job.folds[0])
+    one = job.problem(job.folds[0]).searched
     copies = []
     for n in range(count):
         set_number, place = divmod(n, len(one.insertions))

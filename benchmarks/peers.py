@@ -110,7 +110,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
     job = prepare_target(options.target)
-    problem, recipe = job.problem(job.folds[0]), job.recipe.model_copy(update={"starts": STARTS})
+    problem, recipe = job.problem(job.folds[0]).searched, job.recipe.model_copy(update={"starts": STARTS})
 
     def fit() -> Fit:
         return minimize(problem, recipe, np.random.default_rng(1), Callbacks())

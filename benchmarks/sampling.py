@@ -57,7 +57,7 @@ def main() -> None:
     print(f"{'target':10} {'moves':12} {'steps':>6} {'tau':>7} {'acceptance':>10} {'per_1000':>9} {'ms':>6}")
     for target in options.targets:
         job = prepare_target(target)
-        problem = job.problem(job.folds[0])
+        problem = job.problem(job.folds[0]).searched
         stream = random_stream(job.recipe.seed, target, "starts")
         fit = minimize(problem, job.recipe, stream, Callbacks(jobs=options.jobs))
         begin = sample_about_fit(problem, fit, random_stream(1, target, "importance"), options.jobs)

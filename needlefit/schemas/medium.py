@@ -64,7 +64,8 @@ class ParameterRecord(Record):
     tie. Without it 1.2 for a modulus that is tied to another one without a factor, else 1."""
     prior: PriorRecord | None = None
     """Prior of a free parameter; without one it is flat within the bounds (of the logarithm, except for
-    shape parameters)."""
+    shape parameters). A shape parameter with a prior is searched where the data can tell it, else drawn from
+    its prior (docs/fitting.md)."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
@@ -98,8 +99,8 @@ class MediumRecord(FileRecord, AdvanceRecord):
     is not fitted."""
     parameters: dict[str, ParameterRecord]
     """Parameters by name: `mu1_pa`, ... of each layer; shape parameters of the law, such as `alpha1`, free
-    within their usual bounds if left out; `bevel_mm` (with `advance = "path_angle"`: `cut_angle_deg`);
-    optionally `guide_distance_mm`."""
+    with their usual bounds and prior if left out; `bevel_mm` (with `advance = "path_angle"`:
+    `cut_angle_deg`); optionally `guide_distance_mm`."""
 
     @property
     def bevel_parameter(self) -> str:
