@@ -68,11 +68,11 @@ def tune(
 
         fit = load_target(target)
         name, record, inputs, file, _ = fit
-        with add_file_context(file):
+        if free or fix:
             values = split_values(fix or [])
-            record, medium = change_fit(record, inputs.medium, free or [], values, str(file))
-        name += name_parameters(free or [], values)
-        inputs = replace(inputs, medium=medium)
+            with add_file_context(file):
+                record, medium = change_fit(record, inputs.medium, free or [], values, str(file))
+            name, inputs = f"{name}{name_parameters(free or [], values)}", replace(inputs, medium=medium)
         execution = replace(execution, inputs=inputs)
         if design:
             about = f"{name.removesuffix('-tune')}-design"

@@ -11,6 +11,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
 from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.held_parameters import draw_held
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
@@ -104,11 +105,12 @@ def draw_fold_parameters(
     `step` are the ensemble's.
     """
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
-    if not len(fit.theta):
-        few, many = (Draws(np.empty((count, 0)), "importance") for count in counts)
-        return FoldDraws(few, many)
     key, problem = fold.draw_key, job.problem(fold)
     rng = random_stream(job.recipe.seed, *key)
+    if not problem.holding(fit.held).searched.names:
+        priors = (draw_held(job.parameters, np.empty((count, 0)), rng) for count in counts)
+        few, many = (Draws(thetas, "importance") for thetas in priors)
+        return FoldDraws(few, many)
     found = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result
     few, many = (resample_draws(found, count, rng) for count in counts)

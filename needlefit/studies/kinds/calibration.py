@@ -348,7 +348,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     target = target_name(record, settings).removesuffix("-tune")
     synthetic = record.truth == "synthetic"
     job = (prepare_with_held_out if synthetic else prepare_target)(record, target, settings)
-    if not job.parameters.free:
+    if not job.parameters.searched.free:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
     if synthetic:
         task = partial(replicate_synthetic, design=job, plan=design_synthetic(job))

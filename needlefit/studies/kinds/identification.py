@@ -65,7 +65,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
     job = prepare_target(record, f"{target}-design", settings)
     about = begin_run(name, record, job, f"Identification: {job.record.title or target}")
     fold = job.folds[0]
-    if not job.parameters.free:
+    if not job.parameters.searched.free:
         raise ConfigError(
             "the medium leaves no parameter free: there is nothing to determine",
             where=job.place_in_medium("parameters"),
