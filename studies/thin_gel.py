@@ -4,8 +4,7 @@
 
 Eight insertions into 5 mm of gel are simulated, with Ogden's law and the errors that they state; afterwards
 the base of each needle moves across and compresses the gel by a millimetre or two. All are fitted. `--write
-DIR` writes the dataset of one truth, as `data/thin_gel` is. What came out of 20 truths: docs/studies.md,
-*Thin gel*.
+DIR` writes the dataset of one truth, as `data/thin_gel` is. What came out of five truths: docs/studies.md.
 """
 
 import argparse
