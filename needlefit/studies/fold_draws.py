@@ -11,7 +11,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
 from needlefit.inference.fit import Callbacks, Fit
-from needlefit.inference.held_parameters import draw_held
+from needlefit.inference.held_parameters import PriorShift, draw_held, measure_shifts
 from needlefit.inference.identifiability.precision import add_estimated_noise
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
@@ -46,6 +46,7 @@ DRAW_COLUMNS = ("fold", "specimen", "draw_source", "pareto_k", "ess", "certified
 POPULATION_COLUMNS = ("fold", "parameter", "between_sd", "between_correlation", "other_specimens")
 PREDICTION_DRAWS = 1000  #: parameter sets of which a needle is predicted
 FIGURE_DRAWS = 400  #: parameter sets that a figure of the posterior shows
+SHIFT_DRAWS = 5  #: parameter sets at which it is looked how far those that are held move the needles
 #: of one specimen by itself: where its posterior overlaps with the others', few of its draws lie
 SPECIMEN_EFFORTS = (Effort(draws=500, min_ess=1000.0), LARGER_EFFORT)
 
@@ -120,6 +121,14 @@ def draw_fold_parameters(
     if posterior is not None and not (posterior.faults and found.certified):
         few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
     return FoldDraws(few, many, posterior)
+
+
+def measure_prior(job: Job, fold: Fold, thetas: Floats) -> dict[str, PriorShift]:
+    """Return how far the prior of each parameter that is held moves the needles, at some thetas (B, P)."""
+    if not (len(thetas) and job.parameters.held):
+        return {}
+    few = np.unique(np.linspace(0, len(thetas) - 1, SHIFT_DRAWS).round().astype(np.int64))
+    return measure_shifts(job.problem(fold), thetas[few])
 
 
 @dataclass

@@ -52,7 +52,13 @@ from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fau
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.draw_simulation import simulate_scene_draws, vary_bevels
 from needlefit.studies.explorer import choose_drawn
-from needlefit.studies.fold_draws import PREDICTION_DRAWS, Specimens, choose_specimen, draw_fold_parameters
+from needlefit.studies.fold_draws import (
+    PREDICTION_DRAWS,
+    Specimens,
+    choose_specimen,
+    draw_fold_parameters,
+    measure_prior,
+)
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.provenance import compare_configuration, require_same_configuration
@@ -354,7 +360,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
     if fitted is None:
         return replace(about, interrupted=True)
-    known = replace(known, draws=fitted)
+    if shifts := measure_prior(job, job.folds[0], fitted.thetas):
+        job = job.holding([held for held, one in shifts.items() if one.is_hidden])
+    known = replace(known, job=job, draws=fitted)
     draws = known.draws_in(into)
     found = forecast(scene, known, into)
     needle = tabulate_forecast(found).assign(scene=title, converged=not draws.faults)

@@ -14,7 +14,7 @@ import numpy as np
 
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
-from needlefit.inference.held_parameters import PriorShift, measure_shifts
+from needlefit.inference.held_parameters import PriorShift
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
     FitProfiles,
@@ -34,7 +34,7 @@ from needlefit.reporting.number_format import format_bare_symbol, format_quantit
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
-from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
+from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.held_out_tracks import predict_tracks
 from needlefit.studies.identification import (
@@ -330,21 +330,15 @@ def _holds_tracks(fold: Fold) -> bool:
     return any(OBSERVATIONS[one.observed].on_the_way for one in fold.validate)
 
 
-SHIFT_DRAWS = 4  #: draws in which it is looked how far parameters that are held move the needles
-
-
 def _measure_shifts(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None
 ) -> dict[str, PriorShift]:
     """Return how far the prior of each parameter that is held moves the needles, at the fit and at draws."""
     fit = fits.get("fitted")
-    if fit is None or not math.isfinite(fit.objective) or not job.parameters.held:
+    if fit is None or not math.isfinite(fit.objective):
         return {}
-    thetas = np.array([fit.theta])
-    if drawn is not None and len(drawn.draws.thetas):
-        few = np.linspace(0, len(drawn.draws.thetas) - 1, SHIFT_DRAWS).round().astype(np.int64)
-        thetas = np.concatenate([thetas, drawn.draws.thetas[few]])
-    return measure_shifts(job.problem(fold), thetas)
+    found = np.array([fit.theta])
+    return measure_prior(job, fold, found if drawn is None else np.concatenate([found, drawn.draws.thetas]))
 
 
 def _minimise_errors(
