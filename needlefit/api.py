@@ -254,8 +254,8 @@ def fit(
     priors : mapping, optional
         By number of the layer: the file that `write_prior` wrote.
     free : sequence of str
-        Parameters to search although the model fixes or ties them, or the data cannot tell them from their
-        prior: `["alpha1"]`, or `["alpha"]` of every layer.
+        Parameters to search although the model fixes or ties them, or their posterior is their prior:
+        `["alpha1"]`, or `["alpha"]` of every layer.
     fix : mapping, optional
         Parameters to hold at a value, in Pa, mm or degrees: `{"mu1": 4e3, "b": 0.1}`.
     name : str, optional

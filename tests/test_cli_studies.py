@@ -175,3 +175,13 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     out = capsys.readouterr().out
     assert " reports/" not in out and "'mine out/" in out
     assert "μ₁ · b^1.9" in out
+
+
+def test_tune_searches_and_fixes_parameters_by_name_and_its_folder_has_these_names(stub, capsys):
+    made = stub(study(1))
+    assert run("tune", "gel", "--free", "alpha", "--fix", "b=0.05", "--fix", "mu1=2e5") == 0
+    ((name, record, _),) = made.asked
+    assert name == "gel-free=alpha-b=0.05-mu1=200000"
+    assert record.free == ("alpha",) and record.fix == {"bevel_mm": 0.05, "mu1_pa": 2e5}
+    assert run("tune", "gel", "--fix", "b=thick") == 2 and "b=thick" in capsys.readouterr().err
+    assert run("tune", "gel", "--free", "alpha1", "--fix", "alpha1=1") == 3

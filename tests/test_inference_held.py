@@ -1,4 +1,4 @@
-"""Parameters that data cannot tell from their prior: held, drawn from it, freed where they show."""
+"""Parameters whose posterior is their prior: held, drawn from it, and freed where they move the needles."""
 
 from dataclasses import replace
 

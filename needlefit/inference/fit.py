@@ -73,7 +73,7 @@ class Fit:
     interrupted: bool  #: whether the search was stopped before all starts had ended
     minimized: ObjectiveName = "posterior"
     gradients: int = 0  #: over all starts
-    #: free parameters that were held at the centre of their prior, since no point shows them
+    #: free parameters that were held at the centre of their prior, which hardly move any measured point
     held: tuple[str, ...] = ()
 
     @property

@@ -1,8 +1,7 @@
-"""Parameters that data may not tell from their prior, such as alpha: held in searches, drawn from it.
+"""Parameters whose posterior may be their prior, such as alpha: held in searches, drawn from the prior.
 
 A search holds each at the centre of its prior. While the central 95 % of the prior move no measured point by
-a tenth of the standard deviation of its error, the data cannot tell the parameter: its posterior is its
-prior. Else it is searched and sampled as all others are.
+a tenth of the standard deviation of its error, the posterior of the parameter is its prior. Else it is searched and sampled as all others are.
 """
 
 import math
@@ -35,7 +34,7 @@ class PriorShift:
 
     @property
     def is_hidden(self) -> bool:
-        """Whether the data cannot tell the parameter from its prior."""
+        """Whether the posterior of the parameter is its prior."""
         return self.in_noise < MAX_HIDDEN_SHIFT
 
 

@@ -64,8 +64,8 @@ class ParameterRecord(Record):
     tie. Without it 1.2 for a modulus that is tied to another one without a factor, else 1."""
     prior: PriorRecord | None = None
     """Prior of a free parameter; without one it is flat within the bounds (of the logarithm, except for
-    shape parameters). A shape parameter with a prior is searched where the data can tell it, else drawn from
-    its prior (docs/fitting.md)."""
+    shape parameters). A shape parameter with a prior is searched where it moves measured points, else
+    drawn from its prior (docs/fitting.md)."""
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:

@@ -53,8 +53,8 @@ class FitRecord(FileRecord):
     priors: dict[str, str] = {}
     """Measured priors by number of layer: files that `needlefit.write_prior` wrote."""
     free: tuple[str, ...] = ()
-    """Parameters that are searched although the tissue model fixes or ties them, or the data cannot tell them
-    from their prior: `["alpha1"]`, or `["alpha"]` of every layer. Their bounds are in docs/fitting.md."""
+    """Parameters that are searched although the tissue model fixes or ties them, or their posterior is
+    their prior: `["alpha1"]`, or `["alpha"]` of every layer. Their bounds are in docs/fitting.md."""
     fix: dict[str, float] = {}
     """Parameters that are held at a value (Pa, mm, degrees): `{ alpha1 = 2.0 }`."""
     compared: Compared | None = None

@@ -86,7 +86,7 @@ def identify_parameters(
 
 
 def list_held(parameters: Parameters, shifts: Mapping[str, PriorShift]) -> list[Row]:
-    """Return the rows of parameters that the data cannot tell from their prior, and of those tied to them.
+    """Return the rows of parameters whose posterior is their prior, and of those tied to them.
 
     `tip_shift_mm` is by how much the prior moves a tip, at most.
     """

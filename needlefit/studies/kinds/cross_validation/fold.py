@@ -127,7 +127,7 @@ class FoldDrawn:
 class FoldFits:
     """The fits of a fold by the names of their searches, their profiles, and draws about the first one."""
 
-    job: Job  #: with those parameters alone held that the data cannot tell from their prior
+    job: Job  #: with those parameters alone held whose posterior is their prior
     fits: Mapping[str, Fit]
     profiles: FitProfiles | None
     drawn: FoldDrawn | None
@@ -220,7 +220,7 @@ def fit_fold(job: Job, fold: Fold, services: FoldServices) -> FoldFits:
     interrupted = interrupted or stop()
     shifts = _measure_shifts(job, fold, fits, drawn)
     hidden = [name for name, one in shifts.items() if one.is_hidden]
-    if len(hidden) < len(shifts) and not interrupted:  # the draws show a parameter that the fit does not
+    if len(hidden) < len(shifts) and not interrupted:  # one moves needles of draws, not of the fit
         return fit_fold(job.holding(hidden), fold, services)
     error_fit = _minimise_errors(job, fold, fits, drawn, services)
     return FoldFits(job, fits, profiles, drawn, error_fit, shifts, interrupted)

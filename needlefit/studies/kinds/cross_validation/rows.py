@@ -32,7 +32,7 @@ START_COLUMNS = (
 #: Of the table "parameters": values per fold and method. `sd` is of ln for moduli and lengths, of the value
 #: for alpha; `low`, `high` is the range among starts within tolerance of the best; `interval_low`,
 #: `interval_high` is the 95 % interval that is printed, `draw_source` what it is from, `median` that of the
-#: same draws. `status` is "prior" where the data cannot tell a parameter from its prior, which moves a tip by
+#: same draws. `status` is "prior" where the posterior of a parameter is its prior, which moves a tip by
 #: `tip_shift_mm` at most. `determined` is "yes", "only together" (with the others held it is), or "no".
 PARAMETER_COLUMNS = (
     *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
