@@ -52,8 +52,9 @@ def tune(
     With --design no measured shape is used: shapes are simulated with the paper's parameters or the middle of
     the bounds. Fisher information, profile likelihoods and posterior SD / prior SD go to OUT/TARGET-design/.
 
-    An alpha that moves no measured point beyond its noise is not searched: its posterior is its prior, and the
-    table states by how much that moves the tips. --free alpha searches it nevertheless, --fix alpha1=1 holds it; both take any parameter.
+    An alpha that moves no measured point by a tenth of its noise is not searched: its posterior is its prior,
+    and the table states by how much that moves the tips. --free alpha searches it nevertheless, --fix
+    alpha1=1 holds it; both take any parameter.
 
     Results go to OUT/TARGET/ (default: ./reports); of a study only the fit is run, to OUT/STUDY-tune/. With
     --free or --fix the folder is named after these too: phantom1-free=alpha. The folder slicer/ holds every

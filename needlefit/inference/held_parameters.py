@@ -1,7 +1,8 @@
 """Parameters whose posterior may be their prior, such as alpha: held in searches, drawn from the prior.
 
 A search holds each at the centre of its prior. While the central 95 % of the prior move no measured point by
-a tenth of the standard deviation of its error, the posterior of the parameter is its prior. Else it is searched and sampled as all others are.
+a tenth of the standard deviation of its error, the posterior of the parameter is its prior. Else it is
+searched and sampled as all others are.
 """
 
 import math

@@ -112,8 +112,8 @@ def minimize(
 ) -> Fit:
     """Minimise the recipe's objective from every start, and return the best point of all.
 
-    Parameters that are held stand at the centre of their prior. Where one moves measured points, the search goes
-    on from there with it free: `held` of the fit are the others.
+    Parameters that are held stand at the centre of their prior. Where one moves measured points, the search
+    goes on from there with it free: `held` of the fit are the others.
 
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
