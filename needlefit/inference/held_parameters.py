@@ -80,21 +80,24 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     """
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
-    known = [
-        make_observation(problem.dataset, replace(one, curvature=None), problem.noise, likelihood)
-        for one in problem.insertions
+    points_alone = [
+        one if one.observed == "curvature" else replace(one, curvature=None) for one in problem.insertions
     ]
+    known = [make_observation(problem.dataset, one, problem.noise, likelihood) for one in points_alone]
     model = PreparedModel(problem.medium, problem.insertions)
-    every = model.read_points(sets, [one.nodes.s[0] for one in known])
+    every = model.read_points(sets, [np.append(one.nodes.s[0], one.insertion.depth) for one in known])
     tips, by_noise = [], []
     for one, points in zip(known, every, strict=True):
         groups = points.reshape(-1, size, *points.shape[1:])  # (N, 1 + 2 H, K, 3)
         away = groups[:, 1:] - groups[:, :1]
         tips.append(np.linalg.norm(away[..., -1, :], axis=-1))
-        sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])  # (N, K), in space (N, 2 K)
-        shifts = np.abs(one.stack(away))
-        relative = np.divide(shifts, sds[:, None], out=np.zeros_like(shifts), where=shifts > 0)
-        by_noise.append(np.max(np.where(np.isnan(shifts), np.nan, relative), axis=-1))
+        shifts = one.stack(away[..., :-1, :])  # (N, 2 H, K), in space (N, 2 H, 2 K)
+        if one.covariance().shape[0] == shifts.shape[-1]:
+            sds = np.sqrt([np.diag(one.covariance(scale)) for scale in scales])[:, None]
+            relative = np.divide(shifts, sds, out=np.zeros_like(shifts), where=shifts != 0)
+        else:  # no points, but curvatures, whose errors are independent
+            relative = shifts @ one.whitening.T / scales[:, None, None]
+        by_noise.append(np.max(np.abs(relative), axis=-1))
     shape = (len(scales), -1, 2)
     return np.max(tips, axis=0).reshape(shape), np.max(by_noise, axis=0).reshape(shape)
 
