@@ -23,6 +23,7 @@ TWIN = Path(__file__).resolve().parent.parent / "data/twin"
 SENSORS = np.array([0.1, 0.35, 0.6, 0.85])  # distances from the tip, in parts of the depth
 STEP_MM = 1.0  # to both sides of a sensor, over which the true curvature is taken
 LIKELIHOOD = {"measurement": "curvature"}
+STUDY = {"schema": 2, "same_specimen": True, "compared": "space"}
 
 
 def read_sensors(one: Insertion, sd: float, rng: np.random.Generator) -> pd.DataFrame:
@@ -71,35 +72,21 @@ def integrate_sensors(folder: Path, name: str) -> float:
 def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:
     """Return a row for each needle: errors of its shape by its sensors, and whether the bands cover it."""
     names = [one.id for one in load_dataset("twin").insertions if one.medium == medium]
-    study = {
-        "schema": 2,
-        "dataset": str(folder),
-        "medium": medium,
-        "same_specimen": True,
-        "compared": "space",
-    }
+    study = STUDY | {"dataset": str(folder), "medium": medium}
     study |= {"tune": {"insertions": names}, "validate": [{"insertions": [f"{one}-shape" for one in names]}]}
     run = needlefit.validate(study, recipe={"metric": False, "likelihood": LIKELIHOOD})
     errors = run.frames["errors"].query("method == 'predictive_median'").set_index("insertion")
     columns = ["tip_in_50", "tip_in_95", "shape_in_50", "shape_in_95", "tip_crps_mm"]
     covered = run.frames["predictive"].set_index("insertion")[columns].astype(float)
-    return (
-        errors[["te_mm", "ipe_mean_mm"]]
-        .join(covered)
-        .assign(medium=medium, te_integrated_mm=[integrate_sensors(folder, one) for one in names])
-    )
+    integrated = [integrate_sensors(folder, one) for one in names]
+    found = errors[["te_mm", "ipe_mean_mm"]].join(covered)
+    return found.assign(medium=medium, te_integrated_mm=integrated)
 
 
 def predict_readings(folder: Path, medium: str) -> pd.DataFrame:
     """Return the readings of every second needle as predicted by a fit to the others."""
     names = [one.id for one in load_dataset("twin").insertions if one.medium == medium]
-    study = {
-        "schema": 2,
-        "dataset": str(folder),
-        "medium": medium,
-        "same_specimen": True,
-        "compared": "space",
-    }
+    study = STUDY | {"dataset": str(folder), "medium": medium}
     study |= {"tune": {"insertions": names[::2]}, "validate": [{"insertions": names[1::2]}]}
     return needlefit.validate(study, recipe={"metric": False}).frames["curvature"]
 

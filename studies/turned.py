@@ -2,10 +2,8 @@
 
     python studies/turned.py [--truths 20] [--quick] [--write DIR] [--out reports/turned.png]
 
-Twelve insertions into a gel of two layers are simulated, each with one turn of its bevel by 90 or 180 degrees
-and with the errors that it states (no model knows of the bend out of the plane); six are fitted, six
-predicted, in space and with everything projected on one plane. `--write DIR` writes the dataset of one truth,
-as `data/twin_turned` is. What came out of 20 truths: docs/studies.md, *Turned needles*.
+Of twelve insertions into gel, each with a turn of its bevel by 90 or 180 degrees, six are fitted, six
+predicted, in space and projected on one plane. `--write DIR` writes one truth: `data/twin_turned`.
 """
 
 import argparse
@@ -54,8 +52,8 @@ def write_truth(folder: Path, seed: int) -> Path:
         at, by = depth * rng.uniform(0.35, 0.65), int(rng.choice([-90, 90, 90, 180]))
         own, interface = mu * np.exp(0.03 * rng.normal(size=2)), 25.0 + 0.2 * rng.normal()
         roll = contact + 5.0 * rng.normal()  # the true one, of which the stated one errs
-        bevels = [Bevel(bevel * np.exp(0.05 * rng.normal()), roll_deg=roll)]
-        bevels.append(Bevel(bevels[0].offset, roll_deg=roll + by))
+        offset = bevel * np.exp(0.05 * rng.normal())
+        bevels = [Bevel(offset, roll_deg=roll), Bevel(offset, roll_deg=roll + by)]
         steps = [Step(end, one) for end, one in zip((at, depth), bevels, strict=True)]
         tissue, options = Tissue(own, [1.0, 1.0], [interface]), ModelOptions(element=0.25)
         s = np.linspace(0.0, depth, int(depth / 2) + 1)
@@ -64,11 +62,10 @@ def write_truth(folder: Path, seed: int) -> Path:
         points[:, 1:] += 0.03 * bend * np.outer((s / depth) ** 2, rng.normal(size=2))
         points[:, 1:] += 0.1 * rng.normal(size=2) + np.outer(s, np.radians(0.1) * rng.normal(size=2))
         points += [0.0, 6.0 * n, 0.0] + 0.05 * rng.normal(size=points.shape)
-        pd.DataFrame(points, columns=["x_mm", "y_mm", "z_mm"]).to_csv(
-            folder / f"centerlines/{name}.csv", index=False, float_format="%.4f"
-        )
-        own = {"depth_mm": depth, "bevel_roll_deg": contact, "entry_y_mm": 6.0 * n}
-        rows.append({"id": name, "hole": name, **own, **CELLS})
+        table = pd.DataFrame(points, columns=["x_mm", "y_mm", "z_mm"])
+        table.to_csv(folder / f"centerlines/{name}.csv", index=False, float_format="%.4f")
+        own = {"id": name, "hole": name, "depth_mm": depth, "bevel_roll_deg": contact}
+        rows.append({**own, "entry_y_mm": 6.0 * n, **CELLS})
         turns.append({"id": name, "depth_mm": round(at, 2), "bevel_roll_deg": contact + by})
     pd.DataFrame(rows).to_csv(folder / "insertions.csv", index=False)
     pd.DataFrame(turns).to_csv(folder / "turns.csv", index=False)
@@ -79,21 +76,16 @@ def write_truth(folder: Path, seed: int) -> Path:
 
 
 def predict_half(folder: Path, compared: str) -> pd.DataFrame:
-    """Return one row per predicted needle: errors of the predictive median, and whether intervals cover.
-
-    Errors are the tip's in the plane (`te_mm`) and in space, and the mean one of the shape in space.
-    """
+    """Return one row per predicted needle: errors of the predictive median in space, and coverage."""
     names = [f"turned-{n:02d}" for n in range(1, 13)]
     study = {"schema": 2, "dataset": str(folder), "medium": "turned", "same_specimen": True}
-    study |= {"compared": compared}
-    study |= {"tune": {"insertions": names[::2]}, "validate": [{"insertions": names[1::2]}]}
+    study |= {"compared": compared, "tune": {"insertions": names[::2]}}
+    study["validate"] = [{"insertions": names[1::2]}]
     run = needlefit.validate(study, recipe={"metric": False})
     shapes = run.frames["shapes"].query("method == 'predictive_median'").set_index("insertion")
     off = [shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in "xyz"]
-    flat, space = (pd.Series(np.linalg.norm(some, axis=0), shapes.index) for some in (off[:2], off))
-    by_needle = space.groupby(level=0, sort=False)
-    errors = pd.DataFrame({"te_mm": flat.groupby(level=0, sort=False).last()})
-    errors = errors.assign(te_in_space_mm=by_needle.last(), mean_in_space_mm=by_needle.mean())
+    space = pd.Series(np.linalg.norm(off, axis=0), shapes.index).groupby(level=0, sort=False)
+    errors = pd.DataFrame({"te_in_space_mm": space.last(), "mean_in_space_mm": space.mean()})
     covered = run.frames["predictive"].set_index("insertion")[["tip_in_50", "tip_in_95", "tip_crps_mm"]]
     return errors.join(covered.astype(float)).assign(compared=compared)
 
@@ -108,21 +100,17 @@ def main() -> None:
     if options.write:
         print(load_dataset(write_truth(options.write, 1)).to_frame().to_string(index=False))
         return
-    parts = []
-    for seed in range(101, 102 if options.quick else 101 + options.truths):
+    parts, truths = [], 1 if options.quick else options.truths
+    for seed in range(101, 101 + truths):
         with TemporaryDirectory() as folder:
             known = write_truth(Path(folder), seed)
             parts += [predict_half(known, one).assign(truth=seed) for one in ("plane", "space")]
-        print(f"truth {seed}: done", flush=True)
     rows = pd.concat(parts)
     means = rows.groupby(["compared", "truth"]).mean(numeric_only=True).groupby("compared")
-    means = means.agg(["mean", "sem"])
-    print(means.to_string(float_format="%.3f"))
+    print(means.agg(["mean", "sem"]).to_string(float_format="%.3f"))
     figure, axes = plt.subplots(figsize=(5, 4))
-    axes.plot(
-        *(rows[rows["compared"] == one]["te_in_space_mm"] for one in ("plane", "space")), ".", color="#1b6ca8"
-    )
-    axes.axline((0, 0), slope=1, color="0.5", lw=0.8)
+    axes.plot(*(rows.query("compared == @one")["te_in_space_mm"] for one in ("plane", "space")), ".")
+    axes.axline((0, 0), slope=1)
     axes.set(xlabel="TE in space, mm: fitted in one plane", ylabel="fitted in space")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(options.out, dpi=150, bbox_inches="tight")
