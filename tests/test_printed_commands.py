@@ -133,21 +133,25 @@ def test_every_finding_has_a_sentence_and_a_placeholder_is_no_doubt():
     assert list(map(classify_doubt, doubts)) == ["dataset_doubtful", "result_doubtful"]
 
 
-PASSED = {one: Finding(one, True) for one in Check}
+PASSED = {one: Finding(one, True, named="straight") for one in Check}
 
 
 @pytest.mark.parametrize(
     ("changes", "other_medium", "finding"),
     [
         ({}, False, None),
-        ({Check.CURVES: {"passed": False}}, False, "curve_closer"),
-        ({Check.CURVES: {"passed": False}, Check.WIDTH: {"passed": False}}, True, "other_medium_missed"),
+        ({Check.CURVES: {"passed": False}, Check.NOISE: {"passed": False}}, False, "curve_closer"),
+        ({Check.CURVES: {"passed": False}, Check.NOISE: {"passed": None}}, False, "curve_closer"),
+        ({Check.CURVES: {"passed": False}}, False, "curve_as_good"),  # within the noise
+        ({Check.CURVES: {"passed": False}, Check.INTERVALS: {"passed": False}}, True, "other_medium_missed"),
         ({Check.NOISE: {"passed": False}}, True, "other_medium_missed"),
         ({Check.NOISE: {"passed": False}}, False, "beyond_noise"),
-        ({Check.CURVES: {"passed": None, "fits": 6}}, False, "closer_undecided"),
-        ({Check.CURVES: {"passed": None}}, False, None),  # of a fit within the noise
-        ({Check.WIDTH: {"passed": False}, Check.NOISE: {"passed": False}}, False, "intervals_wide"),
-        ({Check.COVERAGE_95: {"passed": False}}, False, "intervals_miss"),
+        ({Check.CURVES: {"passed": None}}, False, "closer_undecided"),
+        ({Check.CURVES: {"passed": None, "needles": 6, "margin_mm": 0.1}}, False, "curve_as_good"),
+        ({Check.CURVES: {"passed": None, "needles": 6}}, False, "margin_unstated"),
+        ({Check.CURVES: {"passed": None, "named": ""}}, False, None),  # nothing was compared
+        ({Check.INTERVALS: {"passed": False}, Check.NOISE: {"passed": False}}, False, "intervals_wide"),
+        ({Check.INTERVALS: {"passed": False, "covered": False}}, False, "intervals_miss"),
         ({Check.COVERAGE_50: {"passed": False, "value": 1, "threshold": 3.5}}, False, "intervals_miss"),
         ({Check.COVERAGE_50: {"passed": False, "value": 7, "threshold": 3.5}}, False, None),  # too wide
     ],

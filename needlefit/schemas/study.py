@@ -65,6 +65,11 @@ class FitRecord(FileRecord):
     specimens: Literal["others", "training only"] = "others"
     """Parameters differ between specimens ("others"), or are the same in all ("training only", as in the
     paper)."""
+    margin_mm: float | None = Field(default=None, gt=0)
+    """Difference of mean tip errors that does not matter, in a comparison of one fit with a straight line and
+    constant curvature. Without it, the noise floor of the tip error."""
+    margin_for: str = ""
+    """What that margin is for, such as a biopsy of lesions of 5 mm; printed with it."""
     same_specimen: bool = False
     """Whether predicted insertions go on purpose into specimens that are fitted. Without it, that is a
     warning of a study, and `needlefit predict` predicts a new specimen."""
@@ -84,6 +89,12 @@ class FitRecord(FileRecord):
         both = [name for name in self.free if name in self.fix]
         if both:
             raise ValueError(f"{', '.join(both)} cannot be in `free` and in `fix`")
+        return self
+
+    @model_validator(mode="after")
+    def _margin_with_purpose(self) -> Self:
+        if (self.margin_mm is None) != (not self.margin_for):
+            raise ValueError("`margin_mm` and `margin_for`, what it is for, need each other")
         return self
 
 

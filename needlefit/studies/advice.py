@@ -22,7 +22,9 @@ COMMANDS: Mapping[str, str] = {
     "result_doubtful": "explain {doubt}",
     "other_medium_missed": "",
     "curve_closer": "explain closer-than-curves",
+    "curve_as_good": "explain closer-than-curves",
     "closer_undecided": "explain closer-than-curves",
+    "margin_unstated": "explain closer-than-curves",
     "intervals_miss": "explain coverage",
     "intervals_wide": "tune {run} --design",
     "beyond_noise": "explain within-noise",
@@ -114,15 +116,22 @@ def find_failures(checks: Mapping[Check, Finding], other_medium: bool) -> list[s
     found = []
     if other_medium and failed & {Check.CURVES, Check.NOISE}:
         found.append("other_medium_missed")
-    if Check.CURVES in failed:
-        found.append("curve_closer")
-    elif (curves := checks.get(Check.CURVES)) and curves.passed is None and curves.fits:
-        found.append("closer_undecided")
-    half = checks.get(Check.COVERAGE_50)
-    if Check.COVERAGE_95 in failed or (Check.COVERAGE_50 in failed and half and half.is_below):
+    if (curves := checks.get(Check.CURVES)) and curves.named and curves.passed is not True:
+        found.append(_find_against_curves(curves, checks.get(Check.NOISE)))
+    half, intervals = (checks.get(one) for one in (Check.COVERAGE_50, Check.INTERVALS))
+    if (intervals and intervals.covered is False) or (Check.COVERAGE_50 in failed and half and half.is_below):
         found.append("intervals_miss")
-    if Check.WIDTH in failed:
+    elif Check.INTERVALS in failed:
         found.append("intervals_wide")
     if Check.NOISE in failed:
         found.append("beyond_noise")
     return found
+
+
+def _find_against_curves(curves: Finding, noise: Finding | None) -> str:
+    """Return what a comparison that the model did not pass found; within the noise no curve is better."""
+    if curves.passed is False:
+        return "curve_as_good" if noise and noise.passed else "curve_closer"
+    if curves.needles is None:
+        return "closer_undecided"
+    return "margin_unstated" if curves.margin_mm is None else "curve_as_good"

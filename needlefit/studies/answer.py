@@ -65,9 +65,8 @@ class Check(StrEnum):
     HELD_OUT = "held_out"  #: of a fit: whether insertions that it has not seen were predicted
     CURVES = "closer_than_curves"
     NOISE = "within_noise"
-    COVERAGE_95 = "coverage_95"
+    INTERVALS = "intervals_95"  #: whether tips lie in their 95 % intervals, and these are narrow
     COVERAGE_50 = "coverage_50"
-    WIDTH = "narrow_intervals"
     DATA = "data_as_stated"
 
 
@@ -79,13 +78,19 @@ class Finding:
     passed: bool | None  #: None: cannot be decided
     value: float | None = None  #: what is compared with the threshold, in the unit of the check
     threshold: float | None = None
-    named: str = ""  #: the best curve, or the kinds of the warnings about the data, with commas
-    trials: int | None = None  #: tips, of coverages
-    fits: int | None = None  #: by which they were predicted
-    missing: int = 0  #: held-out tips that have no interval
-    beyond: int | None = None  #: tips that deflect more than their predictive medians
+    named: str = ""  #: the curve that is compared, or the kinds of the warnings about the data, with commas
+    trials: int | None = None  #: independent ones, of comparisons and coverages
+    margin_mm: float | None = None  #: difference of tip errors up to which a reference is as good
+    needles: int | None = None  #: compared with a reference
+    closer: int | None = None  #: of these, on which the model is closer
+    hangs_on: str = ""  #: needles without any one of which the outcome is another, with commas
+    tips: int | None = None  #: that have an interval
+    missing: int = 0  #: held-out tips that have none
+    covered: bool | None = None  #: of intervals: whether tips lie in them; None: one trial
+    width_mm: float | None = None  #: median width of the 95 % intervals
+    max_width_mm: float | None = None
     deflection_mm: float | None = None  #: median of the tips' deflections
-    closer: int | None = None  #: curves whose tip error is smaller
+    beyond: int | None = None  #: tips that deflect more than their predictive medians
 
     @property
     def is_below(self) -> bool:
@@ -102,7 +107,7 @@ class Finding:
         """How predicted tips lie about their intervals: a key of the words in `checks.md.j2`."""
         if self.passed is False and not self.is_below:
             return "too_wide"
-        if self.trials and self.trials > 1 and self.beyond in (0, self.trials):
+        if self.tips and self.tips > 1 and self.beyond in (0, self.tips):
             return "all_more" if self.beyond else "all_less"
         return "too_narrow" if self.passed is False else ""
 

@@ -1,19 +1,33 @@
 """How well predictive intervals cover insertions, and how wide they are: also after one more insertion."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_rows
 from needlefit.inference.predict import Proportion, estimate_proportion
 from needlefit.reporting.table_files import Row
 
 
+def join_trials(rows: pd.DataFrame) -> list[int]:
+    """Return the trial of each row: rows of the same fold, specimen or hole are of one trial."""
+    trial = list(range(len(rows)))
+    for key in (rows["fold"], rows["specimen"], rows["specimen"] + "/" + rows["hole"]):
+        first: dict[Any, int] = {}
+        for number, name in enumerate(key):
+            old, new = trial[number], trial[first.setdefault(name, number)]
+            trial = [new if one == old else one for one in trial]
+    return trial
+
+
 def count_covered(predictive: pd.DataFrame, column: str) -> Proportion:
-    """Return how many insertions lie in their predicted interval; `column` is such as "tip_in_95"."""
-    return estimate_proportion(list(predictive[column]), group_rows(predictive))
+    """Return how many insertions lie in their predicted interval; `column` is such as "tip_in_95".
+
+    Its interval counts trials (`join_trials`); of one trial it says nothing.
+    """
+    return estimate_proportion(list(predictive[column]), [str(one) for one in join_trials(predictive)])
 
 
 def measure_tips(predictive: pd.DataFrame, which: str) -> "pd.Series[float]":
@@ -53,7 +67,10 @@ COVERAGE_COLUMNS = (
 def tabulate_coverage(predictions: pd.DataFrame) -> Row:
     """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within intervals, width, mean score."""
     found = {name: count_covered(predictions, name) for name in COVERAGE_COLUMNS if "_in_" in name}
-    shares = {name: f"{one.hits} ({100 * one.low:.0f}–{100 * one.high:.0f} %)" for name, one in found.items()}
+    shares = {
+        name: f"{one.hits} ({100 * one.low:.0f}–{100 * one.high:.0f} %)" if one.groups > 1 else str(one.hits)
+        for name, one in found.items()
+    }
     return {
         **shares,
         "insertions": len(predictions),

@@ -43,7 +43,7 @@ from needlefit.studies.fit_frames import (
     select_free,
 )
 from needlefit.studies.identification_tables import describe_prior
-from needlefit.studies.judge import choose_method, find_closest_curve, judge
+from needlefit.studies.judge import REFERENCES, choose_method, find_closest_curve, judge
 from needlefit.studies.run import Run
 
 TEXT = KindText("cross_validation")
@@ -91,7 +91,7 @@ def lay_out_tuning(*runs: Run) -> TableLayout:
 
 
 def lay_out_summary(run: Run) -> TableLayout:
-    """Return the table of the first page: our errors, the closest curve's and the paper's, by group.
+    """Return the table of the first page: our errors, those of the references and the paper's, by group.
 
     Groups are those held out, or of a run without any those fitted to; before several stand all together, of
     which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
@@ -110,9 +110,10 @@ def lay_out_summary(run: Run) -> TableLayout:
     )
     blocks = []
     for group in groups:
-        curve = find_closest_curve(group)
-        closest = [_RowKind(f"closest curve: {method_name(curve)}", curve)] if curve else []
-        blocks.append((group, (ours, *closest, *paper)))
+        references = [_RowKind(method_name(one), one) for one in REFERENCES]
+        if (curve := find_closest_curve(group)) and curve not in REFERENCES:
+            references.append(_RowKind(f"closest curve, in hindsight: {method_name(curve)}", curve))
+        blocks.append((group, (ours, *references, *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
     found = _lay_out_groups("summary", blocks, heads, short=True)
     if several or not groups:

@@ -66,16 +66,15 @@ def judge_errors(run: Run) -> TrackErrors:
     curve = str(errors.drop("fitted").idxmin())
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
-    outcome = judge_tracks(runs, rms, least)
+    outcome = judge_tracks(runs, run.record.margin_mm)
     return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults))
 
 
 def find_track_answer(run: Run, values: Mapping[str, object]) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
     known, runs = judge_errors(run), run.frames["runs"]
-    status, closer = STATUS[known.outcome], CLOSER.get(known.outcome, known.rms_mm < known.curve_mm)
-    fits = runs["fold"].nunique()
-    checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve, fits=fits)]
+    status, closer = STATUS[known.outcome], CLOSER[known.outcome]
+    checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve)]
     ends = runs.query("method == 'fitted'").dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends.rename(columns={"run": "hole"}), run.metadata.recipe)

@@ -34,7 +34,7 @@ from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Ver
 from needlefit.studies.fit_frames import find_scored_role, select_free
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.judge import CRPS, STATUS, judge, limit_status, list_checks
+from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
@@ -145,6 +145,7 @@ def find_answer(run: Run) -> Answer:
         "te_over_floor": judged.noise_ratio,
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
+        "trials": judged.trials,
         "insertions": group.head["insertions"],
     }
     if role == "tune":
@@ -159,7 +160,7 @@ def find_answer(run: Run) -> Answer:
         crps = run.frames["predictive"][CRPS].mean()
         numbers[CRPS] = None if pd.isna(crps) else float(crps)
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
-        sentence, status = TEXT.sentence("predicted", words), limit_status(run, STATUS[judged.outcome])
+        sentence, status = TEXT.sentence("predicted", words), judged.status
         table = fit_tables.lay_out_summary(run)
     about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
     advice = find_advice(run, checks, [word for word, _ in determined])
@@ -172,7 +173,7 @@ def find_advice(run: Run, checks: Sequence[Finding], determined: Sequence[str]) 
     by_check = {one.check: one for one in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = run.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
-    width, curves = by_check.get(Check.WIDTH), by_check.get(Check.CURVES)
+    intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
     doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
     if run.faults or run.interrupted:
@@ -186,8 +187,8 @@ def find_advice(run: Run, checks: Sequence[Finding], determined: Sequence[str]) 
         "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
         "other_medium": other[0] if other else "",
         "curve": BASELINES[curves.named].description if curves and curves.named else "",
-        "width": None if width is None else width.value,
-        "gain": None if pd.isna(gain) or width is None else float(gain),
+        "width": None if intervals is None else intervals.width_mm,
+        "gain": None if pd.isna(gain) or intervals is None else float(gain),
     }
     return advise(found, values, run.name)
 
