@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.inference.baselines import BASELINES
 from needlefit.studies.fit_frames import MEDIAN_METHOD
-from needlefit.studies.judge import describe_fit
+from needlefit.studies.judge import REFERENCES, compare_with_references
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
 HEAD = """\
-| study | held out | n | verdict | our TE | curve's TE | noise floor | our IPE | paper's TE | paper's IPE |
-|---|---|---|---|---|---|---|---|---|---|
+| study | held out | n | verdict | our TE | straight line | constant curvature | noise floor | our IPE | \
+paper's TE | paper's IPE |
+|---|---|---|---|---|---|---|---|---|---|---|
 """
 
 
@@ -48,14 +48,13 @@ def write_table() -> str:
 def write_row(
     study: int, name: str, errors: pd.DataFrame, *, has_verdict: bool, paper: "pd.Series[float] | None" = None
 ) -> str:
-    """Return the row of some held-out insertions: our errors, the closest curve's, the paper's."""
+    """Return the row of some held-out insertions: our errors, the references', the paper's."""
     means = errors.groupby("method")[["te_mm", "ipe_mean_mm", "floor_te_mm"]].mean()
-    ours, curves = means.loc[MEDIAN_METHOD], means.loc[means.index.isin(BASELINES.names()), "te_mm"]
-    verdict = describe_fit(ours["te_mm"], ours["te_mm"] / ours["floor_te_mm"], curves.min())
+    ours = means.loc[MEDIAN_METHOD]
+    found = compare_with_references(errors, MEDIAN_METHOD, ours["floor_te_mm"])
     row = [
-        *(study, name, errors["insertion"].nunique(), verdict if has_verdict else ""),
-        f"{ours['te_mm']:.2f}",
-        f"{curves.min():.2f} ({BASELINES[str(curves.idxmin())].label})",
+        *(study, name, errors["insertion"].nunique(), found.outcome if has_verdict else ""),
+        *(f"{means.loc[one, 'te_mm']:.2f}" for one in (MEDIAN_METHOD, *REFERENCES)),
         *(f"{ours[key]:.2f}" for key in ("floor_te_mm", "ipe_mean_mm")),
         *("" if paper is None else f"{paper[key]:.2f}" for key in ("te_mm", "ipe_mean_mm")),
     ]

@@ -102,6 +102,8 @@ def lay_out_summary(run: Run) -> TableLayout:
     fitted_to, media = str(run.record.medium), {str(one.head["medium"]) for one in groups}
     of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
     together = scores.pool_insertions(run, find_scored_role(run.frames["errors"]))
+    judged = together and judge(run, together)
+    hindsight = ", in hindsight" if judged and judged.compared else ""  # several trials are tested against it
     if several and together is not None:
         groups = [together, *groups]
     paper = (
@@ -112,7 +114,7 @@ def lay_out_summary(run: Run) -> TableLayout:
     for group in groups:
         references = [_RowKind(method_name(one), one) for one in REFERENCES]
         if (curve := find_closest_curve(group)) and curve not in REFERENCES:
-            references.append(_RowKind(f"closest curve, in hindsight: {method_name(curve)}", curve))
+            references.append(_RowKind(f"closest curve{hindsight}: {method_name(curve)}", curve))
         blocks.append((group, (ours, *references, *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
     found = _lay_out_groups("summary", blocks, heads, short=True)

@@ -40,9 +40,10 @@ REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is c
 MIN_TRIALS = 3
 #: tip error over the measurement noise up to which the model errs no more than the measurements
 MAX_NOISE_RATIO = 2.0
-#: difference of tip errors beyond which noise does not explain it, times the root of the number of needles,
-#: over the noise floor: errors to opposite sides differ by twice the noise, of SD 1.25 floors
-NOISE_GUARD = 4.0
+#: difference of tip errors that noise alone may make, over the noise floor, of one needle: errors to opposite
+#: sides differ by twice the noise, of SD 1.25 floors. Of several needles it is divided by the root of their
+#: number. By it at most 5 % of words are false (`studies/judge_rates.py`).
+NOISE_GUARD = 4.2
 #: probability of each error: to call fits that are as good as a curve better, or worse
 SIGNIFICANCE = 0.05
 SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller and of a larger score
