@@ -176,6 +176,8 @@ def find_advice(run: Run, checks: Sequence[Finding], determined: Sequence[str]) 
     intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
     doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
+    if role == "tune" and "curve_as_good" in found:
+        found.remove("curve_as_good")  # curves were fitted to the same needles
     if run.faults or run.interrupted:
         found.append("not_converged")
     found += map(classify_doubt, doubts)
