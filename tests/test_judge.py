@@ -317,6 +317,17 @@ def test_leaving_one_out_of_one_specimen_is_compared_and_not_tested():
     assert judged.compared.needles == 3
 
 
+def test_differences_are_tested_from_three_trials_on():
+    results = with_tip_errors(stereo(), **{**CURVES, "fitted": (0.1, 0.0)})
+    errors = results.frames["errors"]
+    third = errors["specimen"].unique()[2]
+    outcomes = []
+    for one in (results, results.with_frames(errors=errors[errors["specimen"] != third])):
+        judged = judge(one, pool_insertions(one))
+        outcomes.append((judged.trials, judged.outcome, judged.compared is None))
+    assert outcomes == [(3, "generalises", True), (2, "closer than both", False)]
+
+
 def test_data_that_contradict_themselves_forbid_every_word():
     kinds = {"copy": "undecided", "placeholder": None}
     for fitted, word in ((0.1, "closer than both"), (2.0, "worse than one")):

@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.select import group_rows
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_mm
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.studies import scored_groups as scores
+from needlefit.studies.coverage import join_trials
 from needlefit.studies.fit_frames import select_fitted
 from needlefit.studies.judge import choose_method, find_closest_curve
 from needlefit.studies.rank_statistics import ecdf_band
@@ -192,12 +192,11 @@ def draw_predictive_check(run: Run) -> Drawing:
     """Return steps of the ECDFs of PIT values, and their band.
 
     The PIT value of a measurement is the probability that was predicted of less: of a tip less far toward
-    the bevel, of a shape nearer at its worst point. Where predictions are right it is uniform. A needle is
-    one trial; depths of one hole are one, and so are all in one specimen where there are specimens enough
-    (`group_independent`).
+    the bevel, of a shape nearer at its worst point. Where predictions are right it is uniform. The band is
+    that of the independent trials (`join_trials`): of one fit it excludes almost nothing.
     """
     predictions, rows = run.frames["predictive"], list[Row]()
-    groups = pd.Series(group_rows(predictions))
+    groups = pd.Series(join_trials(predictions))
     trials = groups.nunique()
     size = groups.map(groups.value_counts()).to_numpy(dtype=np.float64)
     for quantity, pits in _orient_pits(run).items():
