@@ -305,7 +305,7 @@ def test_the_verdict_and_its_numbers_stand_in_the_row_of_all_insertions():
 def test_a_fit_is_compared_with_the_references_on_its_own_needles():
     results = with_tip_errors(study(1), **{**CURVES, "fitted": (0.1, 0.0), "straight": (0.05, 0.0)})
     found = {one.check: one for one in list_checks(results, "tune")}[Check.CURVES]
-    assert (found.passed, found.closer, found.threshold) == (None, 0, pytest.approx(0.05))
+    assert (found.passed, found.needles, found.closer, found.threshold) == (None, 9, 0, pytest.approx(0.05))
 
 
 def test_leaving_one_out_of_one_specimen_is_compared_and_not_tested():
