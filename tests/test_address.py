@@ -60,7 +60,7 @@ def run(job: Mapping[str, Any]) -> Any:
     program = program.replace("PAGE", repr(PAGE.as_uri() + "/")).replace(
         "WASM", repr(str(native.FOLDER / "kernel.wasm"))
     )
-    command = ["node", "--input-type=module", "-e", program]
+    command = ["node", "--no-wasm-tier-up", "--input-type=module", "-e", program]
     done = subprocess.run(command, input=json.dumps(job), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)

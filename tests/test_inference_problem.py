@@ -122,7 +122,7 @@ def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, d
     np.testing.assert_allclose(goal.s, np.linspace(depth - reach, depth, 11), atol=1e-9)
     # in the axes of its entry side a straight needle lies on x, from the first scored point
     np.testing.assert_allclose(
-        goal.measured, np.column_stack([np.linspace(0, reach, 11), np.zeros(11)]), atol=1e-9
+        goal.measured, np.column_stack([np.linspace(0, reach, 11), np.zeros((11, 2))]), atol=1e-9
     )
 
 

@@ -74,7 +74,7 @@ def run_node(scene: dict[str, Any], orders: list[dict[str, Any]], draws: Any = N
     program = program.replace("PAGE", repr((PAGE / "model").as_uri() + "/"))
     program = program.replace("WASM", repr(str(native.FOLDER / "kernel.wasm")))
     job = json.dumps({"scene": scene, "orders": orders, "draws": draws}, allow_nan=False)
-    command = ["node", "--input-type=module", "-e", program]
+    command = ["node", "--no-wasm-tier-up", "--input-type=module", "-e", program]
     done = subprocess.run(command, input=job, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return dict(json.loads(done.stdout))

@@ -73,7 +73,7 @@ def run(name: str, others: list[Any]) -> Any:
     program = program.replace("PAGE", repr((PAGE / "model").as_uri() + "/"))
     program = program.replace("WASM", repr(str(native.FOLDER / "kernel.wasm")))
     others = [encode_draws(make_draws(scene, one), scene.tissue.law) for one in others]
-    command = ["node", "--input-type=module", "-e", program]
+    command = ["node", "--no-wasm-tier-up", "--input-type=module", "-e", program]
     job = json.dumps({"scene": encoded, "others": others})
     done = subprocess.run(command, input=job, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
