@@ -1,19 +1,12 @@
-"""How often is a verdict wrong, and how often does it find a true difference?
+"""How often is the verdict of several fits wrong, and how often does it find a true difference?
 
-    python studies/judge_rates.py [--quick] [--one-fit] [--out FIGURE]
+    python studies/judge_rates.py [--quick] [--out FIGURE]
 
-Several fits. Tip errors and CRPS of our fits are simulated, and tip errors of five curves, which predict
-points: CRPS is the same. All are normal, with a correlation within a fit (insertions of one fit err alike;
-curves have the same correlation and nothing in common with ours); that of our two scores is 0.9. For each
-number of fits, of insertions that each predicts and of the correlation, five cases are judged (`CASES`).
---quick: 20 simulations of each in place of 300. What came out: docs/studies.md.
-
-One fit, or one specimen. Tips of three methods, ours and two references, err by normal deviations that are
-correlated between needles, for they share the fit; the measured tip errs, too. Tip errors are the absolute
-differences. The verdict states what holds on these needles: where the means of true tip errors are equal on
-them (`NEEDLE_CASES`), any word but "as close" is false. Of methods that are equal in the mean of many fits,
-"any fit", the words show how far they hold beyond this one: hardly, which is why they name their reach.
---one-fit: this part alone (seconds).
+Tip errors and CRPS of our fits are simulated, and tip errors of five curves, which predict points: CRPS is
+the same. All are normal, with a correlation within a fit (insertions of one fit err alike; curves have the
+same correlation and nothing in common with ours); that of our two scores is 0.9. For each number of fits, of
+insertions that each predicts and of the correlation, five cases are judged (`CASES`). --quick: 20 simulations
+of each in place of 300. What came out: docs/studies.md.
 """
 
 import argparse
@@ -25,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from needlefit import api
-from needlefit.studies.judge import NOISE_GUARD, REFERENCES, compare_with_references
 
 FITS, INSERTIONS, CORRELATIONS = (1, 3, 6, 12), (1, 3, 8, 14), (0.0, 0.3, 0.6)
 OURS = "predictive_median"
@@ -76,87 +68,11 @@ def judge_by_insertions(scores: np.ndarray) -> str:
     return "does not generalise" if z.min() < -2 else "generalises" if z.min() > 2 else "not shown"
 
 
-NEEDLES, FALSE = (1, 3, 6, 12), 0.05
-ERRORS = (0.3, 1.0, 3.0, 10.0)  #: SD of a method's deviations, in those of the noise
-NOISE_FLOOR = np.sqrt(2 / np.pi)  #: mean distance of a measured tip, for noise of SD 1
-#: by how many noise floors the true mean tip errors of the references exceed ours; None: of any fit
-NEEDLE_CASES: dict[str, tuple[float, float] | None] = {
-    "equal": (0.0, 0.0),
-    "one reference equal": (0.0, 20.0),
-    "closer by 3": (3.0, 3.0),
-    "closer by 6": (6.0, 6.0),
-    "farther by 3": (-3.0, 0.0),
-    "farther by 6": (-6.0, 0.0),
-    "any fit": None,
-}
-
-
-def simulate_needles(
-    rng: np.random.Generator, count: int, needles: int, correlation: float, error: float, case: str
-) -> np.ndarray:
-    """Return measured tip errors (count, 3 methods, needles): ours, then the references'."""
-    shared, own = rng.standard_normal((count, 3, 1)), rng.standard_normal((count, 3, needles))
-    off = error * (np.sqrt(correlation) * shared + np.sqrt(1 - correlation) * own)
-    if (gaps := NEEDLE_CASES[case]) is not None:  # the means of true tip errors are exactly these
-        ours, *others = NOISE_FLOOR * np.array(
-            [max(0.0, -min(gaps)), *(gap - min(0.0, *gaps) for gap in gaps)]
-        )
-        mean = np.abs(off).mean(axis=2, keepdims=True)
-        off *= (mean[:, :1] + np.array([ours, *others])[:, None]) / mean
-    return np.abs(off - rng.standard_normal((count, 1, needles)))
-
-
-def judge_needles(tips: np.ndarray) -> np.ndarray:
-    """Return the outcomes of `compare_with_references`, by own code for many simulations."""
-    ours, *others = np.moveaxis(tips.mean(axis=2), 1, 0)
-    margin = NOISE_FLOOR * max(1.0, NOISE_GUARD / np.sqrt(tips.shape[2]))
-    closer = np.all([other - ours > margin for other in others], axis=0)
-    worse = np.any([ours - other > margin for other in others], axis=0) & (ours > 2 * NOISE_FLOOR)
-    return np.where(closer, "closer than both", np.where(worse, "worse than one", "as close"))
-
-
-def tabulate_needles(tips: np.ndarray) -> pd.DataFrame:
-    """Return the errors (methods, needles) of one simulation as the table of a run."""
-    methods = ("fitted", *REFERENCES)
-    names = [f"n{number}" for number in range(tips.shape[1])]
-    rows = pd.DataFrame(tips.T, columns=methods).assign(insertion=names, hole=names)
-    rows = rows.melt(["insertion", "hole"], var_name="method", value_name="te_mm")
-    return rows.assign(fold="all", specimen="p")
-
-
-def judge_one_fit(count: int) -> pd.DataFrame:
-    """Return the share of each outcome, by needles, correlation, error and case."""
-    rows = []
-    for needles, correlation, error, case in product(NEEDLES, (*CORRELATIONS, 0.9), ERRORS, NEEDLE_CASES):
-        rng = np.random.default_rng([needles, round(10 * correlation), round(10 * error)])
-        tips = simulate_needles(rng, count, needles, correlation, error, case)
-        words = judge_needles(tips)
-        one = compare_with_references(tabulate_needles(tips[0]), "fitted", NOISE_FLOOR)
-        if one.outcome != words[0]:
-            raise SystemExit(f"the program has another rule: {one.outcome}, not {words[0]}")
-        shares = {word: (words == word).mean() for word in ("closer than both", "as close", "worse than one")}
-        rows.append({"case": case, "needles": needles, "correlation": correlation, "error": error, **shares})
-    return pd.DataFrame(rows)
-
-
-def print_one_fit(table: pd.DataFrame) -> None:
-    words = ["closer than both", "as close", "worse than one"]
-    found = table.groupby(["case", "needles"], sort=False)[words].agg(["min", "mean", "max"])
-    print(found.to_string(float_format=lambda value: f"{value:.3f}"))
-    equal = table[table["case"].isin(["equal", "one reference equal"])]
-    wrong = (1 - equal["as close"]).groupby(equal["needles"]).max()
-    print("largest share of false words, by needles:", wrong.round(3).to_dict())
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="20 simulations of each case")
-    parser.add_argument("--one-fit", action="store_true", help="one fit alone")
     parser.add_argument("--out", type=Path, default=Path("reports/judge_rates.png"))
     options = parser.parse_args()
-    print_one_fit(judge_one_fit(400 if options.quick else 20_000))
-    if options.one_fit:
-        return
     count = 20 if options.quick else 300
     rows = []
     for fits, insertions, correlation in product(FITS, INSERTIONS, CORRELATIONS):

@@ -186,7 +186,7 @@ def test_the_document_gives_the_posterior_density(twin, pose, measurement, scale
     dataset = replace(twin, pose=pose)
     insertions = [one for one in twin.insertions if one.id in CHOSEN]
     record = LikelihoodRecord(measurement=measurement, noise_scale=scale)
-    problem = make_problem(dataset, insertions, MEDIUM, WeightsRecord(), record)
+    problem = make_problem(dataset, insertions, MEDIUM, WeightsRecord(), record).searched
     values = VALUES | {"bevel_spread": TAU}
     theta = np.log([values[name] for name in problem.parameters.free])
     sections = pose == "known" and measurement == "stored"

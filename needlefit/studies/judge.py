@@ -8,7 +8,7 @@ wrong spread is seen in CRPS alone: both scores are needed.
 
 With fewer trials, as of one fit or one specimen, nothing is tested. The tip error is compared with those of
 two references that are fixed beforehand: "closer than both", "as close" or "worse than one". That states what
-holds on these needles. How often either rule is wrong: `studies/judge_rates.py`.
+holds on these needles. How often either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
 """
 
 import math
@@ -42,7 +42,7 @@ MIN_TRIALS = 3
 MAX_NOISE_RATIO = 2.0
 #: difference of tip errors that noise alone may make, over the noise floor, of one needle: errors to opposite
 #: sides differ by twice the noise, of SD 1.25 floors. Of several needles it is divided by the root of their
-#: number. By it at most 5 % of words are false (`studies/judge_rates.py`).
+#: number. By it at most 5 % of words are false (`studies/one_fit_rates.py`).
 NOISE_GUARD = 4.2
 #: probability of each error: to call fits that are as good as a curve better, or worse
 SIGNIFICANCE = 0.05
