@@ -4,11 +4,12 @@ import hashlib
 import inspect
 import re
 import shlex
+import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -43,10 +44,11 @@ def fill_records(command: Callable[..., None]) -> Callable[..., None]:
             continue
         records[name], own = kind, get_type_hints(kind, include_extras=True)
         for one in fields(kind):
-            words = [Annotated[own[one.name], more[0][one.name]]] if more else [own[one.name]]
+            annotation = _repeat(own[one.name])
+            annotation = Annotated[annotation, more[0][one.name]] if more else annotation
             default = list(one.default) or None if isinstance(one.default, tuple) else one.default
             parameters.append(
-                inspect.Parameter(one.name, parameter.KEYWORD_ONLY, default=default, annotation=words[0])
+                inspect.Parameter(one.name, parameter.KEYWORD_ONLY, default=default, annotation=annotation)
             )
 
     @wraps(command)
@@ -60,6 +62,14 @@ def fill_records(command: Callable[..., None]) -> Callable[..., None]:
     fill.__annotations__ = {one.name: one.annotation for one in parameters}
     fill.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return fill
+
+
+def _repeat(annotation: Any) -> Any:  # noqa: ANN401 - of any field
+    """Return the annotation of an option for that of a field: one that may be repeated for a tuple."""
+    kind, *more = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+    if get_origin(kind) is tuple:
+        kind = types.GenericAlias(list, get_args(kind)[:1])
+    return Annotated.__class_getitem__((kind, *more)) if more else kind  # type: ignore[attr-defined]
 
 
 # ---- options whose values the invocation keeps
