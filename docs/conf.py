@@ -73,7 +73,7 @@ nitpick_ignore_regex = [
     # Imported for type checkers alone: from a package that may not be installed, or that takes long to load.
     ("py:class", r"BaseFileLock|Client|SpecCluster|Curve|Path|Pose|Row"),
     # Type variables: what stands for them is the caller's.
-    ("py:class", r"(needlefit\.[\w.]+\.)?(F|R|T|Given|Item|Key|Result|Returned|Value)"),
+    ("py:class", r"(needlefit\.[\w.]+\.)?(F|R|T|Given|Item|Key|Known|Other|Result|Returned|Value)"),
 ]
 
 

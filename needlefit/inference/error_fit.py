@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import nlopt
 import numpy as np
 
 from needlefit.arrays import Floats
@@ -22,10 +21,10 @@ from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
+from needlefit.inference.slsqp import find_farthest_step
 from needlefit.project.tasks import TaskStop
 
 MAX_STEPS = 16  #: evaluations of f with derivatives, at most, of one end from one start
-MAX_LINEAR_EVALUATIONS = 60  #: of one problem with linear distances
 SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
 #: of the tolerance, by which f may exceed the limit on the way: the next step leads back
 MAX_EXCESS = 1.0
@@ -163,29 +162,14 @@ class _EndSearch:
         return found if np.isfinite(found.total) and np.all(np.isfinite(found.slopes)) else None
 
     def _step(self, at: WeightedDistances, theta: Floats, radius: float) -> Floats:
-        """Return the step (P,) that leads `k` farthest where the distances are linear, by SLSQP."""
+        """Return the step (P,) that leads `k` farthest where the distances are linear."""
         along = np.zeros(len(theta))
-        along[self.k] = -self.side
+        along[self.k] = self.side
 
-        def outward(step: Floats, slope: Floats) -> float:
-            if slope.size:
-                slope[:] = along
-            return float(along @ step)
-
-        def over(step: Floats, slope: Floats) -> float:
+        def excess(step: Floats) -> tuple[float, Floats]:
             moved = at.move(step)
-            if slope.size:
-                slope[:] = moved.differentiate() / self.tolerance
-            return (moved.total - self.limit) / self.tolerance
+            return (moved.total - self.limit) / self.tolerance, moved.differentiate() / self.tolerance
 
-        optimizer = nlopt.opt(nlopt.LD_SLSQP, len(theta))
-        optimizer.set_min_objective(outward)
-        optimizer.add_inequality_constraint(over, SLACK / 2)
-        optimizer.set_lower_bounds(np.maximum(self.problem.lower - theta, -radius))
-        optimizer.set_upper_bounds(np.minimum(self.problem.upper - theta, radius))
-        optimizer.set_xtol_abs(np.full(len(theta), MIN_PROGRESS / 4))
-        optimizer.set_maxeval(MAX_LINEAR_EVALUATIONS)
-        try:
-            return np.asarray(optimizer.optimize(np.zeros(len(theta))))
-        except (nlopt.RoundoffLimited, RuntimeError, ValueError):
-            return np.zeros(len(theta))
+        low = np.maximum(self.problem.lower - theta, -radius)
+        high = np.minimum(self.problem.upper - theta, radius)
+        return find_farthest_step(along, excess, (low, high), SLACK / 2, MIN_PROGRESS / 4)

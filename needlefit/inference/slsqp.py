@@ -6,6 +6,7 @@ that are not finite. So nothing that it returns is used: every evaluation goes t
 """
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 
 import nlopt
@@ -105,3 +106,43 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
     except (nlopt.exception, RuntimeError, ValueError, MemoryError):
         return FAILED
     return "tolerance"
+
+
+MAX_STEP_EVALUATIONS = 60  #: most evaluations of the excess in the search for one step
+
+
+def find_farthest_step(
+    along: Floats,
+    excess: Callable[[Floats], tuple[float, Floats]],
+    bounds: tuple[Floats, Floats],
+    slack: float,
+    tolerance: float,
+) -> Floats:
+    """Return the step (P,) within bounds (P,) that goes farthest `along` (P,) where the excess is below 0.
+
+    `excess` gives a value and its gradient (P,), of a function that costs little; it may be above 0 by
+    `slack`. `tolerance` is of each part of the step. The step is 0 where nlopt gives up.
+    """
+
+    def backward(step: Floats, slope: Floats) -> float:
+        if slope.size:
+            slope[:] = -along
+        return -float(along @ step)
+
+    def beyond(step: Floats, slope: Floats) -> float:
+        value, gradient = excess(step)
+        if slope.size:
+            slope[:] = gradient
+        return value
+
+    optimizer = nlopt.opt(nlopt.LD_SLSQP, len(along))
+    optimizer.set_min_objective(backward)
+    optimizer.add_inequality_constraint(beyond, slack)
+    optimizer.set_lower_bounds(bounds[0])
+    optimizer.set_upper_bounds(bounds[1])
+    optimizer.set_xtol_abs(np.full(len(along), tolerance))
+    optimizer.set_maxeval(MAX_STEP_EVALUATIONS)
+    try:
+        return np.asarray(optimizer.optimize(np.zeros(len(along))))
+    except (nlopt.RoundoffLimited, RuntimeError, ValueError):
+        return np.zeros(len(along))
