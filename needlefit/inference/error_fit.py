@@ -1,4 +1,4 @@
-"""The error-minimising fit: the least errors (IPE, TE, EDP), and which parameters have errors as small.
+"""The error-minimising fit: the least errors (IPE, TE, EDP), and the parameters within their tolerance.
 
     least and largest theta_k   subject to   f(theta) <= f_least + tolerance,   bounds
 
@@ -45,7 +45,7 @@ class ErrorRange:
 
 @dataclass(frozen=True)
 class ErrorMinimisingFit:
-    """The least errors that a search found, and what of the parameters has errors as small."""
+    """The least errors that a search found, and the parameters whose errors are not significantly larger."""
 
     fit: Fit  #: the search; its objective is the least, mm
     tolerance: ErrorTolerance
@@ -60,7 +60,7 @@ def examine_errors(
     rng: np.random.Generator,
     callbacks: Callbacks | None = None,
 ) -> ErrorMinimisingFit:
-    """Return what a fit that minimised the errors, by a search, tells of the parameters.
+    """Return the tolerance of a fit that minimised the errors, and the ranges of its parameters.
 
     `draws` (B, P) are of the posterior, in the problem's coordinates. `stated` are the parameters with the
     ties that have a spread, which the problem takes as exact. Of `callbacks` the number of threads and the

@@ -80,7 +80,7 @@ class Finding:
     threshold: float | None = None
     named: str = ""  #: the curve that is compared, or the kinds of the warnings about the data, with commas
     trials: int | None = None  #: independent ones, of comparisons and coverages
-    margin_mm: float | None = None  #: difference of tip errors up to which a reference is as good
+    margin_mm: float | None = None  #: difference of tip errors that counts as none
     needles: int | None = None  #: compared with a reference
     closer: int | None = None  #: of these, on which the model is closer
     hangs_on: str = ""  #: needles without any one of which the outcome is another, with commas

@@ -341,28 +341,35 @@ def _join_range(values: Sequence[float | None], unit: float) -> str:
 
 def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
     """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
-    estimate, ends = _join_range(values, unit), []
-    for side, choose in (("low", min), ("high", max)):
-        every = [row[f"interval_{side}"] for row in rows]
-        if not rows or not all(map(is_known, every)):
-            return estimate
-        end, bounds = choose(every), [row[f"bound_{side}"] for row in rows]
-        at = any(bound is not None and math.isclose(end, bound, rel_tol=1e-6) for bound in bounds)
-        ends.append(f"{format_plain(round_significant(end / unit, END_DIGITS))}{AT_BOUND if at else ''}")
-    return f"{estimate} ({' to '.join(ends)})"
+    estimate, intervals = _join_range(values, unit), ("interval_low", "interval_high")
+    if not rows or not all(is_known(row[end]) for row in rows for end in intervals):
+        return estimate
+    ends = _find_outermost(rows, intervals)
+    texts = (f"{_format_end(end, unit)}{AT_BOUND if at_bound else ''}" for end, at_bound in ends)
+    return f"{estimate} ({' to '.join(texts)})"
 
 
 def _format_least_errors(rows: Sequence[Row], unit: float) -> str:
     """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance."""
-    value, ends = _join_range([row["value"] for row in rows], unit), []
-    for side, choose in (("low", min), ("high", max)):
-        known = [row[side] for row in rows if is_known(row[side])]
-        if not known:
-            return value
-        end, bounds = choose(known), [row[f"bound_{side}"] for row in rows]
-        at = any(math.isclose(end, bound, rel_tol=1e-6) for bound in bounds if is_known(bound))
-        ends.append("bound" if at else format_plain(round_significant(end / unit, END_DIGITS)))
-    return f"{value} ({' to '.join(ends)})"
+    value = _join_range([row["value"] for row in rows], unit)
+    known = [row for row in rows if is_known(row["low"]) and is_known(row["high"])]
+    if not known:
+        return value
+    ends = _find_outermost(known, ("low", "high"))
+    texts = ("bound" if at_bound else _format_end(end, unit) for end, at_bound in ends)
+    return f"{value} ({' to '.join(texts)})"
+
+
+def _find_outermost(rows: Sequence[Row], columns: tuple[str, str]) -> Iterator[tuple[float, bool]]:
+    """Yield the least value of one column and the greatest of another; each with whether it is a bound."""
+    for column, bound, choose in zip(columns, ("bound_low", "bound_high"), (min, max), strict=True):
+        end = choose(row[column] for row in rows)
+        bounds = (row[bound] for row in rows if is_known(row[bound]))
+        yield end, any(math.isclose(end, one, rel_tol=1e-6) for one in bounds)
+
+
+def _format_end(end: float, unit: float) -> str:
+    return format_plain(round_significant(end / unit, END_DIGITS))
 
 
 #: what the intervals of parameters are from, by `draw_source`

@@ -71,7 +71,7 @@ class Comparison:
     outcome: Outcome
     reference: str = ""  #: the one with the smaller tip error; "" if none was scored
     reference_mm: float | None = None
-    margin_mm: float | None = None  #: difference up to which tip errors are as good; None: nothing states it
+    margin_mm: float | None = None  #: difference of tip errors that counts as none; None: not stated
     needles: int = 0
     closer: int = 0  #: needles on which our error is smaller than that reference's
     hangs_on: tuple[str, ...] = ()  #: needles without any one of which the outcome is another
@@ -158,7 +158,7 @@ def compare_with_references(
     """Compare tip errors with those of the references on the same needles; nothing is tested.
 
     The references were fixed before any needle was predicted, so neither is the best of many by chance. The
-    model is worse only where it errs by more than twice the noise, too: within it a reference is as good.
+    model is worse only where it errs by more than twice the noise, too: noise explains less than that.
 
     `errors` as in `judge_fits`. `noise_mm`: the noise floor of the metric; it is the margin, too, unless a
     margin is stated. A difference that noise alone may make is within the margin (`NOISE_GUARD`).

@@ -344,7 +344,7 @@ def _measure_shifts(
 def _minimise_errors(
     job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None, services: FoldServices
 ) -> ErrorMinimisingFit | None:
-    """Return what the fit that minimises the errors tells of the parameters."""
+    """Return the ranges of the parameters about the fit that minimises the errors."""
     fit = fits.get("fitted_metric")
     if fit is None or fit.interrupted or not math.isfinite(fit.objective) or services.settings.stop():
         return None
