@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 from matplotlib.figure import Figure
 
-from needlefit.inference import predict
+from needlefit.inference import curve_bands
 from needlefit.inference.sampling.importance import EFFORT, sample_about_fit
 from needlefit.reporting.figures import style
 from needlefit.studies import fold_draws
@@ -15,7 +15,7 @@ DRAWS, CURVES = 50, 100
 
 def predict_by_few_draws(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(fold_draws, "PREDICTION_DRAWS", DRAWS)
-    patch.setattr(predict, "CURVES", CURVES)
+    patch.setattr(curve_bands, "DRAWN_CURVES", CURVES)
 
 
 def do_not_escalate(patch: pytest.MonkeyPatch) -> None:

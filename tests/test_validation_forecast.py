@@ -11,7 +11,8 @@ from light_runs import do_not_escalate
 import needlefit
 from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError
-from needlefit.inference.predict import Draws, PredictiveMixture, simulate_shape_pit
+from needlefit.inference.curve_bands import predict_bands
+from needlefit.inference.predict import Draws
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
@@ -277,13 +278,19 @@ def test_a_posterior_of_other_data_is_refused(job):
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
 def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
-    """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not."""
+    """PIT values of curves drawn from the prediction are uniform, whether points are correlated or not.
+
+    The drawn band holds a curve where its PIT value says so.
+    """
     rng, s = np.random.default_rng(3), np.arange(30.0)
     covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)
     root = np.linalg.cholesky(covariance)
     means = 0.1 * rng.normal(size=(100, 1)) * s
-    mixture = PredictiveMixture(means, np.sqrt(np.diag(covariance)))
     observed = means[rng.integers(100, size=300)] + rng.normal(size=(300, 30)) @ root.T
-    levels = np.array([simulate_shape_pit(mixture, covariance, one, rng) for one in observed])
+    bands = predict_bands(means, covariance, rng)
+    levels = np.array([bands.pit(one) for one in observed])
     for level in (0.5, 0.95):  # 300 trials: four standard deviations
         assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))
+        low, high = bands.ends(level)
+        inside = np.all((low <= observed) & (observed <= high), axis=1)
+        np.testing.assert_array_equal(inside, levels <= level)

@@ -161,7 +161,8 @@ def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
         x.append(points[:, 0])
         heights.append(points[:, 1])
     low, high = np.percentile(heights, (2.5, 97.5), axis=0)
-    np.testing.assert_allclose(found.low, low, atol=1e-6)
-    np.testing.assert_allclose(found.high, high, atol=1e-6)
+    assert (found.low <= low + 1e-6).all() and (found.high >= high - 1e-6).all()
+    inside = (found.low - 1e-6 <= heights) & (heights <= found.high + 1e-6)
+    assert inside.all(axis=1).sum() == 58  # of 60 whole needles; the pointwise band holds fewer
     np.testing.assert_allclose(found.x, np.median(x, axis=0), atol=1e-6)
     assert found.failed == 0 and np.all(np.diff(found.high - found.low)[-10:] > 0)  # widest at the tip

@@ -28,7 +28,6 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.sampling.posterior import Posterior
 
 INTERVAL_PROBABILITIES = (0.50, 0.95)  #: probabilities of the central intervals that are reported
-CURVES = 2000  #: curves that are drawn, at least, where the whole curve is asked about
 #: draws, at most, whose pairs show how much the Gaussians add to the distances between draws
 PAIR_DRAWS = 125
 BRACKET_SD = 9.0  #: deviations beyond which a Gaussian has next to nothing: 1e-19 on each side
@@ -119,29 +118,6 @@ def find_geometric_median(points: Floats) -> Floats:
         weights = 1 / np.maximum(np.linalg.norm(points - found, axis=-1, keepdims=True), TINY_MM)
         found = (weights * points).sum(axis=0) / weights.sum(axis=0)
     return found
-
-
-def simulate_shape_pit(
-    mixture: PredictiveMixture, covariance: Floats, observed: Floats, rng: np.random.Generator
-) -> float:
-    """Return the predictive CDF (PIT) of a curve (K,), by its largest distance from the mean, in SDs.
-
-    By simulation, since points go together: `covariance` (K, K) is that of the errors about a draw, of which
-    `mixture.sd` is the diagonal's root.
-    """
-    centre = mixture.means.mean(axis=0)
-    spread = np.sqrt(mixture.means.var(axis=0) + mixture.sd**2)
-    sizes, directions = np.linalg.eigh(covariance)
-    root = directions * np.sqrt(np.maximum(sizes, 0.0))  # a motion laid off leaves it singular
-    times = -(-CURVES // len(mixture.means))
-    normal = rng.normal(size=(times, *mixture.means.shape))
-    curves = (mixture.means + normal @ root.T).reshape(-1, len(centre))
-
-    def worst(curve: Floats) -> Floats:
-        away = np.abs(curve - centre)
-        return np.max(np.divide(away, spread, out=np.zeros_like(away), where=spread > 0), axis=-1)
-
-    return float(np.mean(worst(curves) < worst(observed)))
 
 
 def _mean_absolute(mean: Floats, sd: Floats) -> Floats:

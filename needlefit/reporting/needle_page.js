@@ -175,26 +175,31 @@ shared+=1;let[last,rest]=[past.at(-1),path.slice(shared)],left=past.length-share
 alike(shared),turned2=shared>0&&rest.length>0&&same(last.depth,path[shared-1].depth);if(left===0||begun&&left===
 1||!begun&&turned2)return rest;let from=begun?shared:shared-1;if(from<0)return null;let depth=(begun?Math.min(
 past[shared].depth,path[shared].depth):path[from].depth)-BACK;return depth>0?[{...path[from],depth},...path.slice(
-from)]:null}function quantile(sorted,share){let place2=share*(sorted.length-1),below=Math.floor(place2);return sorted[below]+
-(place2-below)*((sorted[below+1]??sorted[below])-sorted[below])}var POINTS,EDGES,CHUNK,SAME,BACK,Band,same,init_band=__esm(
-{"needlefit/viewer/page/model/band.js"(){init_needle();POINTS=51,EDGES=[.025,.975],CHUNK=20,SAME=1e-9,BACK=1e-6,
-Band=class{kernel;model;draws;values;chunks;rays;points;constructor(kernel,model,draws){let chunks=Array.from(
-{length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,draws.sets-n*CHUNK)},(_2,i)=>n*
-CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),values={sets:draws.
+from)]:null}function spanBands(planes){let sizes=new Float64Array(planes[0][0].length),scaled=planes.map(heights2=>heights2.
+map(values=>{let sorted=values.slice().sort(),[low,middle,high]=[LOW,MIDDLE,HIGH].map(share=>quantile(sorted,share));
+return values.forEach((value,i)=>{let scale=value<middle?middle-low:high-middle;scale>TINY&&(sizes[i]=Math.max(
+sizes[i],Math.abs(value-middle)/scale))}),[middle,middle-low,high-middle]})),size3=sizes.sort()[Math.min(Math.
+floor(LEVEL*sizes.length),sizes.length-1)];return scaled.map(points=>({low:points.map(([middle,below])=>middle-
+size3*below),high:points.map(([middle,,above])=>middle+size3*above)}))}function quantile(sorted,share){let place2=share*
+(sorted.length-1),below=Math.floor(place2);return sorted[below]+(place2-below)*((sorted[below+1]??sorted[below])-
+sorted[below])}var POINTS,LOW,MIDDLE,HIGH,LEVEL,TINY,CHUNK,SAME,BACK,Band,same,init_band=__esm({"needlefit/vie\
+wer/page/model/band.js"(){init_needle();POINTS=51,[LOW,MIDDLE,HIGH]=[.025,.5,.975],LEVEL=.95,TINY=1e-9,CHUNK=20,
+SAME=1e-9,BACK=1e-6,Band=class{kernel;model;draws;values;chunks;rays;points;constructor(kernel,model,draws){let chunks=Array.
+from({length:Math.ceil(draws.sets/CHUNK)},(_,n)=>({numbers:Array.from({length:Math.min(CHUNK,draws.sets-n*CHUNK)},
+(_2,i)=>n*CHUNK+i)})),typed=["mu","law","strength"].map(name=>[name,Float64Array.from(draws[name])]),values={sets:draws.
 sets,...Object.fromEntries(typed)};Object.assign(this,{kernel,model,draws,values,chunks,rays:0,points:[]})}async compute(steps2,planes,cancelled,pause2){
 let path=mark(steps2),{depth}=path.at(-1);if(!(depth>0))return null;let rays=path.length+Math.ceil(depth/this.
 model.spacing)+2;if(rays>this.rays||planes!==this.batch.planes){this.rays=2*rays,this.batch=await SessionBatch.
 begin(this.kernel,this.model,this.values,this.rays,planes);for(let chunk of this.chunks)chunk.path=null}for(let chunk of this.
 chunks)if(this.#move(chunk,path),await pause2(),cancelled())return null;let found=this.points.filter(one=>one);
-if(!found.length)return null;let at2=(k,share)=>quantile(Float64Array.from(found,one=>one[k]).sort(),share),read=(axis,share)=>Array.
-from({length:POINTS},(_,k)=>at2((1+planes)*k+axis,share)),edges=axis=>({low:read(axis,EDGES[0]),high:read(axis,
-EDGES[1])});return{x:read(0,.5),...edges(1),z:planes>1?edges(2):null,failed:this.values.sets-found.length}}#move(chunk,path){
-let{batch,points}=this,way=chunk.path&&findWay(chunk.path,path);if(!way||way[0]?.depth<=chunk.failed){way=path,
-chunk.failed=-1/0;for(let i of chunk.numbers)batch.restart(i),points[i]=[]}chunk.path=path;let{depth}=path.at(
--1),s=Float64Array.from({length:POINTS},(_,k)=>k===POINTS-1?depth:depth*k/(POINTS-1));way.forEach((step,n)=>{batch.
-hold(step.inputs);for(let i of chunk.numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&
-(points[i]=batch.positions(i,s)):[points[i],chunk.failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.
-abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
+if(!found.length)return null;let along=axis=>Array.from({length:POINTS},(_,k)=>Float64Array.from(found,one=>one[(1+
+planes)*k+axis])),[y,z]=spanBands(planes>1?[along(1),along(2)]:[along(1)]);return{x:along(0).map(values=>quantile(
+values.sort(),MIDDLE)),...y,z:z??null,failed:this.values.sets-found.length}}#move(chunk,path){let{batch,points}=this,
+way=chunk.path&&findWay(chunk.path,path);if(!way||way[0]?.depth<=chunk.failed){way=path,chunk.failed=-1/0;for(let i of chunk.
+numbers)batch.restart(i),points[i]=[]}chunk.path=path;let{depth}=path.at(-1),s=Float64Array.from({length:POINTS},
+(_,k)=>k===POINTS-1?depth:depth*k/(POINTS-1));way.forEach((step,n)=>{batch.hold(step.inputs);for(let i of chunk.
+numbers){if(!points[i])continue;batch.go(i,step.depth)?n===way.length-1&&(points[i]=batch.positions(i,s)):[points[i],
+chunk.failed]=[null,Math.max(chunk.failed,step.depth)]}})}};same=(depth,other)=>Math.abs(depth-other)<=SAME}});var CHUNK2,SAME2,TipForces,init_tip_forces=__esm({"needlefit/viewer/page/model/tip_forces.js"(){init_needle();
 init_band();CHUNK2=20,SAME2=1e-9,TipForces=class{kernel;model;path;points;constructor(kernel){Object.assign(this,
 {kernel,model:"",path:null,points:[]})}async compute(model,steps2,cancelled,pause2){let path=steps2.map(one=>({
 ...one,text:JSON.stringify(one.inputs)})),same3=this.model===JSON.stringify(model),way=this.path&&same3&&findWay(
@@ -353,18 +358,18 @@ y2-radius,y2+radius]),band2=[...now.band?.low??[],...now.band?.high??[]].filter(
 ...goals,...band2,0];return[Math.min(...all2),Math.max(...all2)]}function sees(x,y){let{left,top,width,height}=view.
 box,[px,py]=[toPx(x)-left,toPy(y)-top];return px>=0&&px<=width&&py>=0&&py<=height}function follow(){if(view.held)
 return;if(view.fit&&view.fit!=="tip"){let[bottom,top]=heights(view.fit),px=view.scale*view.magnified,out=Math.
-max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=!isMoving()&&(top-bottom)*px<LOW*roomAcross();
+max(top-view.y,view.y-bottom)*px>roomAcross()/2+1||!seesTip(),low=!isMoving()&&(top-bottom)*px<LOW2*roomAcross();
 (out||low&&view.magnified<MAGNIFICATIONS.at(-1))&&fit(view.fit);return}if(view.fit!=="tip")return;let{x,y}=now.
 state.tip,across=(x-view.x)*view.scale/view.box.width,up2=(y-view.y)*view.scale*view.magnified/view.box.height;
 Math.abs(across)<EDGE&&Math.abs(up2)<EDGE||(view.x=x+Math.sign(across)*AHEAD*view.box.width/view.scale,view.y=
 y,touch())}function zoom(factor,px=toPx(view.x),py=toPy(view.y)){let[x,y]=[fromPx(px),fromPy(py)];view.scale=limited(
 view.scale*factor),view.x+=x-fromPx(px),view.y+=y-fromPy(py),view.fit!=="tip"&&(view.fit=null),touch()}function pan(px,py){
 view.x-=px/view.scale,view.y+=py/(view.scale*view.magnified),view.fit=null,touch()}function hold(on){view.held!==
-on&&(view.held=on,!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW,
+on&&(view.held=on,!on&&now.state&&follow())}var GUTTER,LOW_PICTURE,LOW_BOTTOM,MAGNIFICATIONS,ROOM,LEAST_SPAN,LOW2,
 SCALES,EDGE,AHEAD,TIP_WINDOW,view,changed,toPx,toPy,fromPx,fromPy,isMoving,roomAcross,goalCircles,seesTip,limited,
 init_view=__esm({"needlefit/viewer/page/view.js"(){init_aim();init_store();GUTTER={left:56,right:10,top:50,bottom:40},
 LOW_PICTURE=260,LOW_BOTTOM=24,MAGNIFICATIONS=[1,1.5,2,3,4,5,6,8,10,12,15,20,30,50],ROOM=56,LEAST_SPAN={moving:.05,
-still:.01},LOW=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,held:!1,
+still:.01},LOW2=.45,SCALES=[.5,400],[EDGE,AHEAD]=[.3,.2],TIP_WINDOW=45,view={x:0,y:0,scale:5,magnified:1,held:!1,
 fit:null,low:!1,box:{left:0,top:0,width:1,height:1}},changed=!0;toPx=x=>view.box.left+view.box.width/2+(x-view.
 x)*view.scale,toPy=y=>view.box.top+view.box.height/2-(y-view.y)*view.scale*view.magnified,fromPx=px=>view.x+(px-
 view.box.left-view.box.width/2)/view.scale,fromPy=py=>view.y-(py-view.box.top-view.box.height/2)/(view.scale*view.
@@ -1037,17 +1042,18 @@ draw2))}});function toggle(name,on=chips[name].ariaPressed!=="true"){chips[name]
 "strip").hidden=!on),shown[name]=on,invalidate()}var CHIPS,TALL,fits,chips,offer,init_toolbar=__esm({"needlefi\
 t/viewer/page/toolbar.js"(){init_aim();init_dom();init_drawing();init_store();init_view();CHIPS=[["load","late\
 ral load"],["points","constraint points"],["path","tip path"],["measured","measured"],["errors","errors","Gaps\
- at the tip (TE) and along the shaft (IPE)"],["band","95 % band"],["plan","plan"],["pinned","pinned"],["strip",
-"tip against depth","Deflection of the tip and tip force, against depth",!1]],TALL=800,fits=document.querySelectorAll(
-"[data-fit]"),chips=Object.fromEntries(CHIPS.map(([name,called,title="",marked=!0])=>{let swatch=marked?[element(
-"i",{ariaHidden:"true",className:`swatch ${name}`})]:[],pressed=String(shown[name]??!1),chip=button([...swatch,
-called],()=>toggle(name),{title,ariaPressed:pressed});return chip.dataset.show=name,[name,chip]}));part("chips").
-append(...Object.values(chips));offer=there=>Object.entries(there).forEach(([name,is])=>chips[name].hidden=!is);
-offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});innerHeight<TALL&&toggle("strip");for(let one of fits)
-press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["out",.8]])press(document.querySelector(
-`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured:measured2,draws})=>offer({measured:measured2,
-errors:measured2,band:draws,plan:!1}));listen("aimed",()=>offer({plan:aim.plan}));listen("pinned",()=>offer({pinned:now.
-pinned}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.dataset.fit===view.fit)))}});function prepareTurn(needle2){let{scene}=needle2,from=findTurn(needle2);return from===null?null:{sentence:`Tur\
+ at the tip (TE) and along the shaft (IPE)"],["band","95 % band","95 % of the needles lie wholly inside"],["pl\
+an","plan"],["pinned","pinned"],["strip","tip against depth","Deflection of the tip and tip force, against dep\
+th",!1]],TALL=800,fits=document.querySelectorAll("[data-fit]"),chips=Object.fromEntries(CHIPS.map(([name,called,
+title="",marked=!0])=>{let swatch=marked?[element("i",{ariaHidden:"true",className:`swatch ${name}`})]:[],pressed=String(
+shown[name]??!1),chip=button([...swatch,called],()=>toggle(name),{title,ariaPressed:pressed});return chip.dataset.
+show=name,[name,chip]}));part("chips").append(...Object.values(chips));offer=there=>Object.entries(there).forEach(
+([name,is])=>chips[name].hidden=!is);offer({measured:!1,errors:!1,band:!1,plan:!1,pinned:!1});innerHeight<TALL&&
+toggle("strip");for(let one of fits)press(one,()=>fit(one.dataset.fit));for(let[way,factor]of[["in",1.25],["ou\
+t",.8]])press(document.querySelector(`[data-zoom=${way}]`),()=>zoom(factor));listen("scene",({measured:measured2,
+draws})=>offer({measured:measured2,errors:measured2,band:draws,plan:!1}));listen("aimed",()=>offer({plan:aim.plan}));
+listen("pinned",()=>offer({pinned:now.pinned}));listen("redraw",()=>fits.forEach(one=>one.ariaPressed=String(one.
+dataset.fit===view.fit)))}});function prepareTurn(needle2){let{scene}=needle2,from=findTurn(needle2);return from===null?null:{sentence:`Tur\
 n the bevel at ${from} mm: the needle makes an S.`,see:()=>"Behind the turn the needle bends to the other side\
 . Dotted: without the turn. Move it.",begin(into,steer){let turn2=depth=>{marks=[{depth,text:"turn"}],steer(listTurned(
 depth,scene)),show(field,depth)},limits=BETWEEN.map(one=>one*scene.depth_mm),field=makeField(into,{name:"turn \
@@ -1196,62 +1202,63 @@ text/csv"}),name=`${nameOf3(needle).replace(/[^\w-]+/g,"-")}.csv`;hand(file,name
 kernel,data.needles[number]);if(Number(part("needle-choice").value)!==number)return;[needle,steered]=[data.needles[number],
 found];let{scene}=needle;replay=needle.recording?new Replay(steered,needle.recording):null,take({...scene,kind:"\
 scene"}),buildFields(needle,change2),listMethods();let specimen=needle.new_specimen?" of a specimen that was n\
-ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: 95 % o\
-f the needles of ${draws}${specimen}, without noise and model error.`:""),part("synthetic")?.toggleAttribute("\
-hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),write("link-note",""),part("save-rec\
-ording").hidden=!0,replay)return showStep(replay.steps.length);steered.rewind(),insert(steered),part("back").disabled=
-!0,update()}function listMethods(){let{methods}=needle;if(part("methods").hidden=!methods,!methods)return;let heads=[
-"method",...needle.scene.measured.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];part("method-heads").replaceChildren(
-...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element("tr",{},element("th",{scope:"\
-row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=[...first.cells];let rows=methods.
-toSorted((one,other)=>JUDGED.indexOf(other.key)-JUDGED.indexOf(one.key)).map(method=>{if(!method.x)return row(
-method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatch line",ariaHidden:"true"});swatch.
-style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;let toggle2=element("button",{type:"\
-button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.name);return press(toggle2,()=>{let on=shownMethods.
-has(method.key);on?shownMethods.delete(method.key):shownMethods.add(method.key),toggle2.ariaPressed=String(!on),
-invalidate()}),row(toggle2,errorsOf(method.errors))});part("method-rows").replaceChildren(first,...rows)}function refreshMethods(){
-if(!needle.methods)return;let{errors}=now.state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)}\
- mm`:"",median=medianOf(now.state,needle.scene);[median?"drawn: predictive median":`the needle above${upto}`,...errorsOf(
-median?.errors??errors)].forEach((text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.
-to(n),write(refusal,""),part("scrub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=
-`${clock.toFixed(1)} s`,write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part(
-"back").disabled=!0,update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=
-null);let n=replay.at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.
-now(),n},requestAnimationFrame(advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.
-steps.length),1e-9);for(playing.clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),
-playing.last=t;playing.n<replay.steps.length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.
-n,Math.min(playing.clock,ends)),playing.n===replay.steps.length)return play(!1);requestAnimationFrame(advance)}
-function buildRecording(){let{recording}=data.needles[0];part("transport").hidden=!recording,recording&&(part(
-"scrub").max=Math.ceil(10*recording.at(-1)[0])/10,part("scrub").addEventListener("input",({target})=>{play(!1);
-let clock=Math.min(Number(target.value),recording.at(-1)[0]);showStep(recording.filter(([time])=>time<=clock).
-length,clock)}),press("play",()=>play(!playing)))}async function stateAgreement(){let{count,largest}=await prove(
-data,SAME3),[what,of]=data.needles[0].recording?["recorded state","recording"]:["needle","report"],[agrees,place2]=[
-largest<SAME3,part("proof")],found=largest===0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(
-1)} mm from the ${of}`;place2.className=`quiet ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.
-largest=largest;let checked=`Self-check ${agrees?"passed":"failed"}: ${counted(count,what)} computed here`;write(
-"proof",`${checked}, ${Number.isNaN(largest)?"one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){
-data=await load2();let script=new Blob([part("program").textContent],{type:"text/javascript"});computeBands(new Worker(
-URL.createObjectURL(script)),data.kernel,()=>({name:data.needles.indexOf(needle),steered}));let choice=part("n\
-eedle-choice");choice.append(...data.needles.map((one,i)=>element("option",{value:String(i)},[nameOf3(one),one.
-group].filter(Boolean).join(", ")))),part("choosing").hidden=data.needles.length<2,choice.addEventListener("ch\
-ange",()=>choose(Number(choice.value))),press("flip",()=>change2([turnOver(now.state.bevel.roll_deg)])),press(
-"back",goBack),press("copy-link",copyLink),press("save-recording",saveRecording),part("canvas").addEventListener(
-"touchstart",event=>{handleAt(...place(event.touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener(
-"hashchange",followAddress),offerScenes(rebuild,data.kernel),listen("redraw",redraw),listen("go to",depth=>change2(
-[["depth_mm",null,depth]])),listen("steered",set=>change2(set)),now.connected=!0,buildRecording(),data.needles[0].
-recording||["load","points","path","errors","strip"].forEach(name=>toggle(name,!1)),await choose(0);let led=await followAddress();
-fit("tissue"),await stateAgreement(),!led&&replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(
-!0)}var SHORTEST2,LONGEST,data,needle,steered,replay,steps,frame,fresh,shownMethods,refusal,change2,nameOf3,errorsOf,
-JUDGED,present,lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page/share/main.js"(){init_above();
-init_bands();init_dom();init_drawing();init_handles();init_inputs();init_state();init_strokes();init_pointers();
-init_quantities();init_readouts();init_scenes();init_store();init_strip();init_toolbar();init_view();init_address();
-init_controls();init_needles();SHORTEST2=2,LONGEST=20,data=null,needle=null,steered=null,replay=null,steps=0,frame=
-0,fresh=!1,shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=
-({name,scene})=>name??scene.measured?.id??scene.title;errorsOf=values=>needle.scene.measured.metrics.map(([name,
-,unit])=>writeError(values?.[name]??null,unit)),JUDGED=["predictive_median"],present=[],lighten=colour2=>between(
-colour2,"#ffffff",.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.methods??[])!x||!shownMethods.
-has(key)||(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))});playing=
-null,timeOf=n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{
-let lacking=NEEDED.filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.
-join(", ")}: it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),
-part("proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();
+ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds \
+95 % of the needles of ${draws}${specimen} wholly, without noise and model error.`:""),part("synthetic")?.toggleAttribute(
+"hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),write("link-note",""),part("save-re\
+cording").hidden=!0,replay)return showStep(replay.steps.length);steered.rewind(),insert(steered),part("back").
+disabled=!0,update()}function listMethods(){let{methods}=needle;if(part("methods").hidden=!methods,!methods)return;
+let heads=["method",...needle.scene.measured.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];part("metho\
+d-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element("\
+tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
+[...first.cells];let rows=methods.toSorted((one,other)=>JUDGED.indexOf(other.key)-JUDGED.indexOf(one.key)).map(
+method=>{if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatc\
+h line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;
+let toggle2=element("button",{type:"button",ariaPressed:String(shownMethods.has(method.key))},swatch,method.name);
+return press(toggle2,()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.
+add(method.key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("me\
+thod-rows").replaceChildren(first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.
+state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:"",median=medianOf(now.state,needle.
+scene);[median?"drawn: predictive median":`the needle above${upto}`,...errorsOf(median?.errors??errors)].forEach(
+(text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),part("sc\
+rub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,
+write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=!0,
+update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.
+at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(
+advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.
+clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.
+steps.length&&timeOf(playing.n+1)<=playing.clock;)playing.n+=1;if(showStep(playing.n,Math.min(playing.clock,ends)),
+playing.n===replay.steps.length)return play(!1);requestAnimationFrame(advance)}function buildRecording(){let{recording}=data.
+needles[0];part("transport").hidden=!recording,recording&&(part("scrub").max=Math.ceil(10*recording.at(-1)[0])/
+10,part("scrub").addEventListener("input",({target})=>{play(!1);let clock=Math.min(Number(target.value),recording.
+at(-1)[0]);showStep(recording.filter(([time])=>time<=clock).length,clock)}),press("play",()=>play(!playing)))}
+async function stateAgreement(){let{count,largest}=await prove(data,SAME3),[what,of]=data.needles[0].recording?
+["recorded state","recording"]:["needle","report"],[agrees,place2]=[largest<SAME3,part("proof")],found=largest===
+0?`the same bytes as in the ${of}`:`up to ${largest.toExponential(1)} mm from the ${of}`;place2.className=`qui\
+et ${agrees?"good":"bad"}`,place2.dataset.count=count,place2.dataset.largest=largest;let checked=`Self-check ${agrees?
+"passed":"failed"}: ${counted(count,what)} computed here`;write("proof",`${checked}, ${Number.isNaN(largest)?"\
+one without a result":found} (needlefit ${data.needlefit}).`)}async function start(){data=await load2();let script=new Blob(
+[part("program").textContent],{type:"text/javascript"});computeBands(new Worker(URL.createObjectURL(script)),data.
+kernel,()=>({name:data.needles.indexOf(needle),steered}));let choice=part("needle-choice");choice.append(...data.
+needles.map((one,i)=>element("option",{value:String(i)},[nameOf3(one),one.group].filter(Boolean).join(", ")))),
+part("choosing").hidden=data.needles.length<2,choice.addEventListener("change",()=>choose(Number(choice.value))),
+press("flip",()=>change2([turnOver(now.state.bevel.roll_deg)])),press("back",goBack),press("copy-link",copyLink),
+press("save-recording",saveRecording),part("canvas").addEventListener("touchstart",event=>{handleAt(...place(event.
+touches[0]),"touch")&&event.preventDefault()},{passive:!1}),addEventListener("hashchange",followAddress),offerScenes(
+rebuild,data.kernel),listen("redraw",redraw),listen("go to",depth=>change2([["depth_mm",null,depth]])),listen(
+"steered",set=>change2(set)),now.connected=!0,buildRecording(),data.needles[0].recording||["load","points","pa\
+th","errors","strip"].forEach(name=>toggle(name,!1)),await choose(0);let led=await followAddress();fit("tissue"),
+await stateAgreement(),!led&&replay&&!matchMedia("(prefers-reduced-motion: reduce)").matches&&play(!0)}var SHORTEST2,
+LONGEST,data,needle,steered,replay,steps,frame,fresh,shownMethods,refusal,change2,nameOf3,errorsOf,JUDGED,present,
+lighten,playing,timeOf,NEEDED,init_main=__esm({"needlefit/viewer/page/share/main.js"(){init_above();init_bands();
+init_dom();init_drawing();init_handles();init_inputs();init_state();init_strokes();init_pointers();init_quantities();
+init_readouts();init_scenes();init_store();init_strip();init_toolbar();init_view();init_address();init_controls();
+init_needles();SHORTEST2=2,LONGEST=20,data=null,needle=null,steered=null,replay=null,steps=0,frame=0,fresh=!1,
+shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=({name,
+scene})=>name??scene.measured?.id??scene.title;errorsOf=values=>needle.scene.measured.metrics.map(([name,,unit])=>writeError(
+values?.[name]??null,unit)),JUDGED=["predictive_median"],present=[],lighten=colour2=>between(colour2,"#ffffff",
+.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.methods??[])!x||!shownMethods.has(key)||
+(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))});playing=null,timeOf=
+n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
+filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}\
+: it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),part(
+"proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

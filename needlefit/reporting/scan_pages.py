@@ -35,7 +35,7 @@ Fact = tuple[str, str]
 MAX_LISTED_WARNINGS = 10  # number of warnings on a page; the table of the batch has all of them
 _CAPTION = (
     "The scan in slabs that follow the needle (strip: what it passes; crosses: markers nearby); below, its "
-    "deflection and the brightness around it. Lines: entry, layers, tip. Bands: 95 %."
+    "deflection and the brightness around it. Lines: entry, layers, tip. Bands: pointwise 95 %."
 )
 _REFUSED_CAPTION = "The scan in slabs that follow what was taken for the needle (line)."
 _SOURCES = {

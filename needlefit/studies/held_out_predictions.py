@@ -6,8 +6,7 @@ depths of layers and insertion drawn as the dataset states their errors; about i
 points. Specimens differ in their parameters (`Specimens`). The measured shape enters nowhere but as what is
 compared (and laid on, where its pose is not known). What the model misses is not predicted: where coverage
 falls short of its level, that is why, or the stated errors are too small. A needle is one trial: its tip, and
-its shape as a whole, which holds if no point of it leaves a band that the predicted probability of such
-needles stays within all along.
+its shape as a whole, which holds if no point of it leaves the simultaneous band.
 """
 
 import math
@@ -23,6 +22,7 @@ from needlefit.datasets.select import count_layers, find_repeats, list_bevels, n
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve, align, turn_about_x
+from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
@@ -32,7 +32,6 @@ from needlefit.inference.predict import (
     find_geometric_median,
     quantile,
     rms_noise_scale,
-    simulate_shape_pit,
 )
 from needlefit.inference.problem import Problem
 from needlefit.project.progress import never_stop
@@ -227,7 +226,8 @@ class _Predictor:
         if insertion.id in self.representatives:
             some = [job.parameters.values(theta) for theta in draws.thetas[solved]]
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
-        row |= score_prediction(mixture, measured, simulate_shape_pit(mixture, covariance, measured, rng))
+        whole = predict_bands(mixture.means, covariance, rng)
+        row |= score_prediction(mixture, measured, whole.pit(measured))
         across: Floats = quantile(mixture, (0.5,)).T
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
         if compared == "space":
@@ -239,7 +239,7 @@ class _Predictor:
         band, median, where = tuple[Row, ...](), None, {"fold": fold.name, "insertion": insertion.id}
         sensors = tuple({**where, **one} for one in tabulate_sensors(insertion, about_sensors))
         if self.bands:
-            band = tuple({**where, **point} for point in tabulate_band(mixture, observation.measured))
+            band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
             middle = np.zeros((len(s), 3))
             middle[:, 0], middle[:, 1 : 1 + across.shape[1]] = np.median(aligned[..., 0], axis=0), across
             if s[0] > 0:  # of a tip alone; the needle begins at the entry

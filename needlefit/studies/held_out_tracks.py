@@ -10,6 +10,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import select_same_needle
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
+from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
@@ -149,12 +150,15 @@ def _score_run(track: Insertion, placed: int, predicted: Floats, certified: bool
     if certified or len(predicted) == 1:  # of a point CRPS is the absolute error
         row["crps_mm"] = float(predict.crps(mixture, measured).mean())
     if certified:
+        bands = find_bands(predicted)
         for level in predict.INTERVAL_PROBABILITIES:
-            name, (low, high) = f"{100 * level:.0f}", predict.interval(mixture, level)
-            known |= {f"low_{name}": low, f"high_{name}": high}
-            row[f"tip_in_{name}"] = bool(low[-1] <= measured[-1] <= high[-1])
-    ends = {"measured": "measured", "median": "median", "low_95": "95_low", "high_95": "95_high"}
-    row |= {f"tip_{ends[name]}_mm": float(of[-1] - first) for name, of in known.items() if name in ends}
+            name, ends = f"{100 * level:.0f}", bands.ends(level)
+            known |= dict(zip((f"low_{name}", f"high_{name}"), ends, strict=True))
+            low, high = (float(end[-1]) for end in predict.interval(mixture, level))
+            row[f"tip_in_{name}"] = bool(low <= measured[-1] <= high)
+            if level == max(predict.INTERVAL_PROBABILITIES):
+                row |= {"tip_95_low_mm": low - float(first), "tip_95_high_mm": high - float(first)}
+    row |= {f"tip_{name}_mm": float(known[name][-1] - first) for name in ("measured", "median")}
     rows = [
         {
             **{"run": track.id, "medium": track.medium, "depth_mm": float(depth), "guide_mm": float(place)},

@@ -1,8 +1,8 @@
-"""Place measured and fitted needles in the coordinates of their scan, with 95 % bands.
+"""Place measured and fitted needles in the coordinates of their scan, with simultaneous 95 % bands.
 
 The band of a held-out needle is where it was predicted to be measured; without a prediction there is none.
-That of a needle that was fitted to is the central 95 % of the needles of certified draws of the posterior:
-neither the noise of the measured points nor what the model misses is in it.
+That of a needle that was fitted to holds 95 % of the needles of certified draws of the posterior: neither
+the noise of the measured points nor what the model misses is in it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,6 +15,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import align
+from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
 from needlefit.inference.likelihood.observations import read_points, select_points
@@ -26,7 +27,7 @@ from needlefit.studies.job import Fold
 from needlefit.studies.needles_in_scan import Band, NeedleInScan
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
-BAND_PERCENTILES = (2.5, 50.0, 97.5)
+BAND_PROBABILITY = 0.95
 
 
 def place_needles(
@@ -132,9 +133,9 @@ def _place_band_of_draws(
     if not len(needles):
         return None
     aligned = np.array([place_points(problem.dataset, insertion, s, needle) for needle in needles])
-    across = np.median(aligned[..., 2], axis=0)
+    across, bands = np.median(aligned[..., 2], axis=0), find_bands(aligned[..., 1])
+    below, above = bands.ends(BAND_PROBABILITY)
     low, middle, high = (
-        placement.to_patient(np.column_stack([x, y, across]))
-        for y in np.percentile(aligned[..., 1], BAND_PERCENTILES, axis=0)
+        placement.to_patient(np.column_stack([x, y, across])) for y in (below, bands.median, above)
     )
     return Band(low, middle, high, "posterior")

@@ -19,7 +19,7 @@ NEEDLE_COLUMNS = (
 
 @dataclass(frozen=True)
 class Band:
-    """The central 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
+    """The simultaneous 95 % band across a needle, in its bending plane; (K, 3) each, LPS, mm."""
 
     low: Floats
     middle: Floats

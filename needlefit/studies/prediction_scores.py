@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.curve_bands import CurveBands
 from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM
 from needlefit.inference.predict import (
     INTERVAL_PROBABILITIES,
@@ -20,7 +21,8 @@ from needlefit.inference.predict import (
 )
 from needlefit.studies.score import Row
 
-#: of the table "bands": where each insertion held out was predicted to be measured, at its measured x
+#: of the table "bands": where each insertion held out was predicted to be measured, at its measured x: the
+#: median, and the ends of simultaneous bands
 BAND_COLUMNS = (
     *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
     *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
@@ -33,15 +35,16 @@ SENSOR_COLUMNS = (
 BAND_POINTS = 41  #: points of a band that are kept, of up to some 200
 
 
-def tabulate_band(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
-    """Yield median and intervals at some of the measured points (K, 2 or 3), the tip the last."""
+def tabulate_band(mixture: PredictiveMixture, bands: CurveBands, measured: Floats) -> Iterator[Row]:
+    """Yield median and bands at some of the measured points (K, 2 or 3), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
     columns = {"x_mm": measured[kept, 0]}
     for plane, ending in enumerate(("mm", "z_mm")[: measured.shape[1] - 1]):
         rows = kept + plane * len(measured)
-        median, intervals = _find_intervals(PredictiveMixture(mixture.means[:, rows], mixture.sd[rows]))
+        (median,) = quantile(PredictiveMixture(mixture.means[:, rows], mixture.sd[rows]), (0.5,))
         columns |= {f"measured_{ending}": measured[kept, 1 + plane], f"median_{ending}": median}
-        for level, (low, high) in intervals.items():
+        for level in INTERVAL_PROBABILITIES:
+            low, high = (end[rows] for end in bands.ends(level))
             columns |= {f"low_{100 * level:.0f}_{ending}": low, f"high_{100 * level:.0f}_{ending}": high}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}

@@ -90,8 +90,8 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
     if band := needle.band:
         source = "predicted" if band.source == "predicted" else "parameters"
         lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
-        lines.append((f"95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
-        lines.append((f"95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
+        lines.append((f"simultaneous 95 % band, low, {source}", band.low, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
+        lines.append((f"simultaneous 95 % band, high, {source}", band.high, _BAND_COLOUR, THIN_LINE_WIDTH_MM))
     for name, points, colour, thickness in lines:
         s = measure_curve(points).s if points is needle.measured else arc_length(points)
         labels = _arc_labels(s)
@@ -151,9 +151,10 @@ def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markup
     curves = [
         ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),
         ("inserted", inserted, arc_length(inserted), INSERTED_COLOUR, LINE_WIDTH_MM),
-        ("95 % band, low", inserted - half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
-        ("95 % band, high", inserted + half, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM),
     ]
+    for end, points in (("low", inserted - half), ("high", inserted + half)):
+        name = f"pointwise 95 % band, {end}"
+        curves.append((name, points, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM))
     scan = reconstruction.scan.id
     for name, points, s, colour, thickness in curves:
         markups = Markups(Path(scan), f"{scan} {name}{summary}", "Curve", _arc_labels(s, "base"), points)

@@ -24,7 +24,7 @@ MAX_BAND_DRAWS = 100
 
 @dataclass(frozen=True)
 class NeedleBand:
-    """The band that contains the central 95 % of the drawn needles, from entry to tip, in C."""
+    """The simultaneous band that holds 95 % of the drawn needles from entry to tip, in C."""
 
     x: Floats  #: (K,) Depth along the entry axis, median over the needles, mm
     low: Floats  #: low, high: (K,) Of y, mm
@@ -33,15 +33,16 @@ class NeedleBand:
 
 
 def compute_band(insertion: "StartedInsertion") -> NeedleBand | None:
-    """Return the band of a needle where it stands: the central 95 % of the needles of posterior draws.
+    """Return the band of a needle where it stands: it holds 95 % of the needles of posterior draws.
 
     Every draw replaces moduli and shape parameters of all layers and the strength of the bevel of all steps;
     the layers stay where they are, guides and base where the user holds them. It includes neither the noise
     of measured points, nor errors of the layers' depths, nor model error. Runs on one core, and lets the
     interpreter go. None without draws, before the tip is in, and where no draw can be solved.
     """
+    from needlefit.inference.curve_bands import find_bands
     from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
-    from needlefit.studies.needle_placement import BAND_PERCENTILES, NEEDLE_POINTS
+    from needlefit.studies.needle_placement import BAND_PROBABILITY, NEEDLE_POINTS
 
     spread, path = insertion.draws, insertion.path
     if spread is None or not path[-1].depth > 0:
@@ -54,7 +55,8 @@ def compute_band(insertion: "StartedInsertion") -> NeedleBand | None:
     found = points[shapes.converged]  # (B, K, 3)
     if not len(found):
         return None
-    low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)
+    across = found[:, :, 1:].transpose(0, 2, 1).reshape(len(found), -1)  # y, then z, which is 0 in a plane
+    low, high = (end[:NEEDLE_POINTS] for end in find_bands(across).ends(BAND_PROBABILITY))
     return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))
 
 

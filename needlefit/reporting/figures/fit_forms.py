@@ -178,7 +178,7 @@ def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) ->
             handles.append(_line(name, color=method_colour(method), lw=1.1))
     for level in reversed(BANDS):
         if level in present:
-            handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band"))
+            handles.append(Patch(color=BANDS[level], lw=0, label=f"{level} predictive band, simultaneous"))
     return add_legend(figure, handles, 5 if len(handles) <= 5 else 3)
 
 

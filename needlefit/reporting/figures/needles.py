@@ -464,7 +464,7 @@ class SceneOverlays:
     """Curves to compare a needle with, in its constraint frame C, mm."""
 
     measured: Floats | None = None  # a measured needle (K, 2)
-    # `low`, `high` (K, 2): the edges of the 95 % band of fitted ones
+    # `low`, `high` (K, 2): the edges of the simultaneous 95 % band of fitted ones
     low: Floats | None = None
     high: Floats | None = None
     synthetic: bool = False  # whether the data are synthetic; the figure is then labelled
@@ -593,7 +593,6 @@ class StateFigure:
     def _list_handles(self) -> list[Line2D | Patch]:
         """Return the handles of the legend for what is drawn beside the needle."""
         overlays, hidden = self._overlays, self._view.hidden
-        band = overlays.low if "band" not in hidden else None
         handles: list[Line2D | Patch] = []
         if "path" not in hidden:
             handles.append(Line2D([], [], label="tip path", **_LOOKS["path"]))
@@ -603,7 +602,9 @@ class StateFigure:
         for name, curve in (("measured", overlays.measured), ("pinned", self._view.pinned)):
             if curve is not None and name not in hidden:
                 handles.append(Line2D([], [], label=name, **_LOOKS[name]))
-        return [*handles, Patch(label="95 % band", **_LOOKS["band"])] if band is not None else handles
+        if overlays.low is not None and "band" not in hidden:
+            handles.append(Patch(label="simultaneous 95 % band", **_LOOKS["band"]))
+        return handles
 
     def _choose_view(self, states: Sequence[NeedleState]) -> PictureView:
         """Return a view that holds all these states, their guides and overlays."""

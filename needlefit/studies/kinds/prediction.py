@@ -27,6 +27,7 @@ from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
@@ -97,10 +98,16 @@ PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose band
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    # a row per point: arc length from the entry, depth along the entry axis, median and ends of bands of y
+    # a row per point: arc length from the entry, depth along the entry axis, median of y, ends of its
+    # pointwise intervals ("needle") and of simultaneous bands ("band")
     "forecast": (
         *("s_mm", "x_mm", "needle_median_mm"),
-        *(f"needle_{level}_{end}_mm" for level in ("50", "95") for end in ("low", "high")),
+        *(
+            f"{what}_{level}_{end}_mm"
+            for what in ("needle", "band")
+            for level in ("50", "95")
+            for end in ("low", "high")
+        ),
     ),
 }
 
@@ -202,16 +209,19 @@ class Forecast:
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
-    """Return one row per station: s and x, then median and ends of the bands of y, in space of z, all mm."""
+    """Return one row per station, mm: s and x, then of y, in space of z, the median, intervals and bands."""
     columns = {"s_mm": forecast.s, "x_mm": forecast.x}
-    planes = forecast.across.shape[2]
+    count, points, planes = forecast.across.shape
     middle = find_geometric_median(forecast.across) if planes == 2 else np.median(forecast.across, axis=0)
-    for plane, name in enumerate(("needle", "needle_z")[:planes]):
-        columns[f"{name}_median_mm"] = middle[:, plane]
+    bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
+    for plane, ending in enumerate(("", "_z")[:planes]):
+        columns[f"needle{ending}_median_mm"] = middle[:, plane]
         for level in INTERVAL_PROBABILITIES:
-            ends = (1 - level) / 2, (1 + level) / 2
-            low, high = np.quantile(forecast.across[..., plane], ends, axis=0)
-            columns |= {f"{name}_{100 * level:.0f}_low_mm": low, f"{name}_{100 * level:.0f}_high_mm": high}
+            pointwise = np.quantile(forecast.across[..., plane], [(1 - level) / 2, (1 + level) / 2], axis=0)
+            whole = (end.reshape(planes, points)[plane] for end in bands.ends(level))
+            for what, ends in (("needle", pointwise), ("band", whole)):
+                named = (f"{what}{ending}_{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
+                columns |= dict(zip(named, ends, strict=True))
     return pd.DataFrame(columns)
 
 
@@ -480,7 +490,7 @@ def _recall_advice(judged: Run) -> dict[str, Any] | None:
 
 
 def tabulate_prediction(run: Run) -> list[Table]:
-    """Return the bands at some depths, the tip the last."""
+    """Return the pointwise intervals at some depths, the tip the last."""
     frame = run.frames["forecast"]
     places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
     rows = [
@@ -493,11 +503,11 @@ def tabulate_prediction(run: Run) -> list[Table]:
 
 
 def draw_prediction(run: Run) -> dict[str, Drawing]:
-    """Return median, 50 and 95 % bands of the needle, mm."""
+    """Return median, 50 and 95 % simultaneous bands of the needle, mm."""
     facts = describe_prediction(run)
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
     table = run.frames["forecast"].assign(origin=run.origin, scene=title)
-    bands = {"needle_95": ("95 % of needles", "#BFDBEC"), "needle_50": ("50 % of needles", "#7FB8D8")}
+    bands = {"95": ("95 % of needles, whole", "#BFDBEC"), "50": ("50 % of needles, whole", "#7FB8D8")}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
     names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out
@@ -516,13 +526,13 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
 
     def list_bands(table: pd.DataFrame) -> pd.DataFrame:
         """Return a row for each band and point, and for the median."""
-        starts = {"": "needle", "z_": "needle_z"} if in_space else {"": "needle"}
-        medians = {f"{new}median_mm": table[f"{old}_median_mm"] for new, old in starts.items()}
+        planes = ("", "z_") if in_space else ("",)
+        medians = {f"{plane}median_mm": table[f"needle_{plane}median_mm"] for plane in planes}
         parts = [table.assign(band="median", **medians)]
-        for band in bands:
-            level, ends = band.removeprefix("needle_"), itertools.product(starts.items(), ("low", "high"))
-            named = {f"{new}{end}_mm": table[f"{old}_{level}_{end}_mm"] for (new, old), end in ends}
-            parts.append(table.assign(band=band, **named))
+        for level in bands:
+            ends = itertools.product(planes, ("low", "high"))
+            named = {f"{plane}{end}_mm": table[f"band_{plane}{level}_{end}_mm"] for plane, end in ends}
+            parts.append(table.assign(band=level, **named))
         return pd.concat(parts, ignore_index=True)
 
     return {"forecast": Drawing("curves", table, options, list_bands)}

@@ -10,7 +10,7 @@ import { fit, view, zoom } from "./view.js";
 const CHIPS = [
   ["load", "lateral load"],
   ["points", "constraint points"], ["path", "tip path"], ["measured", "measured"],
-  ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band"], ["plan", "plan"],
+  ["errors", "errors", "Gaps at the tip (TE) and along the shaft (IPE)"], ["band", "95 % band", "95 % of the needles lie wholly inside"], ["plan", "plan"],
   ["pinned", "pinned"],
   ["strip", "tip against depth", "Deflection of the tip and tip force, against depth", false],
 ];

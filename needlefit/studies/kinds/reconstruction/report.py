@@ -146,7 +146,7 @@ def tabulate_passed(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 
 
 def tabulate_deflections(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
-    """Return points of each centreline in its bending plane, with the ends of its 95 % band, mm."""
+    """Return points of each centreline in its bending plane, with the ends of its pointwise 95 % band, mm."""
     frames = [pd.DataFrame(columns=list(_DEFLECTION_COLUMNS))]
     for one in reconstructions:
         points = np.linspace(0, len(one.local) - 1, min(len(one.local), MAX_DRAWN_POINTS)).round().astype(int)
@@ -267,7 +267,7 @@ def answer_batch(run: Run) -> Answer:
 
 
 def draw_batch(run: Run) -> dict[str, Drawing]:
-    """Return the deflection of each needle, with its 95 % band."""
+    """Return the deflection of each needle, with its pointwise 95 % band."""
     panel = Panel("deflection (mm)", line="y_mm", low="low_mm", high="high_mm")
     options = {"x": "x_mm", "by": "id", "x_label": "x along the entry (mm)", "panels": (panel,)}
     return {"deflections": Drawing("curves", run.frames["deflections"].assign(origin=run.origin), options)}

@@ -1,9 +1,11 @@
-/** The band of draws of the parameters: the central 95 % of their needles where a needle stands. */
+/** The simultaneous band of draws of the parameters: 95 % of their needles lie wholly inside, where a needle stands. */
 
 import { SessionBatch } from "../../../mechanics/native/needle.js";
 
 const POINTS = 51; // from entry to tip
-const EDGES = [0.025, 0.975];
+const [LOW, MIDDLE, HIGH] = [0.025, 0.5, 0.975]; // pointwise quantiles; the band is scaled by their distances
+const LEVEL = 0.95; // share of the needles that lie wholly inside
+const TINY = 1e-9; // mm; needles that are as close as this do not spread
 const CHUNK = 20; // draws that move before a newer order is looked for
 const SAME = 1e-9; // mm; depths that differ by less are one
 const BACK = 1e-6; // mm; a needle retracted by that much has left inputs under which it has cut nothing
@@ -45,10 +47,10 @@ export class Band {
     }
     const found = this.points.filter((one) => one);
     if (!found.length) return null;
-    const at = (k, share) => quantile(Float64Array.from(found, (one) => one[k]).sort(), share);
-    const read = (axis, share) => Array.from({ length: POINTS }, (_, k) => at((1 + planes) * k + axis, share));
-    const edges = (axis) => ({ low: read(axis, EDGES[0]), high: read(axis, EDGES[1]) });
-    return { x: read(0, 0.5), ...edges(1), z: planes > 1 ? edges(2) : null, failed: this.values.sets - found.length };
+    const along = (axis) => Array.from({ length: POINTS }, (_, k) => Float64Array.from(found, (one) => one[(1 + planes) * k + axis]));
+    const [y, z] = spanBands(planes > 1 ? [along(1), along(2)] : [along(1)]);
+    const x = along(0).map((values) => quantile(values.sort(), MIDDLE));
+    return { x, ...y, z: z ?? null, failed: this.values.sets - found.length };
   }
 
   /** Move some needles to the end of a path. Those that failed there or deeper try again from first contact on. */
@@ -104,6 +106,25 @@ export function findWay(past, path) {
   if (from < 0) return null;
   const depth = (begun ? Math.min(past[shared].depth, path[shared].depth) : path[from].depth) - BACK;
   return depth > 0 ? [{ ...path[from], depth }, ...path.slice(from)] : null;
+}
+
+/** The ends {low, high} of the band in each plane, from heights[plane][point][draw]: as needlefit.inference.curve_bands. */
+function spanBands(planes) {
+  const sizes = new Float64Array(planes[0][0].length); // the factor that holds each needle
+  const scaled = planes.map((heights) => heights.map((values) => {
+    const sorted = values.slice().sort();
+    const [low, middle, high] = [LOW, MIDDLE, HIGH].map((share) => quantile(sorted, share));
+    values.forEach((value, i) => {
+      const scale = value < middle ? middle - low : high - middle;
+      if (scale > TINY) sizes[i] = Math.max(sizes[i], Math.abs(value - middle) / scale);
+    });
+    return [middle, middle - low, high - middle];
+  }));
+  const size = sizes.sort()[Math.min(Math.floor(LEVEL * sizes.length), sizes.length - 1)];
+  return scaled.map((points) => ({
+    low: points.map(([middle, below]) => middle - size * below),
+    high: points.map(([middle, , above]) => middle + size * above),
+  }));
 }
 
 /** A quantile of sorted values, linear between them. */

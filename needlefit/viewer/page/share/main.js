@@ -136,7 +136,7 @@ async function choose(number) {
   listMethods();
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
-  write("band-note", scene.draws ? `Band: 95 % of the needles of ${draws}${specimen}, without noise and model error.` : "");
+  write("band-note", scene.draws ? `Band: holds 95 % of the needles of ${draws}${specimen} wholly, without noise and model error.` : "");
   part("synthetic")?.toggleAttribute("hidden", !scene.synthetic);
   goBack();
 }
