@@ -48,7 +48,7 @@ def _to_plain_value(value: object) -> object:
 # ---- tidy tables: computations keep wide rows, such as `tip_50_low_mm`; files say `quantity = tip`,
 # `level = 0.5`, `low_mm`
 
-_QUANTITIES = "tip|tip_z|shape|points|end|track|needle|needle_z|measured"
+_QUANTITIES = "tip|tip_z|shape|points|end|track|needle|needle_z|band|band_z|measured"
 _PREDICTED = "measured_mm|median_mm|crps_mm|interval_score_mm|pit|error_mm"
 
 _PATTERNS = {

@@ -34,7 +34,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     """Write every needle of the table "needles" of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), the edges of the
-    95 % band and its median. The band of a held-out needle is the predicted one of its
+    simultaneous 95 % band and its median. The band of a held-out needle is the predicted one of its
     measurement, that of a fitted needle the one of the parameters. `<id>.needle.ply` is the fitted needle's
     body.
     """
@@ -127,8 +127,8 @@ LAYER_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
 def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) -> tuple[Path, ...]:
     """Write the objects that Slicer shows over the scan to `folder`; return the files.
 
-    `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its 95 % band toward and
-    away from the bending side, entry and tip, where layers are crossed, and the markers found.
+    `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its pointwise 95 % band
+    toward and away from the bending side, entry and tip, where layers are crossed, and the markers found.
     `<id>.needle.ply` is the needle's body, of `diameter` (mm).
     """
     folder.mkdir(parents=True, exist_ok=True)

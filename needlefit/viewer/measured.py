@@ -238,4 +238,4 @@ def _describe_band(draws: pd.DataFrame, specimen: str) -> str:
     if not draws["certified"].all():
         return f"No band: the posterior draws ({how}) are not certified."
     new = ", in a specimen that was not tuned on" if specimen == NEW_SPECIMEN else ""
-    return f"Band: holds 95 % of the needles of posterior draws ({how}){new} from entry to tip."
+    return f"Band: from entry to tip it holds 95 % of the needles of posterior draws ({how}){new}."

@@ -94,7 +94,8 @@ KIND = StudyKind("prediction", PredictionRecord, __name__, PredictionMetadata)
 MAY_BE_USED = ("predictable", "parameters_undetermined")
 
 FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
-PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose bands are printed
+PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose intervals are printed
+BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: by level, the widest first
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
@@ -507,7 +508,7 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     facts = describe_prediction(run)
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
     table = run.frames["forecast"].assign(origin=run.origin, scene=title)
-    bands = {"95": ("95 % of needles, whole", "#BFDBEC"), "50": ("50 % of needles, whole", "#7FB8D8")}
+    bands = {level: (f"simultaneous {level} % band", colour) for level, colour in BAND_COLOURS.items()}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
     names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out
