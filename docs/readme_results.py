@@ -14,11 +14,20 @@ from needlefit.studies.judge import REFERENCES, compare_with_references
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "README.md"
 MARKS = re.compile(r"(?<=<!-- result:begin -->\n).*?(?=<!-- result:end -->)", re.DOTALL)
-HEAD = """\
-| study | held out | n | verdict | our TE | straight line | constant curvature | noise floor | our IPE | \
-paper's TE | paper's IPE |
-|---|---|---|---|---|---|---|---|---|---|---|
-"""
+#: columns of our errors, and how they are printed; in brackets the paper's
+ERRORS = {
+    "te_mm": ("TE", ".2f"),
+    "ipe_mean_mm": ("IPE", ".2f"),
+    "ipe_max_mm": ("largest IPE", ".2f"),
+    "median_err_mm": ("median IPE", ".2f"),
+    "edp_percent": ("EDP, %", ".3g"),
+}
+NAMES = [name for name, _ in ERRORS.values()]
+COLUMNS = (
+    *("study", "held out", "n", "verdict", *NAMES),
+    *("TE of a straight line", "of constant curvature", "noise floor"),
+)
+HEAD = f"| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}\n"
 
 
 def write_table() -> str:
@@ -49,14 +58,17 @@ def write_row(
     study: int, name: str, errors: pd.DataFrame, *, has_verdict: bool, paper: "pd.Series[float] | None" = None
 ) -> str:
     """Return the row of some held-out insertions: our errors, the references', the paper's."""
-    means = errors.groupby("method")[["te_mm", "ipe_mean_mm", "floor_te_mm"]].mean()
+    means = errors.groupby("method")[[*ERRORS, "floor_te_mm"]].mean()
     ours = means.loc[MEDIAN_METHOD]
     found = compare_with_references(errors, MEDIAN_METHOD, ours["floor_te_mm"])
     row = [
         *(study, name, errors["insertion"].nunique(), found.outcome if has_verdict else ""),
-        *(f"{means.loc[one, 'te_mm']:.2f}" for one in (MEDIAN_METHOD, *REFERENCES)),
-        *(f"{ours[key]:.2f}" for key in ("floor_te_mm", "ipe_mean_mm")),
-        *("" if paper is None else f"{paper[key]:.2f}" for key in ("te_mm", "ipe_mean_mm")),
+        *(
+            format(ours[key], digits) + ("" if paper is None else f" ({paper[key]:{digits}})")
+            for key, (_, digits) in ERRORS.items()
+        ),
+        *(f"{means.loc[one, 'te_mm']:.2f}" for one in REFERENCES),
+        f"{ours['floor_te_mm']:.2f}",
     ]
     return f"| {' | '.join(map(str, row))} |\n"
 
