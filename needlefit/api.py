@@ -131,7 +131,7 @@ def load_medium(name: Name) -> dict[str, Any]:
     return record.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
-def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
+def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population: bool = False) -> Dataset:
     """Write the synthetic dataset of another seed to `folder`, and return it.
 
     It is measured as a scan would, but not rendered: a second for two insertions.
@@ -144,6 +144,8 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
         Of specimens, bevels and errors of measurement; the plan of the 47 insertions is the same.
     media : sequence of str
         Insertions into these media only, such as `["chicken"]`.
+    population : bool
+        Whether tissues and specimens differ as widely as `needlefit calibrate --truth synthetic` draws them.
 
     Raises
     ------
@@ -151,12 +153,12 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = ()) -> Dataset:
         If there is no insertion into such a medium.
     """
     from needlefit.synthetic.build import build_unscanned
-    from needlefit.synthetic.design import list_designs
+    from needlefit.synthetic.design import POPULATION, list_designs
 
     plan = [one for one in list_designs() if not media or one.medium in media]
     if missing := set(media) - {one.medium for one in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
-    return read(build_unscanned(Path(folder), seed, plan))
+    return read(build_unscanned(Path(folder), seed, plan, population=POPULATION if population else None))
 
 
 def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:

@@ -89,3 +89,18 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
     turned = draw_predictive_check(made.with_frames(errors=errors)).frame
     other = turned[(turned["mark"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
+
+
+def test_the_band_of_pit_values_is_that_of_independent_trials():
+    """One specimen has none; two of several needles have limits between counts."""
+    predictive = with_predictions(study(1)).frames["predictive"]
+    single = predictive.assign(fold=predictive["insertion"], hole=predictive["insertion"])
+    ends = {}
+    for specimens in (1, 2, 7):
+        named = single.assign(specimen=[f"p{n % specimens}" for n in range(len(single))])
+        rows = draw_predictive_check(study(1).with_frames(predictive=named)).frame
+        ends[specimens] = rows[rows["mark"] == "band"]
+    assert len(ends[1]) == 0
+    assert ends[2]["low"].iloc[[0, -1]].tolist() == [0, 0.25]
+    assert ends[2]["high"].iloc[[0, -1]].tolist() == [0.75, 1]
+    assert (ends[7]["high"] * 7 % 1 == pytest.approx(0, abs=1e-9)).all()

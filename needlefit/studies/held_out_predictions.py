@@ -65,15 +65,15 @@ MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
-#: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` of a shape nearer,
-#: at its worst point, than the measured one.
+#: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the
+#: smallest simultaneous band that holds the measured shape; `points_in_95`: whether the pointwise band does.
 PREDICTIVE_COLUMNS = (
     *("fold", "insertion", "hole", "specimen", "medium", "layers", "depth_mm", "specimen_treatment"),
     *("between_sd_ln_mu", "between_sd_ln_b", "between_correlation", "other_specimens"),
     *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
     *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
     *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
-    *("shape_in_95", "shape_crps_mm"),
+    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
 )
 
 

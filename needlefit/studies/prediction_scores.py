@@ -142,6 +142,7 @@ def score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: fl
         row |= {f"tip_{name}_low_mm": low, f"tip_{name}_high_mm": high}
         row |= {f"tip_in_{name}": low <= at <= high}
         row |= {f"shape_in_{name}": shape_pit <= level}
+        row |= {f"points_in_{name}": bool((np.abs(pit - 0.5) <= level / 2).all())}
     # width, and what lies outside at 2 / (1 - level) of it: T. Gneiting, A. E. Raftery, JASA 102 (2007) 359
     beyond = max(low - at, at - high, 0.0)
     return row | {"tip_interval_score_mm": high - low + 2 / (1 - level) * beyond}

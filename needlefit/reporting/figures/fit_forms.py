@@ -242,10 +242,9 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
-    axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
     chance = rows[rows["mark"] == "band"]
-    low, high = (chance[side].astype(float) for side in ("low", "high"))
-    axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0)
+    independent = f", {trials} independent" if len(chance) else " of one fit: no band"
+    axes.set_title(f"{count} insertions" + ("" if trials == count else independent), loc="left")
     axes.plot([0, 1], [0, 1], color=GREY, lw=0.5)
     for quantity, (_, colour) in PREDICTED_QUANTITIES.items():
         steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == quantity)]
@@ -254,7 +253,10 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
     handles: list[Artist] = [_line(name, color=colour) for name, colour in PREDICTED_QUANTITIES.values()]
-    handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
+    if len(chance):
+        low, high = (chance[side].astype(float) for side in ("low", "high"))
+        axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0, zorder=0)
+        handles.append(Patch(color=_BAND_COLOUR, lw=0, label="95 % band, uniform"))
     set_margins(figure, 0.42, add_legend(figure, handles, 3) + TITLE_IN)
     return figure
 

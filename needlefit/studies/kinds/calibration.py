@@ -396,9 +396,10 @@ def _make_frames(rows: FrameRows, synthetic: bool) -> dict[str, pd.DataFrame]:
 
 
 def average_tips(predictions: pd.DataFrame) -> pd.DataFrame:
-    """Return a row per replicate: its number of held-out tips, and means of their intervals and scores."""
+    """Return a row per replicate: its number of held-out needles, and means of their intervals and scores."""
     ends = [f"tip_{level}_{end}_mm" for level in ("50", "95") for end in ("low", "high")]
-    scores = ["tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm"]
+    scores = [f"{what}_in_{level}" for what in ("tip", "points", "shape") for level in ("50", "95")]
+    scores += ["tip_crps_mm", "tip_interval_score_mm"]
     groups = predictions[["replicate", *ends, *scores]].astype(float).groupby("replicate")
     means = groups.mean()
     means.insert(0, "insertions", groups.size())

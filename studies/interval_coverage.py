@@ -1,0 +1,156 @@
+"""How often do the intervals that are printed contain what they are of? The table of docs/calibration.md.
+
+    python studies/interval_coverage.py [--datasets 20] [--quick] [--out reports/interval_coverage.csv]
+
+Intervals of held-out tips, shapes and parameters are those of the stored calibrations (reports/reference).
+For the others each study is fitted to synthetic datasets of its own, with tissues, specimens and needle drawn
+anew. Then the deepest held-out insertion is predicted as a planned one, a path is planned to a target beside
+it, tried with the specimen's true moduli and bevel, and, in a new specimen, its tip is added to the fit.
+Needles of one fit are one trial. Rows are kept; a run that was stopped goes on there.
+"""
+
+import argparse
+import tomllib
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+from scipy.stats import t as student
+
+import needlefit
+from needlefit import Run, api
+from needlefit.datasets.first_study import describe_scene
+from needlefit.errors import NeedlefitError
+from needlefit.inference.forward_model import ParameterDraws
+from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
+from needlefit.planning.goals import Goal, find_hits
+from needlefit.planning.steering import plan_steering
+from needlefit.project.locate import find_file
+from needlefit.studies.fit_figures import draw_predictive_check
+from needlefit.synthetic.design import POPULATION, draw_specimen
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.plans import begin_insertion
+
+SEED, LEVELS, TARGET_RADIUS_MM = 7800, (50, 95), 1.0
+MEDIA = {"study2": ["phantom2"], "study3": ["phantom1", "phantom2"], "study5": ["chicken"]}
+REFERENCE = Path(__file__).parent.parent / "reports/reference"
+#: quantities of the stored calibrations, and what they are called
+STORED = {"tip": "held-out tip", "points": "shape, pointwise band", "shape": "shape, simultaneous band"}
+
+
+def read_calibration(study: str) -> pd.DataFrame:
+    """Return the rows of the stored calibration of a study."""
+    folder = REFERENCE / f"calibrate-{study}-synthetic"
+    tips, known = (pd.read_csv(folder / f"{name}.csv") for name in ("tips", "parameters"))
+    tips = tips.assign(interval=tips["quantity"].map(STORED), level=100 * tips["level"])
+    tips["width_mm"] = tips["high_mm"] - tips["low_mm"]
+    parts = [tips.dropna(subset="interval")]
+    for level in LEVELS:
+        inside = ((known["pit"] - 0.5).abs() <= level / 200).groupby(known["replicate"]).mean()
+        parts.append(pd.DataFrame({"interval": "parameter", "level": level, "covered": inside.astype(float)}))
+    return pd.concat(parts)[["interval", "level", "covered", "width_mm"]].assign(study=study)
+
+
+def leaves_band(run: Run) -> bool:
+    """Return whether the PIT values of the tips of a run leave the band of their figure."""
+    rows = draw_predictive_check(run).frame
+    band, steps = rows[rows["mark"] == "band"], rows[(rows["mark"] == "ECDF") & (rows["quantity"] == "tip")]
+    at = np.searchsorted(steps["probability"], band["probability"], side="right") - 1
+    share = steps["share"].to_numpy()[at]
+    return bool(((share < band["low"] - 1e-9) | (share > band["high"] + 1e-9)).any())
+
+
+def test_study(study: str, seed: int, folder: str) -> list[dict]:
+    """Return the rows of one dataset, which is written to a folder."""
+    twin = api.make_twin(f"{folder}/twin", seed, MEDIA[study], population=True)
+    settings = {"dataset": twin, "recipe": {"metric": False}, "seed": seed}
+    run = needlefit.validate(study, **settings)
+    predictive = run.frames["predictive"]
+    rows = [{"interval": "PIT outside its band", "level": 5, "covered": leaves_band(run)}]
+    promised = predictive.dropna(subset="tip_95_width_after_one_mm")
+    row = (promised if len(promised) else predictive).sort_values("depth_mm").iloc[-1]
+    insertion = next(one for one in twin.insertions if one.id == row["insertion"])
+    scene = describe_scene(twin, insertion, run.metadata.medium.advance)
+    where = "same" if row["specimen_treatment"] == "same" else "new"
+    tip, y = needlefit.predict(run, scene, where).frames["forecast"].iloc[-1], insertion.planar[-1, 1]
+    for level in LEVELS:
+        low, high = tip[f"needle_{level}_low_mm"], tip[f"needle_{level}_high_mm"]
+        about = {"interval": "tip by `predict`", "level": level, "width_mm": high - low}
+        rows.append({**about, "covered": low <= y <= high})
+    run.save(f"{folder}/run")
+    rows += try_plan(row, f"{folder}/run/{row['insertion']}", seed)
+    return rows + (add_tip(study, row, run, settings) if len(promised) else [])
+
+
+def try_plan(row: pd.Series, target: str, seed: int) -> list[dict]:
+    """Return the probability of a plan to 1 mm beside the predicted tip, and whether the true needle hits."""
+    started = begin_insertion(open_target(target, specimen="planned"))
+    goal = Goal((row["depth_mm"] - 2.0, row["tip_median_mm"] + 1.0), TARGET_RADIUS_MM)
+    plan = plan_steering(started, goal, threads=1)
+    specimen = draw_specimen(seed, row["medium"], row["specimen"], POPULATION)
+    mu, shape = specimen.mu[: len(started.tissue.mu)], started.tissue.shape
+    true, steps = ParameterDraws(mu[None], shape[None], np.array([specimen.bevel])), plan.steps
+    batch = true.make_batch(started.needle, started.tissue, (*started.path, *steps), started.rules)
+    tips = compute_batch_positions(simulate_batches([batch], threads=1)[0], np.array([steps[-1].depth]))
+    hit = float(find_hits(tips[:, :, :2], plan.goal)[0])
+    return [{"interval": "`plan`: target reached", "level": 100 * plan.probability, "covered": hit}]
+
+
+def add_tip(study: str, row: pd.Series, run: Run, settings: dict) -> list[dict]:
+    """Return how other tips fall into intervals of the promised width about the medians of a new fit."""
+    errors, others = run.frames["errors"], run.frames["predictive"]
+    known = [*errors[errors["role"] == "tune"]["insertion"].unique(), row["insertion"]]
+    alike = (others["specimen"] == row["specimen"]) & (others["layers"] == row["layers"])
+    alike &= others["insertion"] != row["insertion"]
+    keys = tomllib.loads(find_file("study", study).read_text(encoding="utf-8"))
+    parts = {"tune": {"insertions": known}, "validate": [{"insertions": list(others[alike]["insertion"])}]}
+    again = needlefit.validate(keys | parts, **settings).frames["predictive"]
+    width = row["tip_95_width_after_one_mm"]
+    inside = (again["tip_measured_mm"] - again["tip_median_mm"]).abs() <= width / 2
+    about = {"interval": "tip after one more insertion", "level": 95, "width_mm": width}
+    return [{**about, "covered": inside.mean()}]
+
+
+def tabulate(rows: pd.DataFrame) -> str:
+    """Return the table as Markdown: the mean share over trials, with Student's 95 % interval, in percent."""
+    lines = ["| interval | study | stated | contained | trials | width, mm |", "|---|---|---|---|---|---|"]
+    rows = rows.assign(group=rows["level"].where(~rows["interval"].str.contains("plan"), -1))
+    for (name, study, _), some in rows.groupby(["interval", "study", "group"], sort=False):
+        share, n = 100 * some["covered"].astype(float), len(some)
+        half = student.ppf(0.975, n - 1) * share.std() / np.sqrt(n)
+        cells = [f"{some['level'].mean():.0f} %", f"{share.mean():.0f} ± {half:.0f} %", str(n)]
+        width = some["width_mm"].median()
+        lines.append(
+            f"| {name} | {study} | {' | '.join(cells)} | {'' if np.isnan(width) else f'{width:.1f}'} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--datasets", type=int, default=20)
+    parser.add_argument("--quick", action="store_true", help="two datasets, study 5")
+    parser.add_argument("--out", type=Path, default=Path("reports/interval_coverage.csv"))
+    options = parser.parse_args()
+    studies, count = (["study5"], 2) if options.quick else (list(MEDIA), options.datasets)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = pd.read_csv(options.out) if options.out.is_file() else pd.DataFrame(columns=["study", "seed"])
+    for study in studies:
+        seed, done = SEED, 0
+        while done < count:
+            if not ((rows["study"] == study) & (rows["seed"] == seed)).any():
+                with TemporaryDirectory() as folder, suppress(NeedlefitError):  # needles without a solution
+                    found = pd.DataFrame(test_study(study, seed, folder)).astype({"covered": float})
+                    more = found.assign(study=study, seed=seed)
+                    rows = pd.concat([rows, more], ignore_index=True) if len(rows) else more
+                    rows.to_csv(options.out, index=False)
+                    print(f"{study}: dataset {done + 1} of {count}", flush=True)
+            seed, done = seed + 1, rows.loc[rows["study"] == study, "seed"].nunique()
+    stored = [read_calibration(f"study{n}") for n in range(1, 6)]
+    print(tabulate(pd.concat([*stored, rows], ignore_index=True)))
+
+
+if __name__ == "__main__":
+    main()
