@@ -1,6 +1,6 @@
 """How often do the intervals that are printed contain what they are of? The table of docs/calibration.md.
 
-    python studies/interval_coverage.py [--datasets 20] [--quick] [--out reports/interval_coverage.csv]
+    python benchmarks/interval_coverage.py [--datasets 20] [--quick] [--out reports/interval_coverage.csv]
 
 Intervals of held-out tips, shapes and parameters are those of the stored calibrations (reports/reference).
 For the others each study is fitted to synthetic datasets of its own, with tissues, specimens and needle drawn
@@ -28,7 +28,6 @@ from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import plan_steering
 from needlefit.project.locate import find_file
-from needlefit.studies.fit_figures import draw_predictive_check
 from needlefit.synthetic.design import POPULATION, draw_specimen
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.plans import begin_insertion
@@ -53,22 +52,13 @@ def read_calibration(study: str) -> pd.DataFrame:
     return pd.concat(parts)[["interval", "level", "covered", "width_mm"]].assign(study=study)
 
 
-def leaves_band(run: Run) -> bool:
-    """Return whether the PIT values of the tips of a run leave the band of their figure."""
-    rows = draw_predictive_check(run).frame
-    band, steps = rows[rows["mark"] == "band"], rows[(rows["mark"] == "ECDF") & (rows["quantity"] == "tip")]
-    at = np.searchsorted(steps["probability"], band["probability"], side="right") - 1
-    share = steps["share"].to_numpy()[at]
-    return bool(((share < band["low"] - 1e-9) | (share > band["high"] + 1e-9)).any())
-
-
 def test_study(study: str, seed: int, folder: str) -> list[dict]:
     """Return the rows of one dataset, which is written to a folder."""
     twin = api.make_twin(f"{folder}/twin", seed, MEDIA[study], population=True)
     settings = {"dataset": twin, "recipe": {"metric": False}, "seed": seed}
     run = needlefit.validate(study, **settings)
     predictive = run.frames["predictive"]
-    rows = [{"interval": "PIT outside its band", "level": 5, "covered": leaves_band(run)}]
+    rows = []
     promised = predictive.dropna(subset="tip_95_width_after_one_mm")
     row = (promised if len(promised) else predictive).sort_values("depth_mm").iloc[-1]
     insertion = next(one for one in twin.insertions if one.id == row["insertion"])
@@ -136,18 +126,18 @@ def main() -> None:
     options = parser.parse_args()
     studies, count = (["study5"], 2) if options.quick else (list(MEDIA), options.datasets)
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = pd.read_csv(options.out) if options.out.is_file() else pd.DataFrame(columns=["study", "seed"])
-    for study in studies:
-        seed, done = SEED, 0
-        while done < count:
+    rows = pd.read_csv(options.out) if options.out.is_file() else pd.DataFrame({"study": [], "seed": []})
+    seed, done = SEED, dict.fromkeys(studies, 0)
+    while min(done.values()) < count:
+        for study in (one for one in studies if done[one] < count):
             if not ((rows["study"] == study) & (rows["seed"] == seed)).any():
                 with TemporaryDirectory() as folder, suppress(NeedlefitError):  # needles without a solution
                     found = pd.DataFrame(test_study(study, seed, folder)).astype({"covered": float})
-                    more = found.assign(study=study, seed=seed)
-                    rows = pd.concat([rows, more], ignore_index=True) if len(rows) else more
+                    rows = pd.concat([rows, found.assign(study=study, seed=seed)], ignore_index=True)
                     rows.to_csv(options.out, index=False)
-                    print(f"{study}: dataset {done + 1} of {count}", flush=True)
-            seed, done = seed + 1, rows.loc[rows["study"] == study, "seed"].nunique()
+            done[study] = rows.loc[rows["study"] == study, "seed"].nunique()
+        seed += 1
+        print(f"datasets: {done}", flush=True)
     stored = [read_calibration(f"study{n}") for n in range(1, 6)]
     print(tabulate(pd.concat([*stored, rows], ignore_index=True)))
 
