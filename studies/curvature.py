@@ -66,7 +66,7 @@ def integrate_sensors(folder: Path, name: str) -> float:
     for axis in "yz":
         bent = np.interp(s, one.depth - read["s_mm"], read[f"kappa_{axis}_1_per_mm"])
         tip.append(np.trapezoid((one.depth - s) * bent, s))  # twice integrated
-    return float(np.hypot(tip[0] - one.planar[-1, 1], tip[1] - one.out_of_plane[-1]))
+    return float(np.hypot(tip[0] - one.points[-1, 1], tip[1] - one.points[-1, 2]))
 
 
 def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:

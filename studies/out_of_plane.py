@@ -53,7 +53,7 @@ def measure_shapes(
     """
     rows, profiles = [], []
     for one in dataset.insertions:
-        points = np.column_stack([one.planar, one.out_of_plane])
+        points = one.points
         along = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         kept = along >= DROPPED_MM
         away, s = leave_plane(points[kept]), along[kept]

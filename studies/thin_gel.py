@@ -63,7 +63,7 @@ def write_truth(folder: Path, seed: int) -> Path:
     (folder / "centerlines").mkdir(parents=True, exist_ok=True)
     for n, (one, about) in enumerate(zip(made.insertions, insertions, strict=True)):
         name = f"thin-{n + 1:02d}"
-        points = np.column_stack([one.planar, np.zeros(len(one.planar))])
+        points = one.points * [1.0, 1.0, 0.0]
         points += np.array([0.0, 6.0 * n, 0.0])
         pd.DataFrame(points, columns=["x_mm", "y_mm", "z_mm"]).to_csv(
             folder / f"centerlines/{name}.csv", index=False, float_format="%.4f"

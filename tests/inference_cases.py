@@ -49,7 +49,7 @@ def insertion(
         id=f"at{depth:g}", medium="test", specimen=f"at{depth:g}", needle=NEEDLE, layers=len(sequence),
         layers_alternative=len(sequence), depth=depth, side=side, frame=Frame(np.zeros(3), np.eye(3)),
         pose_source="stage", pose_shift_sd=0.0, pose_angle_sd=angle_sd, centerline=np.zeros((2, 3)),
-        planar=np.zeros((2, 2)), out_of_plane=np.zeros(2), boundaries=np.array(boundaries, dtype=float),
+        points=np.zeros((2, 3)), boundaries=np.array(boundaries, dtype=float),
         sequence=tuple(sequence), boundary_sd=0.0,
     )  # fmt: skip
 
@@ -63,14 +63,12 @@ def measure(
 ) -> Insertion:
     """The insertion with the model's own shape as its measured centreline."""
     planar = sample_inserted_points(predict(values, record, planned), points)[:, :2]
-    planar = planar if error is None else error(planar)
-    centerline = np.column_stack([planar, np.zeros(len(planar))])
-    return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))
+    return planned.with_points(planar if error is None else error(planar))
 
 
 def from_first_point(one: Insertion) -> Insertion:
     """The insertion as it is known where its entry is its first point, which has moved with the needle."""
-    moved = one.with_planar(one.planar - [0.0, one.planar[0, 1]], one.out_of_plane - one.out_of_plane[0])
+    moved = one.with_points(one.points - [0.0, *one.points[0, 1:]])
     return replace(moved, pose_source="first_point")
 
 

@@ -37,8 +37,6 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> dict[s
     elif measured.target.pose != "free":
         s = upto * np.linspace(0.0, 1.0, COMPARISON_POINTS)
         seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-        z = np.interp(s, measured.s, measured.out_of_plane)
-        seen = np.column_stack([seen, z])
         simulated = compute_positions(shape, s)
         errors = compare_curves(align(measured.target.pose, simulated, seen), seen, measured.target.compared)
     else:

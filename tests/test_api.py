@@ -215,7 +215,7 @@ def test_of_several_media_the_one_with_the_name_of_the_tissue_model_is_fitted(da
 
 def test_a_changed_dataset_is_refused(dataset):
     one, *others = dataset.insertions
-    moved = replace(dataset, insertions=(one.with_planar(one.planar + 1.0), *others))
+    moved = replace(dataset, insertions=(one.with_points(one.points + 1.0), *others))
     thin = replace(dataset, insertions=(replace(one, needle=needlefit.Needle(150.0, 2e3)), *others))
     for changed in (moved, thin, replace(dataset, insertions=(one,))):
         with pytest.raises(ConfigError, match="not what its files hold"):
@@ -276,7 +276,7 @@ def test_a_simulated_dataset_has_its_insertions_and_no_files():
     }
     one, same, other = (api.simulate_dataset(table, "thin_gel", seed) for seed in (1, 1, 2))
     assert [insertion.depth for insertion in one.insertions] == [30.0, 40.0] and one.origin == "synthetic"
-    assert np.array_equal(one.insertions[1].planar, same.insertions[1].planar)
-    assert not np.array_equal(one.insertions[1].planar, other.insertions[1].planar)
+    assert np.array_equal(one.insertions[1].points, same.insertions[1].points)
+    assert not np.array_equal(one.insertions[1].points, other.insertions[1].points)
     with pytest.raises(ConfigError):
         api.simulate_dataset(table | {"noise": {"point_sd": 1.0}}, "thin_gel", 1)

@@ -71,9 +71,7 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     def bent(path):
         found = plain(path)
         moved = [
-            replace(
-                i, planar=i.planar + [0, 5.0] * (i.planar / i.depth) ** 2, out_of_plane=i.out_of_plane + 1
-            )
+            replace(i, points=i.points + [0.0, 5.0, 0.0] * (i.points / i.depth) ** 2 + [0.0, 0.0, 1.0])
             for i in found.insertions
         ]
         return replace(found, insertions=tuple(moved))

@@ -94,7 +94,7 @@ def test_a_written_dataset_is_read_back(tmp_path):
     assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
     assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
     np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)
-    np.testing.assert_allclose(a.planar, CURVE[:, :2], atol=1e-4)
+    np.testing.assert_allclose(a.points[:, :2], CURVE[:, :2], atol=1e-4)
     assert a.deflection == pytest.approx(1.0)
     # Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45.
     assert a.sequence == (1, 2, 3, 2)
@@ -104,7 +104,7 @@ def test_a_written_dataset_is_read_back(tmp_path):
     assert b.sequence == (1, 2) and b.boundaries.tolist() == [20.0]
     np.testing.assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
-    assert c.planar[-1, 1] == pytest.approx(-1.0)
+    assert c.points[-1, 1] == pytest.approx(-1.0)
     assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
 
 
@@ -113,14 +113,14 @@ def test_what_an_insertion_has_for_itself_is_written_and_read(tmp_path):
     bevel = np.array([0, 1.0, 0])
     file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
     a = read(file).insertions[0]
-    np.testing.assert_allclose(a.out_of_plane, 0.3 * np.sin(X / 8), atol=1e-4)
+    np.testing.assert_allclose(a.points[:, 2], 0.3 * np.sin(X / 8), atol=1e-4)
     # Moving needle and pose together changes nothing in C.
     c, s = math.cos(0.4), math.sin(0.4)
     turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     shift = np.array([3.0, -5.0, 12.0])
     moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
     file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
-    np.testing.assert_allclose(read(file).insertions[0].planar, CURVE[:, :2], atol=2e-4)
+    np.testing.assert_allclose(read(file).insertions[0].points[:, :2], CURVE[:, :2], atol=2e-4)
     rows = [row("a", base_moved=-12.5, hole="first"), row("b")]
     a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
     assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
@@ -181,7 +181,7 @@ def test_the_same_data_gives_the_same_digest_and_additions_of_spreadsheets_are_i
         lines = [", ".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
         path.write_bytes(("\ufeff" + "\r\n\r\n".join(lines) + "\r\n").encode())
     without_checksums(file)
-    np.testing.assert_array_equal(read(file).insertions[0].planar, before.insertions[0].planar)
+    np.testing.assert_array_equal(read(file).insertions[0].points, before.insertions[0].points)
 
 
 def without_checksums(file: Path):
@@ -218,7 +218,7 @@ def test_noise_floors_of_a_shift_and_of_an_angle(tmp_path):
     for begins, expected in [(0.5, math.pi / 4), (0.0, 1 / 2)]:
         dataset = read(block(tmp_path))
         insertion = dataset.insertions[0]
-        insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
+        insertion = dataclasses.replace(insertion, points=insertion.points + np.array([begins, 0.0, 0.0]))
         floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
         assert floor["te_mm"] == pytest.approx(0.19 * expected, rel=0.03)
         assert floor["ipe_mean_mm"] == pytest.approx(0.19 * expected, rel=0.03)
@@ -294,7 +294,7 @@ def test_a_long_table_is_read_through_its_mapping(long):
     first = dataset.insertions[0]
     found = dataset.pose, dataset.drop_proximal, first.depth, first.pose_source
     assert found == ("free", 10.0, 50.0, "none")
-    np.testing.assert_allclose(first.planar, CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
+    np.testing.assert_allclose(first.points[:, :2], CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
     assert first.sequence == (1,)
     path = long.parent / "lab-a" / "shapes.csv"
     whole = path.read_text()

@@ -799,9 +799,9 @@ def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path)
     dataset = read(out)
     (track,) = dataset.insertions
     assert (dataset.pose, track.id, track.medium) == ("tracker", "em", "gel")
-    assert track.planar[:, 0].tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
-    assert track.planar[[0, -1], 1] == pytest.approx([0.086, 2.978]) and not track.guide.y.any()
-    assert np.ptp(track.out_of_plane) > 0 and not track.guide.z.any()
+    assert track.points[:, 0].tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
+    assert track.points[[0, -1], 1] == pytest.approx([0.086, 2.978]) and not track.guide.y.any()
+    assert np.ptp(track.points[:, 2]) > 0 and not track.guide.z.any()
     assert {path.name for path in out.iterdir()} == {"dataset.toml", "tracks.csv"}
     shape, _ = planned([tmp_path / "em.csv"], observable="shapes")
     assert shape.pose == "free" and len(points_of([tmp_path / "em.csv"], observable="shapes")[0].values) == 12
@@ -854,8 +854,8 @@ def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
     tracks = read(tmp_path / "t").insertions
     assert [(one.id, one.specimen) for one in tracks] == [("p", "one"), ("q", "one")]
     for k, one in enumerate(tracks, 1):
-        np.testing.assert_allclose(one.planar[:, 0], depths)
-        np.testing.assert_allclose(one.planar[:, 1], k * 1e-3 * depths**2, atol=1e-4)
+        np.testing.assert_allclose(one.points[:, 0], depths)
+        np.testing.assert_allclose(one.points[:, 1], k * 1e-3 * depths**2, atol=1e-4)
 
 
 def test_open_contours_of_a_structure_set_are_centrelines(tmp_path):

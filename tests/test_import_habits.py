@@ -342,7 +342,7 @@ def test_one_place_of_each_needle_is_refused_and_curvatures_alone_are_read(tmp_p
     (one,) = read(tmp_path / "read").insertions
     assert one.observed == "curvature" and one.depth == 40
     # half of the curvature times the square of the length
-    assert one.planar[-1, 1] == pytest.approx(0.001 * 40**2 / 2, rel=1e-3)
+    assert one.points[-1, 1] == pytest.approx(0.001 * 40**2 / 2, rel=1e-3)
 
 
 def test_sensors_may_be_placed_from_the_base(tmp_path):

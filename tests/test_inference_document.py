@@ -93,9 +93,9 @@ def prepare_points(dataset, one, scale):
     along = one.measure_arc("plane")  # of the smoothed points, which test_measured_curve checks
     thinned = slice(None, None, -int(np.ceil(len(along) / 200)))
     if dataset.pose == "known":
-        s, points = along * one.depth / along[-1], one.planar
+        s, points = along * one.depth / along[-1], one.points[:, :2]
     else:
-        s, points = one.depth - (along[-1] - along), one.planar
+        s, points = one.depth - (along[-1] - along), one.points[:, :2]
     s, points = s[thinned][::-1], points[thinned][::-1]
     noise, apart = dataset.noise, np.abs(s[:, None] - s)
     sd = np.full(len(along), noise.correlated_sd) if one.sd is None else one.sd

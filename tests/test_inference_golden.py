@@ -29,7 +29,11 @@ def test_verdicts_profiles_and_designs():
     values = {**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0}
     free = medium(1, alpha1={"bounds": [-3, 5]})
     alone = problem(free, [measure(TRUTH, free, insertion(35.0))], noise=Noise(point_sd=0.02))
-    bumpy = [replace(one, planar=one.planar + 0.02 * np.sin(one.planar[:, :1])) for one in alone.insertions]
+    bumpy = []
+    for one in alone.insertions:
+        points = one.points.copy()
+        points[:, :2] += 0.02 * np.sin(points[:, :1])
+        bumpy.append(replace(one, points=points))
     found = {
         "tied": identify(tied, fit_at(tied, values)),
         "free": identify(problem(free, bumpy), fit_at(problem(free, bumpy), TRUTH)),

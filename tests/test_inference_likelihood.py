@@ -28,7 +28,7 @@ STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 
 
 def straight(angle_sd=0.0, depth=40.0):
-    return insertion(depth, angle_sd=angle_sd).with_planar(STRAIGHT)
+    return insertion(depth, angle_sd=angle_sd).with_points(STRAIGHT)
 
 
 def test_independent_noise_gives_the_textbook_density():
@@ -49,7 +49,7 @@ def test_independent_noise_gives_the_textbook_density():
 def test_a_free_pose_costs_nothing():
     record = medium(1)
     made = measure(TRUTH, record, insertion(50.0), 201)
-    turned = replace(made, planar=made.planar @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [30.0, 7.0])
+    turned = made.with_points(made.points[:, :2] @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [30.0, 7.0])
     p, q = (problem(record, [i], pose="free", drop=5.0) for i in (made, turned))
     theta = p.parameters.theta(TRUTH)
     assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
@@ -60,7 +60,7 @@ def test_a_shift_across_costs_nothing_where_the_direction_alone_is_known(compare
     """It is the limit of a prior of it that is flat: densities differ as with a wide one."""
     record, how = medium(1), LikelihoodRecord(bevel_spread=0.0)
     made = from_first_point(measure(TRUTH, record, insertion(50.0), 31))
-    shifted = made.with_planar(made.planar + np.array([0.0, 0.3]), made.out_of_plane + (count - 1) * 0.2)
+    shifted = made.with_points(made.points + np.array([0.0, 0.3, (count - 1) * 0.2]))
     p, q = (
         make_problem(replace(dataset([one]), compared=compared), [one], record, WeightsRecord(), how)
         for one in (made, shifted)

@@ -42,7 +42,7 @@ def with_sections(dataset, insertion):
     fit = fit_matrices(q, weights, sections.knots)
     along = np.linspace(30.0, q[-1], 80)
     smooth = design_matrix(along, sections.knots) @ fit.operator @ places
-    return replace(insertion.with_planar(smooth[:, :2]), sections=sections)
+    return replace(insertion.with_points(smooth[:, :2]), sections=sections)
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_smoothing_moves_points_but_not_residuals_and_the_gradient_is_exact(scan
     stated = replace(scanned, measurement=MeasurementRecord(operator="spline", knot_spacing_mm=KNOT))
     observation = make_observation(stated, one)
     assert observation.rows == round(one.depth / KNOT) + 3
-    assert observation.whitening.shape == (observation.rows, len(one.planar))
+    assert observation.whitening.shape == (observation.rows, len(one.points))
 
 
 def test_an_error_along_one_direction_alone_is_one_of_that_direction(scanned):
@@ -184,7 +184,7 @@ def test_operators_that_the_data_exclude_are_refused(tmp_path):
     assert f"{file}, key" in fault.where
     most = fault.expected.split()[-1]
     file.write_text(file.read_text().replace("width_mm = 40", f"width_mm = {most}"))
-    lengths = [np.ptp(arc_length(one.planar)) for one in read(file).insertions]
+    lengths = [np.ptp(arc_length(one.points[:, :2])) for one in read(file).insertions]
     assert float(most) == pytest.approx(min(lengths) / 4, rel=0.05)
     (tmp_path := tmp_path / "b").mkdir()
     for key in ["heading_sd_deg", "slope_sd_deg"]:

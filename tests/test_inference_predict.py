@@ -80,7 +80,7 @@ AT = np.linspace(0, 100, 21)
 
 def measured(depth, coefficients, side=1, points=801):
     planar = integrate_curvature(depth, [side * c for c in coefficients], np.linspace(0, depth, points))
-    return insertion(depth, side=side).with_planar(planar)
+    return insertion(depth, side=side).with_points(planar)
 
 
 def test_integrated_curvatures_are_lines_circles_and_clothoids():

@@ -92,7 +92,7 @@ def test_planned_boundaries_meshes_and_what_cannot_be_compared():
         got = make_options(medium().model_copy(update={"constraint_spacing_mm": spacing}))
         assert (got.spacing, got.element) == (spacing, pytest.approx(element))
     refusal(ConfigError, "no insertion", lambda: problem(medium(), []))
-    short = insertion(8.0).with_planar(np.array([[0.0, 0.0], [8.0, 0.0]]))
+    short = insertion(8.0).with_points(np.array([[0.0, 0.0], [8.0, 0.0]]))
     with pytest.raises(DataError, match="at8"):
         select_points("free", 10.0, short)
 
@@ -102,7 +102,7 @@ def rng():
 
 
 def measured(depth: float, planar: np.ndarray):
-    return insertion(depth).with_planar(planar)
+    return insertion(depth).with_points(planar)
 
 
 def line(length: float) -> np.ndarray:

@@ -50,7 +50,7 @@ def turned(depth=40.0, turns=((18.0, 90.0),), **changes):
     """An insertion through two layers whose bevel turns on the way, measured without errors."""
     planned = replace(insertion(depth, (12.0,), (1, 2)), turns=turns, **changes)
     points = sample_inserted_points(predict(TRUTH, medium(), planned), 101)
-    return planned.with_planar(points[:, :2], points[:, 2])
+    return planned.with_points(points)
 
 
 def in_space(made, how=FREE, compared="space"):
@@ -81,7 +81,7 @@ def test_needles_in_one_plane_have_the_same_likelihood_in_space():
 
 def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_say():
     exact = turned(turns=())
-    points, quiet = np.column_stack([exact.planar, exact.out_of_plane]), {"pose_angle_sd": 0.0}
+    points, quiet = exact.points, {"pose_angle_sd": 0.0}
     theta = in_space([exact]).parameters.theta(TRUTH)
     noise = replace(dataset([exact]).noise, registration_mean=0.0, point_sd=0.05, correlated_sd=0.0)
     angle = 0.01
@@ -89,7 +89,7 @@ def test_a_roll_and_turns_of_the_pose_out_of_the_plane_cost_what_their_priors_sa
     tilted = points + np.column_stack([0 * points[:, :2], angle * points[:, 0]])
     for moved, sds in ((rolled, {"roll_sd": 0.05}), (tilted, {"pose_angle_sd": 0.05, "roll_sd": 1e-9})):
         one = replace(exact, **(quiet | sds))
-        pair = [one, one.with_planar(moved[:, :2], moved[:, 2])]
+        pair = [one, one.with_points(moved)]
         values = [replace(in_space([o]), noise=noise).log_posterior(theta) for o in pair]
         # half the square of the angle in SDs, and what the noise adds to these
         assert values[0] - values[1] == pytest.approx(angle**2 / 2 / 0.05**2, rel=0.02)
@@ -118,8 +118,8 @@ def test_an_insertion_is_the_same_whatever_direction_has_a_roll_of_0(tmp_path):
         assert check(file) == []
         found.append(read(file).insertions[0])
     for one in found:
-        np.testing.assert_allclose(one.planar, found[0].planar, atol=1e-4)
-        np.testing.assert_allclose(one.out_of_plane, in_world[:, 2], atol=1e-4)
+        np.testing.assert_allclose(one.points[:, :2], found[0].points[:, :2], atol=1e-4)
+        np.testing.assert_allclose(one.points[:, 2], in_world[:, 2], atol=1e-4)
         assert np.ravel(one.turns) == pytest.approx((25.0, 90.0), abs=1e-3)
         assert one.side == 1 and one.roll_sd == pytest.approx(0.02, abs=1e-4)
     digests = {read(tmp_path / f"{degrees:g}").digest for degrees in (0, 30)}
@@ -169,10 +169,10 @@ def test_the_data_decide_where_needles_are_compared():
     kept = set_compared(dataset([more]), [more], "plane").insertions[0]
     assert kept.turns == ((10.0, 0.0), (20.0, 180.0))
     # 10 degrees are two SDs of a roll of 5, and ten of one of 1
-    points = turn_about_x(np.column_stack([flat.planar, flat.out_of_plane]), math.radians(10.0))
-    bent = replace(flat, pose_angle_sd=0.0).with_planar(points[:, :2], points[:, 2])
+    points = turn_about_x(flat.points, math.radians(10.0))
+    bent = replace(flat, pose_angle_sd=0.0).with_points(points)
     noise = replace(data.noise, registration_mean=0.0, correlated_sd=0.0, point_sd=0.01)
-    assert bent.out_of_plane[-1] > 0.005 * bent.depth
+    assert bent.points[-1, 2] > 0.005 * bent.depth
     assert not leaves_plane(bent, noise) and leaves_plane(replace(bent, roll_sd=math.radians(1.0)), noise)
     # so do curvatures: 1e-4/mm toward z are explained by the roll, 1e-3/mm are not
     for kappa_z, leaves in ((1e-4, False), (1e-3, True)):
@@ -223,7 +223,7 @@ def test_a_medium_states_the_friction_by_which_the_tip_stays_behind_the_hub():
     np.testing.assert_allclose(shape.w, behind.w, atol=1e-9)
     assert lag > 5 and abs(shape.w[-1]) > 0.02
     points = sample_inserted_points(shape, 101)
-    made = [planned.with_planar(points[:, :2], points[:, 2])]
+    made = [planned.with_points(points)]
     data = replace(dataset(made), compared="space")
     values = []
     for one in (known, medium()):
@@ -300,7 +300,7 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
         points = turn_about_x(np.pad((-1.0) ** n * bent, ((0, 0), (0, 1))), angle)
         points[:, 0] = bent[:, 0]
         one = replace(insertion(depth, (12.0,), (1, 2), (-1) ** n), turns=((depth / 2, 90.0),))
-        made.append(one.with_planar(points[:, :2], points[:, 2]))
+        made.append(one.with_points(points))
     assert [find_plane(one) for one in made] == pytest.approx([angle] * 2)
     assert find_plane(turned(turns=())) == 0 and find_plane(turned(turns=((1.0, 180.0),))) == math.pi
     found = fit_baselines("known", 0.0, made, "space")
@@ -308,7 +308,7 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
     for name in ("constant_curvature", "mean_shape"):
         for one in made:
             tip = found[name].curve(one)(np.array([one.depth]))[0]
-            assert tip == pytest.approx([*one.planar[-1], one.out_of_plane[-1]], abs=0.02)
+            assert tip == pytest.approx(one.points[-1], abs=0.02)
 
 
 def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():

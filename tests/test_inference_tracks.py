@@ -117,7 +117,7 @@ def test_a_needle_turned_as_a_whole_has_the_same_density(runs_in_space):
     """Tips, guide and bevel, turned by a quarter about the depth: y becomes z."""
     turned = [
         replace(
-            with_tip(one, -one.out_of_plane, one.planar[:, 1]),
+            with_tip(one, -one.points[:, 2], one.points[:, 1]),
             guide=replace(one.guide, y=-one.guide.z, z=one.guide.y),
             turns=((0.0, 90.0),),
         )
@@ -161,13 +161,13 @@ def test_runs_under_a_resting_guide_are_one_insertion():
 
 
 def test_shift_and_slope_of_the_frame_change_nothing(runs):
-    turned = [with_tip(one, one.planar[:, 1] - 40.0 + 0.1 * one.planar[:, 0]) for one in runs]
+    turned = [with_tip(one, one.points[:, 1] - 40.0 + 0.1 * one.points[:, 0]) for one in runs]
     here, there = problem(runs), problem(turned)
     assert there.log_posterior(THETA) == pytest.approx(here.log_posterior(THETA), abs=1e-6)
     assert there.jacobian(THETA)[0] == pytest.approx(here.jacobian(THETA)[0], abs=1e-8)
     here, there = (
         problem(runs),
-        problem([with_tip(one, one.planar[:, 1] + 5.0 - 0.1 * one.planar[:, 0]) for one in runs]),
+        problem([with_tip(one, one.points[:, 1] + 5.0 - 0.1 * one.points[:, 0]) for one in runs]),
     )
     at = THETA + 0.2
     value, slope = here.objective_gradient(at)
@@ -181,7 +181,7 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
 
 def in_session(runs):
     """The runs with headings, in frames of one slope."""
-    ends = [np.gradient(one.planar[:, 1], one.planar[:, 0]) - 0.03 for one in runs]
+    ends = [np.gradient(one.points[:, 1], one.points[:, 0]) - 0.03 for one in runs]
     return [replace(one, headings=(np.arctan(end),)) for one, end in zip(runs, ends, strict=True)]
 
 
@@ -216,7 +216,7 @@ def test_a_session_is_one_gaussian_of_all_readings_and_headings(runs, errors):
     for one, tip in zip(tracks, simulate_tips(tracks), strict=True):
         before = simulate_deflections([one], [DEPTH - tip_track.HEADING_STEP_MM])[0]
         path = (tip[0] - before[0])[1:] / tip_track.HEADING_STEP_MM
-        off.append(np.append(tip[0] - one.planar[:, 1], path - np.tan(one.headings[0][1:])))
+        off.append(np.append(tip[0] - one.points[:, 1], path - np.tan(one.headings[0][1:])))
         turn = np.append(DEPTH, np.ones(n - 1))
         columns.append([np.append(np.ones(n), np.zeros(n - 1)), turn, np.append(np.zeros(n), np.ones(n - 1))])
         own = np.diag(np.append(np.full(n, NOISE.point_sd**2), np.full(n - 1, 0.01**2)))
@@ -259,7 +259,7 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs, errors):
 def test_later_readings_do_not_enter_the_prediction(runs):
     rest = [measured(track(f"run{n}", REST), n, 0.01 * n, n) for n in range(4)]
     known = [make_observation(dataset(runs), one) for one in (*rest, runs[0])]
-    later = runs[0].planar[:, 1].copy()
+    later = runs[0].points[:, 1].copy()
     later[5:] += 9.0
     other = replace(known[-1], measured=np.column_stack([DEPTH, later]))
     one, two = (
@@ -343,7 +343,7 @@ class Groups:
         (found,) = track_predictions.predict_runs(
             np.ones(draws), seen[:-1], seen[-1:], curves, [observed], self.rng
         )
-        return found[:, -1], every[-1].planar[-1, 1]
+        return found[:, -1], every[-1].points[-1, 1]
 
 
 def test_intervals_of_further_runs_cover_in_groups_with_errors():

@@ -158,7 +158,7 @@ def test_an_observation_is_one_file_of_a_plugin(
     seen = one.measure_arc("plane") > 10.0
     assert make_observation(data, one).rows == seen.sum() < len(seen)
     layers = max(len(each.sequence) for each in data.insertions)
-    moved = one.with_planar(one.planar + np.outer(~seen, [0.0, 0.3]), one.out_of_plane)
+    moved = one.with_points(one.points + np.outer(~seen, [0.0, 0.3, 0.0]))
     densities = []
     for insertion in (one, moved, replace(moved, observed="points")):
         asked = make_problem(data, [insertion], medium(layers), WeightsRecord())

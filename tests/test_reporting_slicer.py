@@ -98,8 +98,8 @@ def test_the_band_of_a_fitted_needle_is_that_of_the_needles_of_its_draws(fitted)
 def test_the_band_of_a_held_out_needle_is_the_predicted_one(fitted):
     fold = fitted[1]
     insertion = next(one for one in fold.validate if one.id == "needle-3")
-    x = np.linspace(0.0, insertion.planar[-1, 0], 5)
-    y = np.interp(x, *insertion.planar.T)
+    x = np.linspace(0.0, insertion.points[-1, 0], 5)
+    y = np.interp(x, *insertion.points.T[:2])
     rows = [
         {"fold": fold.name, "insertion": "needle-3", "x_mm": at, "measured_mm": height + 7.0,
          "low_95_mm": height + 6.0, "median_mm": height + 7.5, "high_95_mm": height + 9.0}

@@ -35,7 +35,7 @@ def tip(depth: float, side: int = 1, error: float = 0.0) -> Insertion:
     planned = insertion(depth, side=side, angle_sd=0.0)
     planned = replace(planned, id=f"at{depth:g}{side:+d}", observed="tip", directions=1)
     (end,) = read_points(planned, predict(TRUTH, ONE_LAYER, planned), np.array([depth]))[:, 1] + error
-    return planned.with_planar(np.array([[0.0, 0.0], [depth, end]]))
+    return planned.with_points(np.array([[0.0, 0.0], [depth, end]]))
 
 
 def tips(seed: int) -> list[Insertion]:
@@ -71,7 +71,7 @@ def test_the_density_is_that_of_a_normal_deviation_across() -> None:
     """Of one tip: (y_sim - y) / sd, with a shift and a turn of the pose in its variance."""
     one = replace(tip(60.0, error=0.07), pose_shift_sd=0.1, pose_angle_sd=0.002)
     known = make_observation(dataset([one], NOISE), one)
-    slope = 2 * one.planar[-1, 1] / 60.0
+    slope = 2 * one.points[-1, 1] / 60.0
     variance = 0.05**2 + 0.1**2 + (60.0 * 0.002) ** 2 + (0.1 * slope) ** 2
     assert known.covariance()[0, 0] == pytest.approx(variance, rel=1e-9)
     assert known.whitening[0, 0] == pytest.approx(1 / np.sqrt(variance), rel=1e-9)
@@ -82,7 +82,7 @@ def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:
     curve = SimulatedCurve(predict(TRUTH, ONE_LAYER, one), one)
     found = compute_metrics(compare_curves(*align_points(select_points("known", 0.0, one), curve)))
     assert found["te_mm"] == pytest.approx(0.3, abs=1e-6)
-    assert found["edp_percent"] == pytest.approx(100 * 0.3 / abs(one.planar[-1, 1]), rel=1e-4)
+    assert found["edp_percent"] == pytest.approx(100 * 0.3 / abs(one.points[-1, 1]), rel=1e-4)
     assert np.isnan(found["ipe_mean_mm"]) and np.isnan(found["median_err_mm"])
 
 

@@ -148,7 +148,7 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     quiet = replace(job.dataset, noise=Noise(point_sd=1e-6))
     sure = replace(one, pose_angle_sd=0.0)
     rng = np.random.default_rng(5)
-    ends = [simulate_measurement(quiet, sure, SEEN, job.medium, rng).planar[0, 0] for _ in range(300)]
+    ends = [simulate_measurement(quiet, sure, SEEN, job.medium, rng).points[0, 0] for _ in range(300)]
     assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
 
 

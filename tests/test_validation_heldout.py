@@ -85,17 +85,17 @@ def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, know
     (row,) = list_rows(job, of(job, insertion), sure(known))
     shift, angle, _ = pose_sds(insertion, job.dataset.noise)
     half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
-    least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
+    least = 1.959964 * np.hypot(shift, angle * insertion.points[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
     assert tuple(row) == FRAMES["predictive"] and row["draw_source"] == "importance" and row["certified"]
     # of an entry that is the first point, a shift across leaves about half of the turn, whatever its size
     errors = []
     for shift in (0.0, 1.0):
-        moved = insertion.with_planar(insertion.planar + np.array([0.0, shift]), insertion.out_of_plane)
+        moved = insertion.with_points(insertion.points + np.array([0.0, shift, 0.0]))
         moved = replace(moved, pose_source="first_point")
         (again,) = list_rows(job, of(job, moved), sure(known))
         half = (again["tip_95_high_mm"] - again["tip_95_low_mm"]) / 2
-        least = 1.959964 * angle * insertion.planar[-1, 0] / 2
+        least = 1.959964 * angle * insertion.points[-1, 0] / 2
         assert least < half < 1.2 * least
         errors.append(again["tip_measured_mm"] - again["tip_median_mm"])
     assert errors[0] == pytest.approx(errors[1], abs=1e-9)
@@ -172,7 +172,7 @@ def test_few_draws_of_a_long_tail_do_not_give_the_end_of_an_interval():
 
 def test_the_measured_shape_is_only_compared(job, known):
     insertion = job.folds[0].validate[0]
-    bent = replace(insertion, planar=insertion.planar + np.array([0.0, 5.0]))
+    bent = replace(insertion, points=insertion.points + np.array([0.0, 5.0, 0.0]))
     (as_is,), (moved,) = (tuple(list_rows(job, of(job, one), sure(known))) for one in (insertion, bent))
     assert moved["tip_median_mm"] == pytest.approx(as_is["tip_median_mm"], abs=1e-9)
     assert moved["tip_measured_mm"] == pytest.approx(as_is["tip_measured_mm"] + 5.0)

@@ -227,7 +227,7 @@ def scorer(floor: NoiseFloor = FLOOR) -> Scorer:
 def straight(bend: float, side: int = 1) -> Insertion:
     """A needle of 10 mm whose tip has moved `bend` mm toward the bevel."""
     planar = np.array([[0.0, 0.0], [math.sqrt(100 - bend**2), side * bend]])
-    return insertion(10.0, side=side).with_planar(planar)
+    return insertion(10.0, side=side).with_points(planar)
 
 
 def along_x(scored: Insertion):
@@ -247,13 +247,13 @@ def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged
 def test_each_needle_has_baseline_curves_of_its_own() -> None:
     s, thin = np.linspace(0.0, 40.0, 41), Needle(150.0, 1e3, name="thin")
     bent = [
-        replace(insertion(40.0).with_planar(integrate_curvature(40.0, [kappa], s)), needle=needle)
+        replace(insertion(40.0).with_points(integrate_curvature(40.0, [kappa], s)), needle=needle)
         for kappa, needle in ((1e-3, NEEDLE), (4e-3, thin), (1e-3, NEEDLE))
     ]
     methods = make_predictors(problem(medium(1), bent[:2]), {}, None)
     for one in bent:
         curve = methods["constant_curvature"](one)["measured"]
-        np.testing.assert_allclose(curve(s)[-1], [*one.planar[-1], 0.0], atol=1e-3)
+        np.testing.assert_allclose(curve(s)[-1], one.points[-1], atol=1e-3)
     assert select_same_needle(bent, thin) == (bent[1],)
     assert select_same_needle(bent, thin, least=2) == select_same_needle(bent, Needle(1.0, 1.0)) == (*bent,)
 

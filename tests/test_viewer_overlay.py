@@ -42,7 +42,7 @@ def oblique(angle: float, depth: float = 40.0):
     """A measured needle that runs straight at an angle to the entry axis."""
     s = np.linspace(0, depth, 9)
     planar = s[:, None] * [math.cos(angle), math.sin(angle)]
-    return insertion(depth).with_planar(planar)
+    return insertion(depth).with_points(planar)
 
 
 def of(one, pose="known", floor=0.2, shape=None, drop=0.0):
@@ -89,8 +89,8 @@ def test_errors_up_to_the_depth_in_common():
 
 @needs_node
 def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
-    turned = MEASURED.planar @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
-    free = dataclasses.replace(MEASURED, planar=turned)
+    turned = MEASURED.points[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
+    free = MEASURED.with_points(turned)
     shape = predict(OFF, medium(), free)
     one = of(free, "free", shape=shape, drop=5.0)
     flat = straight(40.0)
@@ -99,8 +99,8 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     part, whole = page_errors(one, 30.0, 40.0)
     assert part is None and whole["te_mm"] == pytest.approx(expected.tip_error)
     onto = compute_positions(shape, one.s)[:, :2]
-    assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
-    np.testing.assert_allclose(align_rigid(one.points, onto), one.points, atol=1e-9)
+    assert np.linalg.norm(one.points[:, :2] - onto, axis=1).max() < 0.3  # from 30 mm away
+    np.testing.assert_allclose(align_rigid(one.points[:, :2], onto), one.points[:, :2], atol=1e-9)
     assert arc_length(one.points)[-1] == pytest.approx(35.0, abs=0.05)
 
 
@@ -109,7 +109,9 @@ def test_a_needle_whose_entry_is_its_first_point_is_compared_after_a_shift_acros
     """It runs straight at an angle, from 3 mm beside the axis: a shift leaves half of the slope's error."""
     angle = 0.05
     one = oblique(angle)
-    one = dataclasses.replace(one.with_planar(one.planar + np.array([0.0, 3.0])), pose_source="first_point")
+    one = dataclasses.replace(
+        one.with_points(one.points + np.array([0.0, 3.0, 0.0])), pose_source="first_point"
+    )
     overlay = of(one)
     assert overlay.points[:, 1].mean() == pytest.approx(0.0, abs=1e-9)  # it lies on the straight needle
     for depth, found in zip((20.0, 40.0), page_errors(overlay, 20.0, 40.0), strict=True):

@@ -80,13 +80,13 @@ def track(
 
 def with_tip(one: Insertion, tip: np.ndarray, tip_z: np.ndarray | None = None) -> Insertion:
     """The run with these readings of its tip."""
-    z = one.out_of_plane if tip_z is None else tip_z
-    return replace(one, planar=np.column_stack([one.planar[:, 0], tip]), out_of_plane=z)
+    z = one.points[:, 2] if tip_z is None else tip_z
+    return replace(one, points=np.column_stack([one.points[:, 0], tip, z]))
 
 
 def simulate_tips(tracks: list[Insertion]) -> tuple[np.ndarray, ...]:
     """The tips (1, n) of every run at the truth."""
-    return simulate_deflections(tracks, [one.planar[:, 0] for one in tracks])
+    return simulate_deflections(tracks, [one.points[:, 0] for one in tracks])
 
 
 def simulate_deflections(tracks: list[Insertion], at: list[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -97,21 +97,21 @@ def simulate_deflections(tracks: list[Insertion], at: list[np.ndarray]) -> tuple
 
 def simulate_in_space(one: Insertion) -> np.ndarray:
     """The tips (n, 2) along y and z of a run at the truth."""
-    ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.planar[:, 0]])
+    ((points,),) = PreparedModel(MEDIUM, [one]).read_points([TRUTH], [one.points[:, 0]])
     return np.asarray(points[:, 1:])
 
 
 def measured_in_space(one: Insertion, seed: int, slopes: tuple[float, float] = (0.0, 0.0)) -> Insertion:
     """The same of a run in space, in a frame with these slopes along y and z."""
-    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.planar), 2))
-    return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.planar[:, 0], slopes) + 3.0).T)
+    noise = NOISE.point_sd * np.random.default_rng(seed).normal(size=(len(one.points), 2))
+    return with_tip(one, *(simulate_in_space(one) + noise + np.outer(one.points[:, 0], slopes) + 3.0).T)
 
 
 def measured(one: Insertion, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> Insertion:
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
     (tip,) = simulate_tips([one])
-    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.planar))
-    return with_tip(one, tip[0] + shift + slope * one.planar[:, 0] + noise)
+    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.points))
+    return with_tip(one, tip[0] + shift + slope * one.points[:, 0] + noise)
 
 
 def dataset(tracks: list[Insertion], compared: Compared = "plane") -> Dataset:
@@ -129,8 +129,8 @@ def written(folder: Path, tracks: list[Insertion], toml: str = TOML) -> Path:
     """A folder with the runs as somebody's table, depths beginning anywhere."""
     rows, in_space = [], all(one.directions == 2 for one in tracks)
     for one in tracks:
-        places = [one.planar[:, 0] + 0.7, one.planar[:, 1], one.guide.y - 25.0, np.ones(len(one.planar))]
-        places += [one.out_of_plane, one.guide.z + 4.0] if in_space else []
+        places = [one.points[:, 0] + 0.7, one.points[:, 1], one.guide.y - 25.0, np.ones(len(one.points))]
+        places += [one.points[:, 2], one.guide.z + 4.0] if in_space else []
         rows += [
             ",".join([one.id, one.medium, *(f"{x:.5f}" for x in row)]) for row in zip(*places, strict=True)
         ]

@@ -56,7 +56,7 @@ class _Difference:
     def begin(self) -> float:
         """Where the first point lies along the entry direction, from the entry, mm; 0 without an entry."""
         one = self.listed.insertion
-        return 0.0 if one.pose_source == "none" else float(one.planar[0, 0])
+        return 0.0 if one.pose_source == "none" else float(one.points[0, 0])
 
     @property
     def spacing(self) -> float:

@@ -127,7 +127,7 @@ def find_bend_side(insertion: Insertion, noise: Noise) -> BendSide:
         return "unknown"
     if insertion.turns:
         return "unknown"
-    x, y = insertion.planar[:, 0], insertion.side * insertion.planar[:, 1]
+    x, y = insertion.points[:, 0], insertion.side * insertion.points[:, 1]
     least, measures = MIN_BEND_SLOPE * insertion.depth, []
     if len(x) > 2:  # more than a tip
         parabola = np.polyfit(x - x[0], y, 2)
@@ -198,11 +198,11 @@ def measure_scatter(one: Insertion) -> float:
     No needle bends there, so that a cubic takes away all but the errors of single points. Points of a plane,
     and free shapes, are taken to scatter in their plane. NaN of few points.
     """
-    is_flat = one.pose_source == "none" or float(np.ptp(one.out_of_plane)) < COPY_TOLERANCE_MM
-    order, values = (BEND_ORDER, one.planar[:, 1]) if is_flat else (SMOOTH_ORDER, one.out_of_plane)
+    is_flat = one.pose_source == "none" or float(np.ptp(one.points[:, 2])) < COPY_TOLERANCE_MM
+    order, values = (BEND_ORDER, one.points[:, 1]) if is_flat else (SMOOTH_ORDER, one.points[:, 2])
     if (free := len(values) - order - 1) <= order:
         return math.nan
-    x = one.planar[:, 0] / one.depth
+    x = one.points[:, 0] / one.depth
     left = values - np.polynomial.Polynomial.fit(x, values, order)(x)
     return math.sqrt(float(left @ left) / free)
 
@@ -214,7 +214,7 @@ def measure_likeness(one: Insertion, other: Insertion) -> Floats:
     the frame of one. They may have other points of the same line, of which ends may be cut. The pair with the
     least median counts.
     """
-    curve, again = (np.column_stack([each.planar, each.out_of_plane]) for each in (one, other))
+    curve, again = (each.points for each in (one, other))
     there = one.frame.to_local(other.centerline)
     found = np.array([math.inf])
     for pair, signs in (((curve, again), MIRRORS), ((curve, there), MIRRORS[:1])):
@@ -242,7 +242,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     insertions = [one.insertion for one in listed]
     gaps = [float(np.diff(one.measure_arc("plane")).max()) for one in insertions]
     scatters = [
-        min(noise.point_sd, measure_scatter(one)) if len(one.planar) >= MIN_LIKENESS_POINTS else 0.0
+        min(noise.point_sd, measure_scatter(one)) if len(one.points) >= MIN_LIKENESS_POINTS else 0.0
         for one in insertions
     ]
     step = find_rounding([one.points.values for one in listed]) if listed else 0.0
@@ -255,7 +255,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             least = max(COPY_TOLERANCE_MM, least, min(MIN_LIKENESS_MM, noise.point_sd / 30))
             away = measure_likeness(one, later)
             same, count = int(np.sum(away <= least)), len(away)
-            axes = 1 + any(float(np.ptp(each.out_of_plane)) > 0 for each in (one, later))
+            axes = 1 + any(float(np.ptp(each.points[:, 2])) > 0 for each in (one, later))
             chance = find_chance_of_rounding(step, sd) ** axes if step > least else 0.0
             if np.median(away) <= least and scipy.special.bdtrc(same - 1, count, chance) < MAX_COPY_CHANCE:
                 what = (
@@ -356,7 +356,7 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     for one in own:
         if one.pose_source != "none" and not one.turns and not one.base_moved:
             s = one.measure_arc("space")
-            bend, slope, _ = np.polyfit(s, np.column_stack([one.planar[:, 1], one.out_of_plane]), 2)
+            bend, slope, _ = np.polyfit(s, one.points[:, 1:], 2)
             sd = math.hypot(one.pose_angle_sd, 4 * math.hypot(noise.point_sd, noise.correlated_sd) / s[-1])
             begin, end = (float(np.linalg.norm(one)) for one in (slope, slope + 2 * bend * s[-1]))
             slopes.append((begin, end, sd))

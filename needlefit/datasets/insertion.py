@@ -140,10 +140,8 @@ class Insertion:
         Standard deviation of the entry pose in the plane, mm and rad.
     centerline : (N, 3) array
         World points from entry to tip, mm.
-    planar : (N, 2) array
-        The same points in C's xy plane, mm.
-    out_of_plane : (N,) array
-        What the projection drops, mm.
+    points : (N, 3) array
+        The same points in C, mm: z is their distance from the bending plane.
     boundaries : (n - 1,) array
         Measured depths of the layer interfaces crossed, along C's x axis, mm.
     sequence : tuple of int
@@ -182,10 +180,10 @@ class Insertion:
     guide : GuideMotion or None
         How a guide was moved on the way; None of one that was not.
     observed : str
-        Name of the observation (`inference/likelihood/observations/`) that compares `planar` with the
+        Name of the observation (`inference/likelihood/observations/`) that compares `points` with the
         simulation: "points", "tip_track", or one of a plugin.
     directions : int
-        2 where `out_of_plane` was measured, 1 where the places are known along y alone.
+        2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
     """
@@ -203,8 +201,7 @@ class Insertion:
     pose_shift_sd: float
     pose_angle_sd: float
     centerline: Floats
-    planar: Floats
-    out_of_plane: Floats
+    points: Floats
     boundaries: Floats
     sequence: tuple[int, ...]
     boundary_sd: float
@@ -231,11 +228,10 @@ class Insertion:
         """Whether a guide moved during the insertion."""
         return self.guide is not None and self.guide.moved
 
-    def with_planar(self, planar: Floats, out_of_plane: Floats | None = None) -> Self:
-        """Return the insertion as if its measured points were `planar` (N, 2) in C, at z = 0 by default."""
-        z = np.zeros(len(planar)) if out_of_plane is None else out_of_plane
-        world = self.frame.to_world(np.column_stack((planar, z)))
-        return replace(self, planar=planar, centerline=world, out_of_plane=z, sections=None)
+    def with_points(self, points: Floats) -> Self:
+        """Return the insertion as if its measured points were `points` in C: (N, 3), or (N, 2) at z = 0."""
+        points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        return replace(self, points=points, centerline=self.frame.to_world(points), sections=None)
 
     def measure_arc(self, compared: Compared) -> Floats:
         """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""
@@ -244,17 +240,17 @@ class Insertion:
     @cached_property
     def curve_in_plane(self) -> MeasuredCurve:
         """The curve in its plane, smoothed to its noise."""
-        return measure_curve(self.planar)
+        return measure_curve(self.points[:, :2])
 
     @cached_property
     def curve_in_space(self) -> MeasuredCurve:
         """The curve in space, smoothed to its noise."""
-        return measure_curve(np.column_stack([self.planar, self.out_of_plane]))
+        return measure_curve(self.points)
 
     @property
     def deflection(self) -> float:
         """Measured tip deflection y_K - y_1 in C, positive toward the bevel, mm."""
-        return float(self.side * (self.planar[-1, 1] - self.planar[0, 1]))
+        return float(self.side * (self.points[-1, 1] - self.points[0, 1]))
 
 
 @dataclass(frozen=True)
@@ -332,7 +328,7 @@ class Dataset:
                 "bevel_side": one.side,
                 "deflection_mm": one.deflection,
                 "observed": one.observed,
-                "points": len(one.planar),
+                "points": len(one.points),
                 "pose_source": one.pose_source,
             }
             for one in self.insertions

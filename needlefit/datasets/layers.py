@@ -172,8 +172,7 @@ def reduce_insertion(
         | {
             "frame": frame,
             "centerline": centerline,
-            "planar": local[:, :2],
-            "out_of_plane": local[:, 2],
+            "points": local,
             "needle": needle,
             "boundaries": boundaries,
             "sequence": sequence,

@@ -31,14 +31,13 @@ def estimate_noise_floor(
     displaced = draw_measurement_errors(dataset, insertion, rng, draws)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
-    curve, flat = insertion.planar, insertion.out_of_plane
-    across = flat + draw_errors_across(dataset, insertion, rng, draws)
-    again = np.concatenate([curve + displaced, across[..., None]], axis=-1)
+    whole, across = insertion.points, draw_errors_across(dataset, insertion, rng, draws)
+    again = whole + np.concatenate([displaced, across[..., None]], axis=-1)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    tracker, whole = dataset.pose == "tracker", np.column_stack([curve, flat])
-    is_tip = tracker or len(curve) == 2
+    tracker = dataset.pose == "tracker"
+    is_tip = tracker or len(whole) == 2
     if is_tip:
-        again[..., 0] = curve[:, 0]  # depths are known
+        again[..., 0] = whole[:, 0]  # depths are known
     if tracker:
         again = align_lateral(again, whole)  # the best shifts and slopes are taken off
     pairs = [(one, whole) for one in again]
@@ -65,7 +64,7 @@ def draw_measurement_errors(
     The shift is the larger of the stated registration error and the row's pose deviation, which are
     often the same error stated twice.
     """
-    noise, curve = dataset.noise, insertion.planar
+    noise, curve = dataset.noise, insertion.points
     shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
     if dataset.pose != "known":
@@ -86,7 +85,7 @@ def draw_errors_across(
     They are drawn after those in the plane, which do not depend on them.
     """
     if insertion.directions == 1:
-        return np.zeros((draws, len(insertion.planar)))
+        return np.zeros((draws, len(insertion.points)))
     s = insertion.measure_arc("plane")
     points = draw_point_noise(s, dataset.noise, rng, draws)[..., 0]
     if dataset.pose != "known":

@@ -87,12 +87,12 @@ def find_ends(listed: ListedInsertion, noise: Noise) -> NeedleEnds:
     one = listed.insertion
     # of the first point that was read: if it is off across the needle, it is left out of the curve
     start = float(one.frame.to_local(listed.points.values[0])[0])
-    x = one.planar[:, 0] - start
+    x = one.points[:, 0] - start
     length = float(x[-1])
     order = min(MAX_ORDER, len(x) - 3)
     powers, values = (
         np.vander(x / length, order + 1),
-        np.column_stack([one.side * one.planar[:, 1], one.out_of_plane]),
+        np.column_stack([one.side * one.points[:, 1], one.points[:, 2]]),
     )
     fit = np.linalg.pinv(powers)
     free = len(x) - order - 1
@@ -123,7 +123,7 @@ def _find_shift_sd(insertion: Insertion, noise: Noise) -> float:
 def find_needle_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
     """Yield the warnings about needles; a common motion hides what single needles show."""
     plain = [one for one in listed if not one.insertion.turns and not one.insertion.base_moved]
-    ends = [find_ends(one, noise) for one in plain if len(one.insertion.planar) > MIN_ORDER + 2]
+    ends = [find_ends(one, noise) for one in plain if len(one.insertion.points) > MIN_ORDER + 2]
     placed = [one for one in ends if one.is_placed]
     common = [*_find_common_shift(placed, noise), *_find_common_lean(placed)]
     if common:

@@ -57,15 +57,11 @@ class Scatter:
 
     def sd_of(self, insertion: Insertion) -> Floats:
         """Return the standard deviation of each point (N,), mm; that of rounding is no less than its half."""
-        own = np.zeros(len(insertion.planar)) if insertion.sd is None else insertion.sd
+        own = np.zeros(len(insertion.points)) if insertion.sd is None else insertion.sd
         shared = self.noise.point_sd**2 + self.noise.correlated_sd**2
         shared += (self.rounding / 2) ** 2 + MIN_SCATTER_MM**2
         found: Floats = self.larger * np.sqrt(shared + np.square(own))
         return found
-
-
-def _across(insertion: Insertion) -> Floats:
-    return np.column_stack([insertion.planar[:, 1], insertion.out_of_plane])
 
 
 def estimate_scatter(curves: Sequence[ListedInsertion], noise: Noise) -> Scatter:
@@ -73,14 +69,14 @@ def estimate_scatter(curves: Sequence[ListedInsertion], noise: Noise) -> Scatter
     scatter = Scatter(noise, find_rounding([one.points.values for one in curves]))
     sizes = []
     for one in (each.insertion for each in curves):
-        left, factor = leave_one_out(one.planar[:, 0], _across(one))
+        left, factor = leave_one_out(one.points[:, 0], one.points[:, 1:])
         sizes.append(np.abs(left) / (factor * scatter.sd_of(one))[:, None])
     return replace(scatter, larger=max(1.0, float(np.median(np.vstack(sizes))) / MEDIAN_TO_SD))
 
 
 def find_outlying_points(listed: Sequence[ListedInsertion], noise: Noise) -> OutlyingPoints:
     """Return the outlying points, and steps, of each insertion that has any, by its id."""
-    curves = [one for one in listed if len(one.insertion.planar) >= MIN_CURVE_POINTS]
+    curves = [one for one in listed if len(one.insertion.points) >= MIN_CURVE_POINTS]
     if not curves:
         return {}
     scatter = estimate_scatter(curves, noise)
@@ -96,13 +92,13 @@ def find_outlying_points(listed: Sequence[ListedInsertion], noise: Noise) -> Out
 
 def _find_in_curve(insertion: Insertion, scatter: Scatter) -> list[OutlyingPoint]:
     """Return the outlying points and steps of one curve, the worst first: without each the next is sought."""
-    rest, kept, found = insertion, np.arange(len(insertion.planar)), list[OutlyingPoint]()
+    rest, kept, found = insertion, np.arange(len(insertion.points)), list[OutlyingPoint]()
     while len(kept) >= MIN_CURVE_POINTS:
         sd = scatter.sd_of(rest)
         single, step = (
             (left, np.abs(left).max(axis=1) / (factor * sd[-len(left) :]))
             for left, factor in (
-                find(rest.planar[:, 0], _across(rest)) for find in (leave_one_out, find_steps)
+                find(rest.points[:, 0], rest.points[:, 1:]) for find in (leave_one_out, find_steps)
             )
         )
         is_step = bool(step[1].max() > single[1].max())
@@ -113,7 +109,7 @@ def _find_in_curve(insertion: Insertion, scatter: Scatter) -> list[OutlyingPoint
         index = worst + is_step
         # of the point as it was read
         found.append(_describe(insertion, int(kept[index]), left[worst], float(ratio[worst]), is_step))
-        if len(found) > MAX_OUTLYING_PART * len(insertion.planar):
+        if len(found) > MAX_OUTLYING_PART * len(insertion.points):
             return []
         if is_step:
             rest = _move_points(rest, index, left[worst])
@@ -145,7 +141,7 @@ def _find_ends(
         natural = math.hypot(NATURAL_END_MM, NATURAL_END_PART * bend)
         for index in (0, -1):
             order = slice(None) if index else slice(None, None, -1)
-            pairs = [leave_last_out(one.planar[order, 0], _across(one)[order]) for one in own]
+            pairs = [leave_last_out(one.points[order, 0], one.points[order, 1:]) for one in own]
             sides = np.array([[one.side, 1] for one in own])
             values = sides * np.array([left for left, _ in pairs])  # (n, 2)
             sds = np.array([f * scatter.sd_of(one)[index] for (_, f), one in zip(pairs, own, strict=True)])
@@ -154,7 +150,7 @@ def _find_ends(
                 worst = max(found, key=lambda each: each.sds)
                 if worst.chance < MAX_END_CHANCE:
                     off = sides[n] * [each.value for each in found]
-                    at = index % len(own[n].planar)
+                    at = index % len(own[n].points)
                     yield _describe(own[n], at, off, worst.sds), one
 
 
@@ -184,8 +180,7 @@ def _select_points(insertion: Insertion, kept: NDArray[np.int64]) -> Insertion:
     """Return the insertion with the points of these indices alone."""
     return replace(
         insertion,
-        planar=insertion.planar[kept],
-        out_of_plane=insertion.out_of_plane[kept],
+        points=insertion.points[kept],
         centerline=insertion.centerline[kept],
         sd=None if insertion.sd is None else insertion.sd[kept],
     )
@@ -193,13 +188,10 @@ def _select_points(insertion: Insertion, kept: NDArray[np.int64]) -> Insertion:
 
 def _move_points(insertion: Insertion, first: int, by: Floats) -> Insertion:
     """Return the insertion with its points from one on moved back by (2,) across the needle, mm."""
-    planar, out_of_plane, centerline = (
-        one.copy() for one in (insertion.planar, insertion.out_of_plane, insertion.centerline)
-    )
-    planar[first:, 1] -= by[0]
-    out_of_plane[first:] -= by[1]
+    points, centerline = insertion.points.copy(), insertion.centerline.copy()
+    points[first:, 1:] -= by
     centerline[first:] -= insertion.frame.rotation[:, 1:] @ by
-    return replace(insertion, planar=planar, out_of_plane=out_of_plane, centerline=centerline)
+    return replace(insertion, points=points, centerline=centerline)
 
 
 def drop_outlying_points(listed: ListedInsertion, found: OutlyingPoints) -> ListedInsertion:
@@ -209,14 +201,14 @@ def drop_outlying_points(listed: ListedInsertion, found: OutlyingPoints) -> List
     for step in (point for point in off if point.is_step):
         across = one.frame.rotation[:, 1:].T @ (step.measured - step.expected)
         one = _move_points(one, step.index, across)
-    kept = np.delete(np.arange(len(one.planar)), [point.index for point in off if not point.is_step])
+    kept = np.delete(np.arange(len(one.points)), [point.index for point in off if not point.is_step])
     return replace(listed, insertion=_select_points(one, kept)) if off else listed
 
 
 def find_point_warnings(listed: Sequence[ListedInsertion], found: OutlyingPoints) -> Iterator[ResultWarning]:
     """Yield a warning for each outlying point or step, with its row and the coordinate that fits."""
     for one in listed:
-        last = len(one.insertion.planar) - 1
+        last = len(one.insertion.points) - 1
         for point in found.get(one.insertion.id, ()):
             if point.is_step:
                 yield _warn_of_step(one, point)
@@ -264,9 +256,9 @@ def measure_axis_scatter(listed: Sequence[ListedInsertion]) -> Floats:
     """
     sizes: list[list[Floats]] = [[], [], []]
     for one in (each.insertion for each in listed):
-        if len(one.planar) < MIN_CURVE_POINTS:
+        if len(one.points) < MIN_CURVE_POINTS:
             continue
-        left, factor = leave_one_out(one.planar[:, 0], _across(one))
+        left, factor = leave_one_out(one.points[:, 0], one.points[:, 1:])
         across = one.frame.rotation[:, 1:]  # (3, 2)
         for axis in np.flatnonzero(np.linalg.norm(across, axis=1) > MIN_AXIS_PART):
             if np.ptp(one.centerline[:, axis]) > 0:

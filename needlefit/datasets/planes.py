@@ -37,7 +37,7 @@ def compute_deflection_sd(insertion: Insertion, noise: Noise) -> float:
 
 def compute_plane_sd(insertion: Insertion, noise: Noise) -> float:
     """Return the standard deviation of a tip out of the plane of its bevel, by the roll too, mm."""
-    bent = float(np.abs(insertion.planar[:, 1]).max())
+    bent = float(np.abs(insertion.points[:, 1]).max())
     return math.hypot(compute_deflection_sd(insertion, noise), insertion.roll_sd * bent)
 
 
@@ -62,7 +62,7 @@ def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
         sds = np.hypot(read[:, 3], insertion.roll_sd * np.abs(read[:, 1]).max())
         if np.mean((read[:, 2] / sds) ** 2) > SIGNIFICANT_SD**2:
             return True
-    away, sd = abs(float(insertion.out_of_plane[-1])), compute_plane_sd(insertion, noise)
+    away, sd = abs(float(insertion.points[-1, 2])), compute_plane_sd(insertion, noise)
     return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
 
 
@@ -124,7 +124,7 @@ def measure_aside(insertion: Insertion, handedness: float = 1.0) -> float:
     whatever layers it meets; the greatest distance counts. `handedness` -1: of turns of the opposite sign.
     """
     if not insertion.turns:
-        return abs(float(insertion.out_of_plane[-1]))
+        return abs(float(insertion.points[-1, 2]))
     depths, rolls = np.array([(0.0, 0.0), *insertion.turns]).T
     angles = np.radians(handedness * rolls)
     faced = insertion.side * np.array([np.cos(angles), np.sin(angles)])
@@ -136,8 +136,7 @@ def _find_across(insertion: Insertion, depths: Sequence[float]) -> Floats:
     """Return y and z (n, 2) of the needle at depths along it, mm."""
     along = insertion.measure_arc("space")
     along = along * (insertion.depth / along[-1])
-    points = insertion.planar[:, 1], insertion.out_of_plane
-    return np.column_stack([np.interp(depths, along, one) for one in points])
+    return np.column_stack([np.interp(depths, along, one) for one in insertion.points.T[1:]])
 
 
 def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:

@@ -59,14 +59,14 @@ def make_track(
     """
     boundaries, sequence = layers
     across = np.zeros(len(readings.depth)) if readings.tip_z is None else readings.tip_z
-    planar = np.column_stack([readings.depth, readings.tip])
+    points = np.column_stack([readings.depth, readings.tip, across])
     along_z = np.zeros(len(across)) if readings.guide_z is None else readings.guide_z
     headings = (readings.heading, readings.heading_z)
     return Insertion(
         id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
         layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
         frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
-        centerline=np.column_stack([planar, across]), planar=planar, out_of_plane=across,
+        centerline=points, points=points,
         turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
         guide=GuideMotion(readings.depth, readings.guide, along_z), observed="tip_track",
         directions=1 if readings.tip_z is None else 2,

@@ -52,8 +52,8 @@ def _turn_back(insertion: Insertion) -> Insertion:
     """Return an insertion turned about x, so that the plane of its curves is z = 0."""
     if not (roll := find_plane(insertion)):
         return insertion
-    points = turn_about_x(np.column_stack([insertion.planar, insertion.out_of_plane]), -roll)
-    return insertion.with_planar(points[:, :2], points[:, 2])
+    points = turn_about_x(insertion.points, -roll)
+    return insertion.with_points(points)
 
 
 def fit_baseline(

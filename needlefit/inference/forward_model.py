@@ -142,7 +142,7 @@ def share_simulations(insertions: Sequence[Insertion], spacing: float) -> tuple[
 
 
 def _require_distance(insertion: Insertion, least: float) -> None:
-    nearest = float(np.diff(insertion.planar[:, 0]).min())
+    nearest = float(np.diff(insertion.points[:, 0]).min())
     if nearest < least:
         raise DataError(
             f"run {insertion.id} has readings {nearest:.3g} mm apart while guide or bevel moves",

@@ -178,7 +178,7 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
     ones = dataset.insertions
     axes.axhline(0.0, color=GREY, lw=0.6)
     for one in ones:
-        x, y = one.planar.T
+        x, y, _ = one.points.T
         away = dataset.pose == "known" and find_bend_side(one, dataset.noise) == "away"
         axes.plot(x, y, color=AWAY_COLOUR if away else INK, lw=0.9)
         axes.plot(one.boundaries, np.interp(one.boundaries, x, y), "|", color=INK, ms=6)
@@ -195,7 +195,7 @@ def _draw_shapes(axes: Axes, dataset: Dataset, side: str) -> None:
 
 def _label_tips(axes: Axes, ones: Sequence[Insertion]) -> None:
     """Write the names at the right, in the order of the tips, each with a line to its tip."""
-    tips = sorted(((*one.planar[-1], one.id) for one in ones), key=lambda tip: tip[1])
+    tips = sorted(((*one.points[-1, :2], one.id) for one in ones), key=lambda tip: tip[1])
     low, high = axes.get_ylim()
     right = 1.08 * max(tip[0] for tip in tips)
     offsets = 0.055 * (high - low) * np.arange(len(tips), dtype=np.float64)

@@ -222,7 +222,7 @@ MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
 
 def count_registered(track: Insertion, depth_mm: float) -> int:
     """Return how many readings of a track, down to a depth, place it in the tracker's frame."""
-    return max(1, int(np.sum(track.planar[:, 0] <= depth_mm)))
+    return max(1, int(np.sum(track.points[:, 0] <= depth_mm)))
 
 
 def _check_registration(job: Job) -> None:
@@ -251,7 +251,7 @@ def _check_registration(job: Job) -> None:
                 expected="runs into specimens that are fitted",
             )
     for track in tracks:
-        if count_registered(track, depth) > len(track.planar) - MIN_SCORED_READINGS:
+        if count_registered(track, depth) > len(track.points) - MIN_SCORED_READINGS:
             raise ConfigError(
                 f"of run {track.id} nothing is left to be predicted: its readings end at "
                 f"{track.depth:g} mm, and those down to {depth:g} mm place it",

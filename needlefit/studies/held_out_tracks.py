@@ -141,7 +141,7 @@ def _score_run(track: Insertion, placed: int, predicted: Floats, certified: bool
     `predicted` (B, n - placed) are draws of the readings after the first `placed`, mm.
     """
     mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
-    (depths, tips), guide = track.planar.T, track.guide
+    (depths, tips, _), guide = track.points.T, track.guide
     assert guide is not None
     first, measured = tips[0], tips[placed:]
     known = {"measured": measured, "median": predict.quantile(mixture, 0.5)}

@@ -94,7 +94,7 @@ def place_points(dataset: Dataset, insertion: Insertion, s: Floats, points: Floa
     if pose == "free":
         along = insertion.measure_arc("plane")
         at = along[-1] - (insertion.depth - s)
-        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
+        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.points.T[:2]])
     else:
         goal = select_points(dataset.pose, dataset.drop_proximal, insertion, len(s), dataset.compared)
         measured = goal.target
@@ -116,7 +116,7 @@ def _place_predicted_band(
     x, measured, *heights = np.array(
         [[row[f"{name}_mm"] for name in ("x", "measured", "low_95", "median", "high_95")] for row in rows]
     ).T
-    shift = np.interp(x, *insertion.planar.T) - measured
+    shift = np.interp(x, *insertion.points.T[:2]) - measured
     across = np.array([row.get("median_z_mm", 0.0) for row in rows])
     low, middle, high = (placement.to_patient(np.column_stack([x, y + shift, across])) for y in heights)
     return Band(low, middle, high, "predicted")

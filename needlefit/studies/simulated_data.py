@@ -57,7 +57,7 @@ def simulate_measurement(
     """Return the insertion as measured if `values` (Pa, mm) were true; None if it cannot be simulated.
 
     The needle is simulated at depths of layers and tip that err as stated about the insertion's, with a bevel
-    of its own. Measured are its deflections at the arc lengths of `insertion.planar`, or its stored
+    of its own. Measured are its deflections at the arc lengths of `insertion.points`, or its stored
     cross-sections: with noise that is `noise_scale` of `values` times as large as stated, in a pose drawn
     from its prior. Where poses are free, the shape lies anywhere. None also where the needle bends as no
     curve of its length does. Tip tracks are not simulated.
@@ -117,7 +117,7 @@ def simulate_measurement(
         angle = rng.uniform(0.0, 2 * np.pi)
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         planar = planar @ turn + FREE_POSE_SHIFT_SD_MM * rng.standard_normal(2)
-    return insertion.with_planar(planar, across[:, 1] if in_space else None)
+    return insertion.with_points(np.column_stack([planar, across[:, 1:]]))
 
 
 def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.Generator) -> Floats:
@@ -169,9 +169,9 @@ def _measure_sections(
     noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
     seen = np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T])
     seen = np.pad(seen, ((0, 0), (0, 3 - seen.shape[1])))
-    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.planar)), known.s, stored.q)
+    q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), known.s, stored.q)
     points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
-    measured = insertion.with_planar(points[:, :2], points[:, 2])
+    measured = insertion.with_points(points)
     return replace(measured, sections=replace(stored, points=insertion.frame.to_world(seen)))
 
 
@@ -217,7 +217,7 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
 def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: SyntheticDataRecord) -> Insertion:
     """Return one insertion as it is planned: straight along x."""
     x = np.linspace(0.0, one.depth_mm, math.ceil(one.depth_mm / POINT_SPACING_MM) + 1)
-    straight = np.column_stack([x, np.zeros(len(x))])
+    straight = np.column_stack([x, np.zeros((len(x), 2))])
     return Insertion(
         id=f"made-{number:02d}",
         medium=DATASET_MEDIUM,
@@ -231,9 +231,8 @@ def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: Syntheti
         pose_source="stage",
         pose_shift_sd=0.0,
         pose_angle_sd=math.radians(record.pose_angle_sd_deg),
-        centerline=np.column_stack([straight, np.zeros(len(x))]),
-        planar=straight,
-        out_of_plane=np.zeros(len(x)),
+        centerline=straight,
+        points=straight,
         boundaries=np.empty(0),
         sequence=(1,),
         boundary_sd=0.0,
@@ -275,7 +274,7 @@ def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Proble
         if met is None or shape is None or not shape.converged:
             return None
         points = OBSERVATIONS[one.observed].simulate_places(one, shape)
-        measured = one.with_planar(points[:, :2], points[:, 2])
+        measured = one.with_points(points)
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
     return replace(job.problem(fold), insertions=tuple(made))
 

@@ -177,7 +177,7 @@ def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
     from needlefit.reporting.figures.needles import SceneOverlays
 
     viewed_scene = open_recording(outcome.recording)
-    points = None if viewed_scene.measured is None else viewed_scene.measured.points
+    points = None if viewed_scene.measured is None else viewed_scene.measured.points[:, :2]
     spread = viewed_scene.spread if banded else None
     found = compute_band(continue_insertion(outcome.steering, spread))
     if found is None:

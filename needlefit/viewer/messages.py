@@ -50,15 +50,17 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
 def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
     """Return a measured needle as the page draws and compares it."""
     target = measured.target
-    x, y = measured.points.T.tolist()
-    points = dict(zip("xyz", target.measured.T.tolist(), strict=True))
+    points, compared = (
+        dict(zip("xyz", one.T.tolist(), strict=True)) for one in (measured.points, target.measured)
+    )
     return {
         "metrics": needle_page.encode_metrics(),
         "compared": target.compared,
-        **{"x": x, "y": y, "z": measured.out_of_plane.tolist(), "s": measured.s.tolist()},
+        **points,
+        "s": measured.s.tolist(),
         "floor_mm": measured.floor,
         "median": measured.median,
-        "target": {"pose": target.pose, "s": target.s.tolist(), **points},
+        "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
     }
 
 

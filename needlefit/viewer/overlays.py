@@ -70,7 +70,7 @@ class MeasuredOverlay:
     """A measured needle, prepared for comparison with many simulated ones."""
 
     id: str
-    #: (N, 2) in C, entry first, mm. A shape known only up to a rigid motion, or a shift across, lies on the
+    #: (N, 3) in C, entry first, mm. A shape known only up to a rigid motion, or a shift across, lies on the
     #: needle of the parameters with which it was opened.
     points: Floats
     #: (N,) Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm
@@ -79,7 +79,6 @@ class MeasuredOverlay:
     depth: float  #: inserted arc length, mm
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
-    out_of_plane: Floats  #: (N,) z of the points, mm
     #: the predictive median of a run that has held it out: x, y, mm, and its errors
     median: Mapping[str, Any] | None = None
 
@@ -96,14 +95,13 @@ def make_measured_overlay(
     from needlefit.inference.likelihood.observations import select_points
 
     aim = select_points(dataset.pose, dataset.drop_proximal, insertion, compared=dataset.compared)
-    points, z, s = insertion.planar, insertion.out_of_plane, insertion.measure_arc(dataset.compared)
+    points, s = insertion.points, insertion.measure_arc(dataset.compared)
     s = s * (insertion.depth / s[-1])
     if dataset.pose == "free":
-        points, z, s = aim.measured[:, :2], aim.measured[:, 2], aim.s
+        points, s = aim.measured.copy(), aim.s
         if shape.converged:
-            points = align_rigid(points, compute_positions(shape, s)[:, :2])
+            points[:, :2] = align_rigid(points[:, :2], compute_positions(shape, s)[:, :2])
     elif aim.pose == "direction" and shape.converged:
-        moved = align(aim.pose, np.column_stack([points, z]), compute_positions(shape, s))
-        points, z = moved[:, :2], moved[:, 2]
+        points = align(aim.pose, points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
-    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated, z)
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)

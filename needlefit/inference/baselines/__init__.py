@@ -73,7 +73,7 @@ STRAIGHT = Baseline(
     "a straight line",
     "#8a8a8a",
     curve=make_curvature_curve,
-    track_basis=lambda track: np.empty((len(track.planar), 0)),
+    track_basis=lambda track: np.empty((len(track.points), 0)),
     order=1,
 )
 #: Constant curvature toward the bevel; the tip of a track follows a parabola.
@@ -84,7 +84,7 @@ CONSTANT_CURVATURE = Baseline(
     "#009E73",
     curve=make_curvature_curve,
     scales=(COEFFICIENT_LENGTH_MM**-1.0,),
-    track_basis=lambda track: track.side * track.planar[:, :1] ** 2 / 2,
+    track_basis=lambda track: track.side * track.points[:, :1] ** 2 / 2,
     order=2,
 )
 #: Curvature toward the bevel that is linear in arc length.
@@ -115,7 +115,7 @@ STEERED_LINE = Baseline(
     "a straight line with the slope of the other runs under a guide that moved, or rested, alike",
     "#4d4d4d",
     curve=make_curvature_curve,
-    track_basis=lambda track: np.empty((len(track.planar), 0)),
+    track_basis=lambda track: np.empty((len(track.points), 0)),
     track_slope="alike",
     tracks_only=True,
     order=6,

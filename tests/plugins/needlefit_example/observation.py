@@ -19,7 +19,7 @@ class Ultrasound(ObservationType):
         along = insertion.measure_arc(errors.dataset.compared)
         seen = along > HIDDEN_MM
         s = along[seen] * insertion.depth / along[-1]
-        measured = insertion.planar[seen]
+        measured = insertion.points[seen, : 1 + errors.dataset.directions]
         modes, sds = list_pose_modes(insertion, errors, measured)
         pose, free = split_pose_modes(insertion, modes, sds)
         covariance = points_covariance(s, errors.noise)

@@ -52,10 +52,10 @@ class ObservationType:
         else:
             to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
             s, at = insertion.depth - to_tip, float(along[-1]) - to_tip
-        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.planar.T])
-        measured = measured if pose == "known" else rotate_to_entry_axes(measured)
-        z = np.interp(at, along, insertion.out_of_plane)
-        return ComparedPoints(s, np.column_stack([measured, z]), find_pose(pose, insertion), compared)
+        measured = np.column_stack([np.interp(at, along, axis) for axis in insertion.points.T])
+        if pose != "known":
+            measured[:, :2] = rotate_to_entry_axes(measured[:, :2])
+        return ComparedPoints(s, measured, find_pose(pose, insertion), compared)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
         """Return the simulated points (K, 3) at beam coordinates `s` (K,), mm."""
@@ -71,14 +71,14 @@ class ObservationType:
 
     def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
         """Return as many simulated points as were measured, (N, 3) mm."""
-        return sample_inserted_points(shape, len(insertion.planar))
+        return sample_inserted_points(shape, len(insertion.points))
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
         """Return an insertion of which about `count` places were measured, of more."""
-        step = max(1, math.ceil(len(insertion.planar) / count))
-        chosen = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]  # keeps the tip
+        step = max(1, math.ceil(len(insertion.points) / count))
+        chosen = np.arange(len(insertion.points) - 1, -1, -step)[::-1]  # keeps the tip
         sd = None if insertion.sd is None else insertion.sd[chosen]
-        return replace(insertion.with_planar(insertion.planar[chosen]), sd=sd)
+        return replace(insertion.with_points(insertion.points[chosen, :2]), sd=sd)
 
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return what the likelihood compares; DataError if the errors that are stated leave it no width."""

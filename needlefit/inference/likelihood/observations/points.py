@@ -49,8 +49,8 @@ class _Points(ObservationType):
         dataset, noise = errors.dataset, errors.noise
         measurement = dataset.measurement if errors.smoothed else DEFAULT_MEASUREMENT
         along, s = select_compared_places(dataset.pose, dataset.drop_proximal, insertion, dataset.compared)
-        arc, axes = insertion.measure_arc(dataset.compared), [*insertion.planar.T, insertion.out_of_plane]
-        measured = np.column_stack([np.interp(along, arc, axis) for axis in axes[: 1 + dataset.directions]])
+        arc, axes = insertion.measure_arc(dataset.compared), insertion.points.T[: 1 + dataset.directions]
+        measured = np.column_stack([np.interp(along, arc, axis) for axis in axes])
         measured = measured if dataset.pose == "known" else rotate_to_entry_axes(measured)
         sd = None if insertion.sd is None else np.interp(along, arc, insertion.sd)
         cov, free = points_covariance(s, noise, sd), make_tracker_columns(measured[:, 0])  # across, and turn

@@ -32,8 +32,7 @@ class _Tip(ObservationType):
     ) -> ComparedPoints:
         """Return the entry, where the needle has no deflection, and the tip."""
         s = np.array([0.0, insertion.depth])
-        ends = np.array([insertion.planar[-1, 1], insertion.out_of_plane[-1]])
-        measured = np.column_stack([s, np.vstack([np.zeros(2), ends])])
+        measured = np.column_stack([s, np.vstack([np.zeros(2), insertion.points[-1, 1:]])])
         return ComparedPoints(s, measured, find_pose(pose, insertion), compared)
 
     def read_points(self, shape: NeedleShape, s: Floats) -> Floats:
@@ -57,7 +56,7 @@ class _Tip(ObservationType):
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return the observation of the tip, whose slope is taken as that of constant curvature."""
         s, count = np.array([insertion.depth]), errors.dataset.directions
-        across = np.append(insertion.planar[-1:, 1], insertion.out_of_plane[-1])[None, :count]  # (1, 1 or 2)
+        across = insertion.points[-1:, 1 : 1 + count]  # (1, 1 or 2)
         cov = points_covariance(s, errors.noise, None if insertion.sd is None else insertion.sd[-1:])
         if errors.model_error is not None:
             cov = cov + errors.model_error.covariance(s)

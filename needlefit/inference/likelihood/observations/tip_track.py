@@ -60,7 +60,7 @@ class _TipTrack(ObservationType):
         self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared
     ) -> ComparedPoints:
         """Return the readings, whatever `stations`, without the line through the first of them."""
-        depth, *tips = *insertion.planar.T, insertion.out_of_plane
+        depth, *tips = insertion.points.T
         frame = make_tracker_columns(depth)
         first = frame[: count_entry_side(len(depth))]
         tip, across = (one - frame @ np.linalg.lstsq(first, one[: len(first)], rcond=None)[0] for one in tips)
@@ -90,7 +90,7 @@ class _TipTrack(ObservationType):
 
     def simulate_places(self, insertion: Insertion, shape: NeedleShape) -> Floats:
         """Return the tips at the depths of the readings."""
-        return self.read_points(shape, insertion.planar[:, 0])
+        return self.read_points(shape, insertion.points[:, 0])
 
     def thin(self, insertion: Insertion, count: int) -> Insertion:
         """Return the insertion with all its readings."""
@@ -109,7 +109,7 @@ class _TipTrack(ObservationType):
         with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
         axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
         for number, one in enumerate(directions):
-            depths, measured = one.planar[:, 0], one.planar
+            depths, measured = one.points[:, 0], one.points[:, :2]
             cov, operator = points_covariance(depths, noise, one.sd), np.eye(len(depths))
             frame = make_tracker_columns(depths)
             if with_headings:
@@ -187,9 +187,9 @@ def add_headings(track: Insertion) -> tuple[Floats, Floats]:
     """
     heading, step = track.headings[0], HEADING_STEP_MM
     n = len(heading)
-    before = (track.planar - step * np.column_stack([np.ones(n), np.tan(heading)]))[1:]
+    before = (track.points[:, :2] - step * np.column_stack([np.ones(n), np.tan(heading)]))[1:]
     rows = [[np.eye(n), np.zeros((n, n - 1))], [np.eye(n)[1:] / step, -np.eye(n - 1) / step]]
-    return np.concatenate([track.planar, before]), np.block(rows)
+    return np.concatenate([track.points[:, :2], before]), np.block(rows)
 
 
 def list_session_axes(
@@ -212,7 +212,7 @@ def list_directions(track: Insertion, compared: Compared) -> tuple[Insertion, ..
         return (track,)
     along_z = replace(
         track,
-        planar=np.column_stack([track.planar[:, 0], track.out_of_plane]),
+        points=track.points[:, [0, 2, 1]],
         guide=replace(track.guide, y=track.guide.z),
         headings=track.headings[1:],
         directions=1,
