@@ -10,12 +10,12 @@ import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
 from test_datasets import CURVE, record, row
 
-from needlefit.datasets.planes import leaves_plane, set_compared, turns_out_of_plane
+from needlefit.datasets.planes import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
 from needlefit.datasets.read import check, read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves, integrate_curvature
-from needlefit.inference.baseline_fit import find_plane, fit_baselines
+from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.compared_points import turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -301,9 +301,12 @@ def test_curves_without_mechanics_lie_in_the_plane_to_which_the_turns_lead():
         points[:, 0] = bent[:, 0]
         one = replace(insertion(depth, (12.0,), (1, 2), (-1) ** n), turns=((depth / 2, 90.0),))
         made.append(one.with_points(points))
-    assert [find_plane(one) for one in made] == pytest.approx([angle] * 2)
-    assert find_plane(turned(turns=())) == 0 and find_plane(turned(turns=((1.0, 180.0),))) == math.pi
-    found = fit_baselines("known", 0.0, made, "space")
+    made = set_compared(dataset(made), made, "space").insertions
+    assert [one.curve_roll for one in made] == pytest.approx([angle] * 2)
+    assert (
+        find_curve_roll(turned(turns=())) == 0 and find_curve_roll(turned(turns=((1.0, 180.0),))) == math.pi
+    )
+    found = fit_baselines("known", 0.0, made)
     assert found["constant_curvature"].coefficients == pytest.approx([1 / 300], rel=1e-6)
     for name in ("constant_curvature", "mean_shape"):
         for one in made:

@@ -232,16 +232,16 @@ def test_a_recording_is_compared_with_its_scene_by_what_both_mean(by, same) -> N
 
 
 @pytest.mark.parametrize(
-    ("fitted", "along_z", "target", "count"),
+    ("fitted", "directions", "target", "count"),
     [
-        *[((70.0, 80.0), False, "45,2", 0), ((100.0, 110.0), False, "45,2", 1)],
-        *[((70.0, 80.0), False, "45,2,1", 1), ((70.0, 80.0), True, "45,2,1", 0)],
+        *[((70.0, 80.0), 1, "45,2", 0), ((100.0, 110.0), 1, "45,2", 1)],
+        *[((70.0, 80.0), 1, "45,2,1", 1), ((70.0, 80.0), 2, "45,2,1", 0)],
     ],
 )
 def test_a_plan_to_a_depth_or_along_z_that_was_not_fitted_says_so(
-    fitted, along_z, target, count, monkeypatch, capsys
+    fitted, directions, target, count, monkeypatch, capsys
 ) -> None:
-    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_along_z=along_z)
+    shown = replace(opening.open_target("phantom2"), fitted_depths=fitted, fitted_directions=directions)
     monkeypatch.setattr(opening, "open_target", lambda *_, **__: shown)
     assert run("plan", "phantom2", "--target", target, "--turns", "0", "--json") == 0
     kinds = [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
@@ -291,7 +291,9 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
 def test_a_goal_of_the_plane_becomes_one_in_space() -> None:
     balls = [Ball("a", (20.0, 1.0, 0.5), 1.0)]
     goal = make_space_goal((45.0, 3.0, 1.0), 1.5, balls)
-    assert goal.spatial and goal.obstacles[0].centre_mm == (20.0, 1.0, 0.5) and goal.to_space() == goal
+    assert (
+        goal.directions == 2 and goal.obstacles[0].centre_mm == (20.0, 1.0, 0.5) and goal.to_space() == goal
+    )
     lifted = cut_plane((45.0, 3.0, 0.0), 1.5, tuple(balls)).goal.to_space()
     assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
 

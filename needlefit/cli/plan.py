@@ -70,8 +70,7 @@ def plan(
     the plane z = 0 the bevel is rolled as the insertion begins, while the base moves along y; where that does
     not reach it, bevel and base are rolled together.
     """
-    from needlefit.planning.goals import cut_plane, make_space_goal
-    from needlefit.planning.steering import PlanLimits, plan_steering
+    from needlefit.planning.steering import PlanLimits, plan_to_target
     from needlefit.project.unit_warnings import extrapolation_warnings
     from needlefit.studies.run import mark_faults
     from needlefit.viewer.opening import open_target
@@ -85,14 +84,8 @@ def plan(
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
-    plane = cut_plane(aim, radius, tuple(balls))
-    goal = make_space_goal(aim, radius, balls) if aim[2] else plane.goal
-    found = plan_steering(insertion, goal, limits, invocation.jobs)
-    if goal.spatial and not found.hits:  # base and bevel rolled together
-        rolled = plan_steering(insertion, plane.goal, limits, invocation.jobs)
-        found = rolled if rolled.hits else found
-    plane = replace(plane, roll_deg=0.0, beside=()) if found.goal.spatial else plane
-    unfitted = found.goal.spatial and not shown.fitted_along_z
+    plane, found = plan_to_target(insertion, aim, radius, balls, limits, invocation.jobs)
+    unfitted = found.goal.directions > shown.fitted_directions
     depth = found.steps[-1].depth
     beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
     shown = replace(shown, warnings=(*shown.warnings, *beyond))
@@ -162,21 +155,9 @@ def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str
 def _summarize(
     shown: "ViewedScene", plane: "PlaneGoal", found: "SteeringPlan", search_draws: int
 ) -> dict[str, Any]:
-    from needlefit.mechanics.torsion import find_roll
     from needlefit.project.result_warnings import to_rows
 
     goal, exact = found.goal, shown.spread is None
-    steps = [
-        {
-            "depth_mm": step.depth,
-            **(
-                {"bevel_roll_deg": find_roll(step.bevel)} if goal.spatial else {"bevel_side": step.bevel.side}
-            ),
-            "base_y_mm": step.controls.base_y,
-            "base_slope": step.controls.base_slope,
-        }
-        for step in (found.steps if found.hits else ())
-    ]
     return {
         "target_mm": list(goal.target),
         "radius_mm": goal.radius,
@@ -185,7 +166,7 @@ def _summarize(
         "roll_deg": plane.roll_deg,
         "entry_mm": found.entry_mm,
         "turns_mm": list(found.turns),
-        "steps": steps,
+        "steps": found.describe_steps() if found.hits else [],
         **found.describe_misses(),
         "fit_verdict": shown.recall() or None,
         "specimen": shown.specimen or None,

@@ -69,7 +69,7 @@ def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_colum
     """Yield a fault for each curve that is far from as long as its depth."""
     every = [
         _Difference(
-            one, one.insertion.curve_in_space.length, find_length_tolerance(one.insertion.depth, pose)
+            one, one.insertion.smooth("space").length, find_length_tolerance(one.insertion.depth, pose)
         )
         for one in listed
     ]
@@ -91,7 +91,7 @@ def find_length_warnings(
     every = list[_Difference]()
     point_sd = math.sqrt(2) * math.hypot(noise.point_sd, noise.correlated_sd)  # of both ends
     for one in (each for each in listed if each.insertion.pose_source != "none"):
-        insertion, curve = one.insertion, one.insertion.curve_in_space
+        insertion, curve = one.insertion, one.insertion.smooth("space")
         sd = math.hypot(point_sd, curve.length_sd, insertion.depth_sd, insertion.pose_shift_sd)
         every.append(_Difference(one, curve.length, max(LENGTH_SD * sd, SAME_LENGTH_MM)))
     found = sorted((one for one in every if one.is_beyond), key=lambda one: -abs(one.gap))

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, Self, cast
 
@@ -13,6 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import DataError
+from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.geometry.measured_curve import MeasuredCurve, measure_curve
 from needlefit.geometry.smoothing_spline import SplineSections
@@ -20,7 +20,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.dataset import MeasurementRecord
-from needlefit.schemas.study import Compared
+from needlefit.schemas.study import DIRECTIONS, Compared
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -186,6 +186,8 @@ class Insertion:
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
+    curve_roll : float
+        Roll about x of the plane in which curves without mechanics bend, rad; 0 of one compared in its plane.
     """
 
     id: str
@@ -222,6 +224,8 @@ class Insertion:
     observed: str = "points"
     directions: Literal[1, 2] = 2
     headings: tuple[Floats, ...] = ()
+    curve_roll: float = 0.0
+    _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def guided(self) -> bool:
@@ -235,17 +239,13 @@ class Insertion:
 
     def measure_arc(self, compared: Compared) -> Floats:
         """Return the arc lengths (N,) of the measured points, mm: of the curve in its plane, or in space."""
-        return (self.curve_in_plane if compared == "plane" else self.curve_in_space).s
+        return self.smooth(compared).s
 
-    @cached_property
-    def curve_in_plane(self) -> MeasuredCurve:
-        """The curve in its plane, smoothed to its noise."""
-        return measure_curve(self.points[:, :2])
-
-    @cached_property
-    def curve_in_space(self) -> MeasuredCurve:
-        """The curve in space, smoothed to its noise."""
-        return measure_curve(self.points)
+    def smooth(self, compared: Compared) -> MeasuredCurve:
+        """Return the measured points as a curve smoothed to its noise, in its plane or in space."""
+        if compared not in self._curves:
+            self._curves[compared] = measure_curve(select_compared(self.points, compared))
+        return self._curves[compared]
 
     @property
     def deflection(self) -> float:
@@ -304,8 +304,8 @@ class Dataset:
 
     @property
     def directions(self) -> int:
-        """How many deflections of a point are compared: 1, along y, or 2, along y and z."""
-        return 1 if self.compared == "plane" else 2
+        """How many deflections of a point are compared, along y, and z."""
+        return DIRECTIONS[self.compared]
 
     @property
     def needles(self) -> dict[str, Needle]:
@@ -393,7 +393,7 @@ def find_free_reach(drop: float, insertion: Insertion) -> float:
 
     DataError if nothing is left to compare.
     """
-    reach = min(insertion.curve_in_plane.length, insertion.depth) - drop
+    reach = min(insertion.smooth("plane").length, insertion.depth) - drop
     if reach <= 0:
         raise DataError(
             f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",

@@ -28,11 +28,11 @@ def estimate_noise_floor(
     the tip after alignment. Uncertain layer depths are not in it.
     """
     metrics = [metric for metric in list_metrics() if metric.has_floor]
-    displaced = draw_measurement_errors(dataset, insertion, rng, draws)
+    displaced = draw_measurement_errors(dataset, insertion, rng, draws, insertion.directions)
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
-    whole, across = insertion.points, draw_errors_across(dataset, insertion, rng, draws)
-    again = whole + np.concatenate([displaced, across[..., None]], axis=-1)
+    whole = insertion.points
+    again = whole + np.pad(displaced, ((0, 0), (0, 0), (0, 3 - displaced.shape[-1])))
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     tracker = dataset.pose == "tracker"
     is_tip = tracker or len(whole) == 2
@@ -54,9 +54,9 @@ def estimate_noise_floor(
 
 
 def draw_measurement_errors(
-    dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
+    dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int, directions: int
 ) -> Floats | None:
-    """Draw by how much each measured point errs, (draws, N, 2) mm; None where the dataset states no noise.
+    """Draw by how much each measured point errs, (draws, N, 1 + directions) mm; None if no noise is stated.
 
     Every draw adds independent and correlated noise to each point and, with a known pose, moves the
     curve: by an isotropic shift, of which the plane sees two of three components, and by the row's angle.
@@ -74,25 +74,23 @@ def draw_measurement_errors(
     cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     shifts = np.array([0.0 if cut else shift, shift])
     points = draw_point_noise(insertion.measure_arc("plane"), noise, rng, draws)
-    return points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
+    drawn = points + displace_by_pose(curve, shifts, angle, rng.normal(size=(draws, 3)))
+    # along z they are drawn after those in the plane, which do not depend on them
+    along_z = (_draw_errors_along_z(dataset, insertion, rng, draws) for _ in range(1, directions))
+    return np.concatenate([drawn, *along_z], axis=-1)
 
 
-def draw_errors_across(
+def _draw_errors_along_z(
     dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int
 ) -> Floats:
-    """Draw by how much each measured point errs out of the plane, (draws, N) mm; 0 if nothing was.
-
-    They are drawn after those in the plane, which do not depend on them.
-    """
-    if insertion.directions == 1:
-        return np.zeros((draws, len(insertion.points)))
+    """Draw by how much each measured point errs out of the plane, (draws, N, 1) mm."""
     s = insertion.measure_arc("plane")
-    points = draw_point_noise(s, dataset.noise, rng, draws)[..., 0]
+    points = draw_point_noise(s, dataset.noise, rng, draws)[..., :1]
     if dataset.pose != "known":
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
-    normal = rng.normal(size=(2, draws, 1))
-    found: Floats = points + shift * normal[0] + insertion.pose_angle_sd * normal[1] * s
+    normal = rng.normal(size=(2, draws, 1, 1))
+    found: Floats = points + shift * normal[0] + insertion.pose_angle_sd * normal[1] * s[:, None]
     return found
 
 

@@ -87,9 +87,23 @@ def set_compared(dataset: Dataset, insertions: Sequence[Insertion], stated: Comp
     if stated is None and known and any(leaves_plane(one, dataset.noise) for one in insertions):
         stated = "space"
     if stated == "space":
-        return replace(dataset, compared="space")
+        rolled = (
+            replace(one, curve_roll=find_curve_roll(one)) if one.turns else one for one in dataset.insertions
+        )
+        return replace(dataset, insertions=tuple(rolled), compared="space")
     kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
     return replace(dataset, insertions=tuple(map(_flatten_guide, kept)))
+
+
+def find_curve_roll(insertion: Insertion) -> float:
+    """Return the roll about x of the plane in which a curve without mechanics bends, rad, from the bevel's.
+
+    There the tip of a curve of constant curvature would end whose direction follows the turns of the bevel.
+    """
+    starts, rolls = np.array([(0.0, 0.0), *insertion.turns]).T
+    # how far a unit of curvature between two turns moves the tip
+    moved = -np.diff(0.5 * (insertion.depth - starts) ** 2, append=0.0)
+    return float(np.angle(moved @ np.exp(1j * np.radians(rolls))))
 
 
 def _flatten_guide(insertion: Insertion) -> Insertion:

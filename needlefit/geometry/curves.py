@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.schemas.study import Compared
+from needlefit.schemas.study import DIRECTIONS, Compared
 
 
 def arc_length(points: ArrayLike) -> Floats:
@@ -112,7 +112,7 @@ def integrate_curvature(depth: float, coefficients: Sequence[ArrayLike], s: Arra
 
 def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Floats:
     """Return the coordinates of points that are compared: x and y of those in the plane, in space z too."""
-    return points if compared == "space" else np.take(points, (0, 1), axis)
+    return np.take(points, range(1 + DIRECTIONS[compared]), axis)
 
 
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)

@@ -1,7 +1,6 @@
 """Fit baselines to insertions by least squares.
 
-In space the curve of each insertion lies in a plane of its own: that in which the tip of a curve of constant
-curvature would end whose direction follows the turns of the bevel.
+The curve of each insertion lies in a plane of its own (`Insertion.curve_roll`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,6 @@ from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
 from needlefit.inference.compared_points import ComparedPoints, Curve, align_points, turn_about_x
 from needlefit.inference.likelihood.observations import select_points
-from needlefit.schemas.study import Compared
 
 
 @dataclass(frozen=True)
@@ -25,14 +23,12 @@ class FittedBaseline:
 
     baseline: Baseline
     coefficients: tuple[float, ...]
-    compared: Compared = "plane"
 
     def curve(self, insertion: Insertion) -> Curve:
         """Return the curve of an insertion: arc lengths (K,) from the entry -> points (K, 3) in C, mm."""
         with BASELINES.plugin_error_context(self.baseline.name):
             curve = _in_space(self.baseline.curve(self.coefficients, insertion))
-        roll = find_plane(insertion) if self.compared == "space" else 0.0
-        return (lambda s: turn_about_x(curve(s), roll)) if roll else curve
+        return (lambda s: turn_about_x(curve(s), roll)) if (roll := insertion.curve_roll) else curve
 
 
 def _in_space(curve: Curve) -> Curve:
@@ -40,35 +36,24 @@ def _in_space(curve: Curve) -> Curve:
     return lambda s: np.pad(curve(s), ((0, 0), (0, 1)))
 
 
-def find_plane(insertion: Insertion) -> float:
-    """Return the roll of the plane of an insertion's curves about x, rad, from the bevel's at contact."""
-    starts, rolls = np.array([(0.0, 0.0), *insertion.turns]).T
-    # how far a unit of curvature between two turns moves the tip
-    moved = -np.diff(0.5 * (insertion.depth - starts) ** 2, append=0.0)
-    return float(np.angle(moved @ np.exp(1j * np.radians(rolls))))
-
-
 def _turn_back(insertion: Insertion) -> Insertion:
     """Return an insertion turned about x, so that the plane of its curves is z = 0."""
-    if not (roll := find_plane(insertion)):
+    if not insertion.curve_roll:
         return insertion
-    points = turn_about_x(insertion.points, -roll)
-    return insertion.with_points(points)
+    return insertion.with_points(turn_about_x(insertion.points, -insertion.curve_roll))
 
 
-def fit_baseline(
-    name: str, pose: Pose, drop: float, insertions: Sequence[Insertion], compared: Compared = "plane"
-) -> FittedBaseline:
+def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insertion]) -> FittedBaseline:
     """Return the baseline `name` that lies closest (least squares) to the scored points of `insertions`.
 
-    In space they are compared in the plane of each insertion's curve.
+    They are compared in the plane of each insertion's curve.
 
     Raises ConfigError if there is no such baseline, or no insertion, or one of a plugin fails.
     """
     baseline = BASELINES[name]
     if not insertions:
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
-    insertions = [_turn_back(one) for one in insertions] if compared == "space" else insertions
+    insertions = [_turn_back(one) for one in insertions]
     pairs = [(insertion, select_points(pose, drop, insertion)) for insertion in insertions]
     with BASELINES.plugin_error_context(name):
         scales = np.array(baseline.scales)
@@ -82,13 +67,11 @@ def fit_baseline(
                 return _residuals(baseline, scales * scaled, pairs)
 
             found = scales * least_squares(residuals, np.zeros(len(scales)), xtol=1e-12).x
-    return FittedBaseline(baseline, tuple(found.tolist()), compared)
+    return FittedBaseline(baseline, tuple(found.tolist()))
 
 
-def fit_baselines(
-    pose: Pose, drop: float, insertions: Sequence[Insertion], compared: Compared = "plane"
-) -> Mapping[str, FittedBaseline]:
-    return {one.name: fit_baseline(one.name, pose, drop, insertions, compared) for one in list_baselines()}
+def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, FittedBaseline]:
+    return {one.name: fit_baseline(one.name, pose, drop, insertions) for one in list_baselines()}
 
 
 def _residuals(

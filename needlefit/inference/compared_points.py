@@ -25,6 +25,11 @@ def turn_about_x(points: Floats, angle: Floats | float) -> Floats:
     return np.stack([x, cos * y - sin * z, sin * y + cos * z], axis=-1)
 
 
+def draw_rolls(roll_sd: float, directions: int, count: int, rng: np.random.Generator) -> Floats:
+    """Draw errors of the roll (count,), rad; none are drawn where y alone is compared: they move nothing."""
+    return roll_sd * rng.standard_normal((directions - 1, count)).sum(axis=0)
+
+
 Curve = Callable[[Floats], Floats]
 
 #: part of the scored points, from the entry side, whose line is x in a free comparison

@@ -14,9 +14,9 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.noise import draw_errors_across, draw_measurement_errors
+from needlefit.datasets.noise import draw_measurement_errors
 from needlefit.datasets.select import MIN_GROUPS, group_insertions
-from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align
+from needlefit.inference.compared_points import ComparedPoints, align, differentiate_align, draw_rolls
 from needlefit.inference.fit import EvaluationRecorder, ObjectiveFunction
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.nodes import Surface, make_nodes
@@ -144,20 +144,18 @@ def _draw_errors(
 
     `shared` has the errors (B,) of surfaces, in standard deviations; what is missing is drawn and added.
     """
-    measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES)
+    directions = problem.dataset.directions
+    measured = draw_measurement_errors(problem.dataset, insertion, rng, REPLICATES, directions)
     if measured is None:
         return None
     along = insertion.measure_arc("plane")
     scale = along[-1] / insertion.depth if problem.dataset.pose == "known" else 1
     at = along[-1] - (insertion.depth - goal.s) * scale
-    drawn = np.stack([_interpolate(at, along, measured[..., axis]) for axis in (0, 1)], axis=-1)
-    if goal.compared == "space":
-        across = draw_errors_across(problem.dataset, insertion, rng, REPLICATES)
-        rolls = insertion.roll_sd * rng.standard_normal((REPLICATES, 1))
-        _, y, z = goal.measured.T
-        turned = np.stack([0.0 * z, -z, y], axis=-1)
-        drawn = np.concatenate([drawn, _interpolate(at, along, across)[..., None]], axis=-1)
-        drawn = drawn + rolls[..., None] * turned
+    drawn = np.stack([_interpolate(at, along, one) for one in np.moveaxis(measured, -1, 0)], axis=-1)
+    rolls = draw_rolls(insertion.roll_sd, directions, REPLICATES, rng)
+    _, y, z = goal.measured.T
+    turned = np.stack([0.0 * z, -z, y], axis=-1)[:, : 1 + directions]
+    drawn = drawn + rolls[:, None, None] * turned
     nodes = make_nodes(insertion, goal.s, "linear")
     model = PreparedModel(problem.medium, nodes.insertions)
     points = model.read_points([values], list(nodes.s))

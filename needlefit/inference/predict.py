@@ -114,7 +114,7 @@ MEDIAN_STEPS = 60  #: of the search for a geometric median; each leaves about ha
 def find_geometric_median(points: Floats) -> Floats:
     """Return the points (K, d) whose mean distance from `points` (B, K, d) is least (E. Weiszfeld, 1937)."""
     found: Floats = np.median(points, axis=0)
-    for _ in range(MEDIAN_STEPS):
+    for _ in range(MEDIAN_STEPS if points.shape[-1] > 1 else 0):  # of numbers that is their median
         weights = 1 / np.maximum(np.linalg.norm(points - found, axis=-1, keepdims=True), TINY_MM)
         found = (weights * points).sum(axis=0) / weights.sum(axis=0)
     return found

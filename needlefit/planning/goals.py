@@ -36,21 +36,19 @@ class Goal:
     All in the plane z = 0, or all in space.
     """
 
-    target: tuple[float, float] | SpacePoint
+    target: tuple[float, ...]  #: x and y, in space z too
     radius: float = math.inf
     obstacles: tuple[ObstacleRecord, ...] = ()
 
     @property
-    def spatial(self) -> bool:
-        """Whether it lies in space."""
-        return len(self.target) == 3
+    def directions(self) -> int:
+        """How many coordinates across x it has: y, and z."""
+        return len(self.target) - 1
 
     def to_space(self) -> "Goal":
         """Return the same goal in space; circles become spheres."""
-        if self.spatial:
-            return self
-        spheres = [one.model_copy(update={"centre_mm": (*one.centre_mm[:2], 0.0)}) for one in self.obstacles]
-        return Goal((*self.target[:2], 0.0), self.radius, tuple(spheres))
+        spheres = [one.model_copy(update={"centre_mm": (*one.centre_mm, 0.0)[:3]}) for one in self.obstacles]
+        return Goal((*self.target, 0.0)[:3], self.radius, tuple(spheres))
 
 
 def compute_clearances(needles: Floats, obstacle: ObstacleRecord) -> Floats:

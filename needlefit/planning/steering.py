@@ -38,11 +38,16 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll
 from needlefit.planning.goals import (
     PATH_POINTS,
+    Ball,
     Goal,
+    PlaneGoal,
+    SpacePoint,
     compute_clearances,
     compute_misses,
     compute_residuals,
+    cut_plane,
     find_hits,
+    make_space_goal,
     minimize_miss,
 )
 
@@ -126,11 +131,6 @@ class StartedInsertion:
         return replace(last, controls=replace(last.controls, tip=None))
 
     @property
-    def spatial(self) -> bool:
-        """Whether the needle has left the plane z = 0."""
-        return any(step.acts_along_z for step in self.path)
-
-    @property
     def exact(self) -> ParameterDraws:
         """The parameters of the tissue and the bevel themselves."""
         return ParameterDraws.exact(self.tissue, self.now.bevel, self.rules)
@@ -202,12 +202,23 @@ class SteeringPlan:
         """Distance from the target of the tip with the exact parameters, mm."""
         return float(compute_misses(self.nominal[None], self.goal)[0])
 
+    def describe_steps(self) -> list[dict[str, Any]]:
+        """Return the steps, mm and 1: the bevel by its roll, degrees, in a plane by its side."""
+        rows = []
+        for step in self.steps:
+            roll, side = {"bevel_roll_deg": find_roll(step.bevel)}, {"bevel_side": step.bevel.side}
+            base = {"base_y_mm": step.controls.base_y, "base_slope": step.controls.base_slope}
+            rows.append({"depth_mm": step.depth, **(roll if self.goal.directions > 1 else side), **base})
+        return rows
+
     def describe_misses(self) -> dict[str, Any]:
         """Return misses in mm (None without a needle), what needles touch, and what is at its limit."""
         misses, nominal = self.misses, self.nominal_miss
         median, most = np.quantile(misses, [0.5, 0.95]).tolist() if len(misses) else (None, None)
         tips = self.needles[self.solved, -1]
-        spread = {"tip_sd_mm": tips.std(axis=0)[1:].tolist()} if self.goal.spatial and len(tips) else {}
+        spread = (
+            {"tip_sd_mm": tips.std(axis=0)[1:].tolist()} if self.goal.directions > 1 and len(tips) else {}
+        )
         return spread | {
             "nominal_miss_mm": nominal if math.isfinite(nominal) else None,
             "median_mm": median,
@@ -230,7 +241,7 @@ def plan_steering(
     `threads` are by default as many as there are cores. Raises ModelError if the target is not ahead of the
     tip, out of the needle's reach, no needle is found on the way, or `cancelled()` while it is sought.
     """
-    goal = goal.to_space() if insertion.spatial else goal
+    goal = goal.to_space() if any(step.acts_along_z for step in insertion.path) else goal
     search = _Search(insertion, goal, limits or PlanLimits(), threads, cancelled)
     x, nearest = goal.target[0], insertion.now.depth + NEAREST_TARGET_MM
     if x <= nearest or search.end > insertion.reach:
@@ -257,6 +268,29 @@ def plan_steering(
     at_limit = tuple(name for name, met in zip(LIMITED, at_end[[0, 2, 3]], strict=True) if met)
     outcome = (needles, nominal[0], hits, low, high, touched, at_limit)
     return SteeringPlan(float(chosen.at[0]), way, turns, goal, *outcome)
+
+
+def plan_to_target(
+    insertion: StartedInsertion,
+    target: SpacePoint,
+    radius: float,
+    balls: Sequence[Ball],
+    limits: PlanLimits,
+    threads: int | None,
+) -> tuple[PlaneGoal, SteeringPlan]:
+    """Return the plan of least risk to a target in C, mm, and the plane in which it lies.
+
+    To a target outside of the plane z = 0 the bevel is rolled as the insertion begins, while the base moves
+    along y; where that does not reach it, bevel and base are rolled together.
+    """
+    plane = cut_plane(target, radius, tuple(balls))
+    if not target[2]:
+        return plane, plan_steering(insertion, plane.goal, limits, threads)
+    found = plan_steering(insertion, make_space_goal(target, radius, balls), limits, threads)
+    if not found.hits:
+        rolled = plan_steering(insertion, plane.goal, limits, threads)
+        found = rolled if rolled.hits else found
+    return (replace(plane, roll_deg=0.0, beside=()) if found.goal.directions > 1 else plane), found
 
 
 @dataclass(frozen=True)
@@ -360,7 +394,7 @@ class _Search:
     def still(self) -> Floats:
         """Straight on: entry, depth, base y and base slope, in space roll."""
         bevel, controls = self.insertion.now.bevel, self.insertion.now.controls
-        roll = [math.remainder(find_roll(bevel), 360.0)] if self.goal.spatial else []
+        roll = [math.remainder(find_roll(bevel), 360.0)] if self.goal.directions > 1 else []
         return np.array([0.0, self.end, controls.base_y, controls.base_slope, *roll])
 
     def effort(self, choice: _Choice) -> Floats:
@@ -404,7 +438,7 @@ class _Search:
             for turned in combinations(_spread(self.stations, TURN_PLACES[count]), count)
         ]
         sides = (bevel.side, -bevel.side) if bends else (bevel.side,)
-        if self.goal.spatial:  # toward the target, or away from it
+        if self.goal.directions > 1:  # toward the target, or away from it
             y, z = self.goal.target[1], self.goal.target[-1]
             begin[4] = math.degrees(math.atan2(z, y - begin[0])) if bends else begin[4]
             away = begin + np.array([0.0, 0.0, 0.0, 0.0, -math.copysign(180.0, begin[4])])

@@ -9,6 +9,8 @@ from needlefit.schemas.medium import spell_parameter
 
 LayerCountRule = Literal["listed", "alternative"]
 Compared = Literal["plane", "space"]  #: where needles are compared: in their planes, or in space
+#: how many deflections of a point are compared there: along y, or along y and z
+DIRECTIONS: dict[Compared, int] = {"plane": 1, "space": 2}
 
 
 class SelectionRecord(Record):

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
@@ -201,7 +200,7 @@ def draw_predictive_check(run: Run) -> Drawing:
     groups = pd.Series(join_trials(predictions))
     trials = groups.nunique()
     size = groups.map(groups.value_counts()).to_numpy(dtype=np.float64)
-    for quantity, pits in _orient_pits(run).items():
+    for quantity, pits in scores.orient_pits(run).items():
         order = np.argsort(pits, kind="stable")
         below = np.cumsum(1 / size[order]) / trials  # every group weighs the same
         rows += [
@@ -223,14 +222,3 @@ def draw_predictive_check(run: Run) -> Drawing:
         ]
     counts = {"insertions": len(predictions), "replicates": trials, "origin": run.origin}
     return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))
-
-
-def _orient_pits(run: Run) -> dict[str, Floats]:
-    """Return the levels of tips and shapes; those of tips are stored toward +y."""
-    predictions = run.frames["predictive"]
-    sides = predictions["insertion"].map(scores.find_bevel_sides(run)).to_numpy(dtype=np.float64)
-    tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
-    if scores.is_in_space(run):  # those of tips are by the distance from the predicted one
-        return {"tip": tips, "shape": shapes}
-    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
-    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}

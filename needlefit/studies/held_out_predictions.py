@@ -21,7 +21,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve, align, turn_about_x
+from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
@@ -144,9 +144,8 @@ class _Predictor:
         """Return the prediction of an insertion; None where too few draws have a solution."""
         known, job = self.known, self.known.job
         draws = known.draws_in(insertion)
-        # in space the roll is drawn: it turns the needle as a whole
-        drawn = job.dataset.compared == "space"
-        points = replace(insertion, curvature=None, roll_sd=0.0 if drawn else insertion.roll_sd)
+        # the roll is drawn: it turns the needle as a whole
+        points = replace(insertion, curvature=None, roll_sd=0.0)
         observation = make_observation(job.dataset, points, likelihood=self.likelihood)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = append_sensors(insertion, observation.nodes.s[0])
@@ -188,7 +187,6 @@ class _Predictor:
         """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
-        compared = job.dataset.compared
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
         differing = known if known.differs(insertion) else None
         about = describe_specimen(differing, "same" if tuned else "training only")
@@ -196,10 +194,9 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        needles = found.points[solved]
-        if compared == "space":
-            needles = turn_about_x(needles, insertion.roll_sd * rng.standard_normal(len(needles)))
-        needles = select_compared(needles, compared)
+        needles, directions = found.points[solved], job.dataset.directions
+        rolls = draw_rolls(insertion.roll_sd, directions, len(needles), rng)
+        needles = select_compared(turn_about_x(needles, rolls), job.dataset.compared)
         needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
@@ -230,7 +227,7 @@ class _Predictor:
         row |= score_prediction(mixture, measured, whole.pit(measured))
         across: Floats = quantile(mixture, (0.5,)).T
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
-        if compared == "space":
+        if directions > 1:
             across = find_geometric_median(aligned[..., 1:])
             tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
             errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))

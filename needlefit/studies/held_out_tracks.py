@@ -53,11 +53,11 @@ def predict_tracks(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dic
 
 
 def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
-    """Return a job and its fold in space, if all its runs were tracked along z and it has one plane alone."""
-    if job.dataset.compared == "space" or job.measured is None:
+    """Return a job and its fold in space, if all its runs were tracked along more than what is compared."""
+    if job.measured is None:
         return None
     whole = fold.of_dataset(job.measured)
-    if any(one.directions == 1 for one in (*whole.tune, *whole.validate)):
+    if min(one.directions for one in (*whole.tune, *whole.validate)) == job.dataset.directions:
         return None
     return replace(job, dataset=replace(job.dataset, compared="space")), whole
 
@@ -67,7 +67,7 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
 
     Curves predict each direction by itself.
     """
-    runs, readings, compared = list[Row](), list[Row](), job.dataset.compared
+    runs, readings, directions = list[Row](), list[Row](), job.dataset.directions
     assert isinstance(job.record, StudyRecord) and job.record.registration_depth_mm is not None
     placed = [count_registered(track, job.record.registration_depth_mm) for track in fold.validate]
     # curves are of readings in a frame whose slope they estimate from their own residuals
@@ -76,7 +76,7 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
     flat = replace(job.dataset, compared="plane")
     tuned, held = (
         [
-            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, compared)]
+            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, directions)]
             for track in tracks
         ]
         for tracks in (fold.tune, fold.validate)
@@ -95,8 +95,8 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
             ahead = predict_runs(*simulate_runs(job, fold, draws, jobs, rng), placed, rng)
         certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
-            parts = np.split(predicted, job.dataset.directions, axis=1)
-            for direction, one, part in zip("yz", list_directions(track, compared), parts, strict=False):
+            parts = np.split(predicted, directions, axis=1)
+            for direction, one, part in zip("yz", list_directions(track, directions), parts, strict=False):
                 row, rows = _score_run(one, count, part, certified)
                 about = {"fold": fold.name, "method": method, "direction": direction}
                 runs.append({**about, **row})

@@ -24,7 +24,7 @@ def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> 
     table.
     """
     fold, recipe = job.folds[0], job.recipe
-    turned = job.dataset.compared == "space" and any(turns_out_of_plane(one) for one in fold.tune)
+    turned = any(turns_out_of_plane(one) for one in fold.tune)  # none of needles compared in their planes
     free = recipe.minimize == "posterior" and job.medium.bevel_parameter in job.parameters.free
     place = {"fold": fold.name, "role": "tune", "method": "fitted"}
     own = [row for row in errors if place.items() <= row.items()]

@@ -102,7 +102,7 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     @cache
     def fit(needle: Needle) -> Mapping[str, FittedBaseline]:
         alike = select_same_needle(problem.insertions, needle)
-        return fit_baselines(dataset.pose, dataset.drop_proximal, alike, dataset.compared)
+        return fit_baselines(dataset.pose, dataset.drop_proximal, alike)
 
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))

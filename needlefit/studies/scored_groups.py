@@ -13,6 +13,7 @@ from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, to_records
 from needlefit.schemas.run_metadata import JobMetadata
+from needlefit.schemas.study import DIRECTIONS
 from needlefit.studies.fit_frames import list_methods
 from needlefit.studies.run import Run
 
@@ -55,9 +56,9 @@ def aggregate(errors: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*by, *AGGREGATE_COLUMNS])
 
 
-def is_in_space(run: Run) -> bool:
-    """Whether needles were simulated and compared in space."""
-    return run.knows(JobMetadata).compared == "space"
+def count_directions(run: Run) -> int:
+    """Return how many deflections of a point were compared: along y, and z."""
+    return DIRECTIONS[run.knows(JobMetadata).compared]
 
 
 def compare_methods(run: Run, role: str) -> pd.DataFrame:
@@ -100,6 +101,17 @@ def find_bevel_sides(run: Run) -> dict[str, int]:
     across = shapes.last() - shapes.first()
     toward = run.frames["errors"].drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
+
+
+def orient_pits(run: Run) -> dict[str, Floats]:
+    """Return the levels of tips and shapes; those of tips are stored toward +y."""
+    predictions = run.frames["predictive"]
+    sides = predictions["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=np.float64)
+    tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
+    if count_directions(run) > 1:  # those of tips are by the distance from the predicted one
+        return {"tip": tips, "shape": shapes}
+    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
+    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
 
 
 def _average_finite(rows: Floats) -> Floats:
@@ -224,7 +236,7 @@ def _list_rows(run: Run, grouping: str) -> list[Row]:
             continue
         about = {"study": study_label(run), "grouping": grouping, "medium": medium, "layers": layers}
         printed, insertions = _find_paper_row(about)
-        printed = {} if is_in_space(run) else printed  # the paper compares needles in their planes
+        printed = {} if count_directions(run) > 1 else printed  # the paper compares needles in their planes
         beside = {
             "paper_insertions": insertions,
             "layer_count_rule": run.record.layer_count_rule,

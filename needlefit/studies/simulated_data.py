@@ -18,16 +18,10 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
-from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood import nodes
-from needlefit.inference.likelihood.observation import (
-    points_covariance,
-    pose_modes,
-    pose_modes_in_space,
-    pose_sds,
-    pose_sds_in_space,
-)
+from needlefit.inference.likelihood.observation import points_covariance, pose_modes, pose_sds
 from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
 from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM, append_sensors
 from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
@@ -86,16 +80,14 @@ def simulate_measurement(
         return None
     if insertion.curvature is not None:
         insertion = replace(insertion, curvature=_measure_curvature(true, shape, rng))
-    points, in_space = read_points(true, shape, at), dataset.compared == "space"
-    if in_space:
-        points = turn_about_x(points, insertion.roll_sd * rng.standard_normal())
-    points = select_compared(points, dataset.compared)
+    (roll,) = draw_rolls(insertion.roll_sd, dataset.directions, 1, rng)
+    points = select_compared(turn_about_x(read_points(true, shape, at), roll), dataset.compared)
     x, across = points[:, 0], points[:, 1:]  # (K,), (K, 1 or 2)
     # the roll, which turned the needle as a whole, is none of these
-    sds = (pose_sds_in_space if in_space else pose_sds)(insertion, dataset.noise)[:5]
+    sds = pose_sds(insertion, dataset.noise, dataset.directions)[:5]
     if known is not None:
         slopes = np.gradient(across, x, axis=0)
-        modes = _pose_modes(points, slopes)
+        modes = pose_modes(points, slopes)[:, :5]
         moved = modes @ (sds * rng.standard_normal(len(sds)))
         return _measure_sections(
             insertion, known, x, across + moved.reshape(dataset.directions, -1).T, scale, rng
@@ -108,7 +100,7 @@ def simulate_measurement(
     cov = scale**2 * points_covariance(s, dataset.noise, insertion.sd)
     cov = scipy.linalg.block_diag(*[cov] * dataset.directions)
     if dataset.pose == "known":
-        spread = _pose_modes(points) * sds
+        spread = pose_modes(points)[:, :5] * sds
         cov = cov + spread @ spread.T
     noise = np.linalg.cholesky(cov) @ rng.standard_normal(len(cov))
     across = across + noise.reshape(dataset.directions, -1).T
@@ -129,13 +121,6 @@ def _measure_curvature(insertion: Insertion, shape: NeedleShape, rng: np.random.
     across = points[:, 1:].reshape(-1, 3, 2)
     kappa = (across[:, 0] - 2 * across[:, 1] + across[:, 2]) / SENSOR_STEP_MM**2
     return np.column_stack([s, kappa + sd[:, None] * rng.standard_normal(kappa.shape), sd])
-
-
-def _pose_modes(points: Floats, slopes: Floats | None = None) -> Floats:
-    """Return what errors of a known pose do to deflections: in the plane, or along y and then z."""
-    if points.shape[1] == 2:
-        return pose_modes(points, None if slopes is None else slopes[:, 0])
-    return pose_modes_in_space(points, slopes)[:, :5]
 
 
 def draw_bevels(
@@ -168,7 +153,7 @@ def _measure_sections(
     root = np.linalg.cholesky(known.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
     noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
     seen = np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T])
-    seen = np.pad(seen, ((0, 0), (0, 3 - seen.shape[1])))
+    seen = np.pad(seen, ((0, 0), (0, 3 - seen.shape[1])))  # what is not compared is 0
     q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), known.s, stored.q)
     points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
     measured = insertion.with_points(points)

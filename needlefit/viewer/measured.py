@@ -26,6 +26,7 @@ from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
+from needlefit.schemas.study import DIRECTIONS
 from needlefit.viewer.overlays import make_measured_overlay
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -199,7 +200,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     warnings += viewed_scene.warnings
     viewed_scene = replace(
         viewed_scene, recall=partial(_recall, run), faults=run.faults, warnings=tuple(warnings),
-        fitted_depths=tuple(one.depth for one in fitted), fitted_along_z=stated.compared == "space",
+        fitted_depths=tuple(one.depth for one in fitted), fitted_directions=DIRECTIONS[stated.compared],
     )  # fmt: skip
     if draws.empty or not draws["certified"].all():
         return viewed_scene

@@ -34,7 +34,7 @@ class ViewedScene:
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was
     specimen: Literal["new", "same", ""] = ""
     fitted_depths: tuple[float, ...] = ()  #: of the insertions that a run has fitted, mm
-    fitted_along_z: bool = True  #: whether a run has fitted along z too
+    fitted_directions: int = 2  #: how many deflections a run has fitted, along y, and z
     #: insertions that can be shown instead: by name, with their titles
     choices: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[ResultWarning, ...] = ()  #: what is suspicious in the dataset or the run that it is from

@@ -74,54 +74,53 @@ class StatedErrors:
 SLOPE_DEGREE = 3
 
 
-def pose_modes(measured: Floats, slope: Floats | None = None) -> Floats:
-    """Return the change (K, 3) of deflections by a unit shift across, turn, and shift along.
+def pose_modes(measured: Floats, slopes: Floats | None = None) -> Floats:
+    """Return the change of deflections along y, and then z, by unit errors of a pose, per mm and rad.
 
-    Per mm, per rad, per mm. The turn is about the entry, x = 0, wherever the points (K, 2) begin: what is
-    uncertain is the pose of the constraint frame there. The needle's `slope` (K,) is by default that of a
-    cubic through the points.
+    Along y (K, 3): by a shift across, a turn and a shift along. Of points in space (2 K, 6): further by a
+    shift and a turn out of that plane, and by a turn about x, the roll. Turns are about the entry, x = 0,
+    wherever the points (K, 2) or (K, 3) begin: what is uncertain is the pose of the constraint frame there.
+    The needle's `slopes` (K, 1) or (K, 2) are by default those of cubics through the points.
     """
-    x = measured[:, 0]
-    if slope is None:
-        degree = min(SLOPE_DEGREE, len(x) - 1)
-        # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
-        slope = np.polynomial.Polynomial.fit(x, measured[:, 1], degree).deriv()(x)
-    return np.column_stack([np.ones(len(x)), x, -slope])
+    count, directions = len(measured), measured.shape[1] - 1
+    x, y, z = _pad(measured, 3).T
+    slope_y, slope_z = [_fit_slope(x, one) for one in (y, z)] if slopes is None else _pad(slopes, 2).T
+    one, nothing = np.ones(count), np.zeros(count)
+    along_y = [one, x, -slope_y, nothing, nothing, -z]
+    along_z = [nothing, nothing, -slope_z, one, x, y]
+    modes = np.concatenate([np.column_stack(along_y), np.column_stack(along_z)])
+    return modes[: directions * count, : 3 * directions]
 
 
-def pose_modes_in_space(measured: Floats, slopes: Floats | None = None) -> Floats:
-    """Return the change (2 K, 6) of deflections along y, then z, by unit errors of pose and roll.
+def _pad(columns: Floats, count: int) -> Floats:
+    """Return columns (K, c), and zeros behind them, (K, count)."""
+    return np.pad(columns, ((0, 0), (0, count - columns.shape[1])))
 
-    Those of `pose_modes` in the plane, a shift and a turn out of it, and a turn about x. `measured` is
-    (K, 3); `slopes` (K, 2) are by default those of cubics through the points.
+
+def _fit_slope(x: Floats, y: Floats) -> Floats:
+    """Return the slopes (K,) of the cubic through points."""
+    degree = min(SLOPE_DEGREE, len(x) - 1)
+    # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
+    return np.asarray(np.polynomial.Polynomial.fit(x, y, degree).deriv()(x))
+
+
+def pose_sds(insertion: Insertion, noise: Noise, directions: int = 1) -> Floats:
+    """Return the prior standard deviations (3,), in 2 directions (6,), of a known pose: mm and rad.
+
+    They are in the order of `pose_modes`. A registration error of mean length m, isotropic in space, has
+    m / sqrt(8 / pi) per axis. It and the row's pose deviation are often one error stated twice: the larger
+    one counts, as in the noise floor.
     """
-    (y, z), nothing = measured[:, 1:].T, np.zeros((len(measured), 2))
-    along_y = pose_modes(measured, None if slopes is None else slopes[:, 0])
-    along_z = pose_modes(measured[:, [0, 2]], None if slopes is None else slopes[:, 1])
-    return np.concatenate(
-        [
-            np.column_stack([along_y, nothing, -z]),
-            np.column_stack([nothing, along_z[:, 2], along_z[:, :2], y]),
-        ]
+    shift, angle = (
+        max(insertion.pose_shift_sd, noise.registration_mean / MEAN_NORM_PER_SD),
+        insertion.pose_angle_sd,
     )
+    return np.array([shift, angle, shift, shift, angle, insertion.roll_sd])[: 3 * directions]
 
 
-def pose_sds_in_space(insertion: Insertion, noise: Noise) -> Floats:
-    """Return the prior standard deviations (6,) in the order of `pose_modes_in_space`."""
-    return np.concatenate([sds := pose_sds(insertion, noise), sds[:2], [insertion.roll_sd]])
-
-
-def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
-    """Return the prior standard deviations (3,) of a known pose: mm, rad, mm, in the order of `pose_modes`.
-
-    A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis. It and the
-    row's pose deviation are often one error stated twice: the larger one counts, as in the noise floor.
-    """
-    shift = max(insertion.pose_shift_sd, noise.registration_mean / MEAN_NORM_PER_SD)
-    return np.array([shift, insertion.pose_angle_sd, shift])
-
-
-#: the columns of `pose_modes_in_space` that are shifts across, in the plane and out of it
+#: a small turn about x moves deflections (y, z) by so much of them
+QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+#: the columns of `pose_modes` that are shifts across, in the plane and out of it
 ACROSS = (0, 3)
 
 
@@ -272,10 +271,7 @@ def list_pose_modes(
     insertion: Insertion, errors: StatedErrors, measured: Floats, slopes: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Return the changes (C, c) by errors of a known pose, and their deviations (c,), of what is compared."""
-    if errors.dataset.compared == "space":
-        return pose_modes_in_space(measured, slopes), pose_sds_in_space(insertion, errors.noise)
-    slope = None if slopes is None else slopes[:, 0]
-    return pose_modes(measured, slope), pose_sds(insertion, errors.noise)
+    return pose_modes(measured, slopes), pose_sds(insertion, errors.noise, errors.dataset.directions)
 
 
 def complete_observation(

@@ -26,7 +26,7 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
@@ -197,6 +197,10 @@ def _require_fitted_rules(record: SceneRecord, where: str, medium: MediumRecord)
 # ---- the needle for all draws
 
 
+#: in the names of columns: along y, and z
+AXES = ("", "z_")
+
+
 @dataclass(frozen=True)
 class Forecast:
     """A predicted needle in the scene's constraint frame, with its uncertainty."""
@@ -212,16 +216,16 @@ class Forecast:
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
     """Return one row per station, mm: s and x, then of y, in space of z, the median, intervals and bands."""
     columns = {"s_mm": forecast.s, "x_mm": forecast.x}
-    count, points, planes = forecast.across.shape
-    middle = find_geometric_median(forecast.across) if planes == 2 else np.median(forecast.across, axis=0)
+    count, points, directions = forecast.across.shape
+    middle = find_geometric_median(forecast.across)
     bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
-    for plane, ending in enumerate(("", "_z")[:planes]):
-        columns[f"needle{ending}_median_mm"] = middle[:, plane]
+    for n, axis in enumerate(AXES[:directions]):
+        columns[f"needle_{axis}median_mm"] = middle[:, n]
         for level in INTERVAL_PROBABILITIES:
-            pointwise = np.quantile(forecast.across[..., plane], [(1 - level) / 2, (1 + level) / 2], axis=0)
-            whole = (end.reshape(planes, points)[plane] for end in bands.ends(level))
+            pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
+            whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
             for what, ends in (("needle", pointwise), ("band", whole)):
-                named = (f"{what}{ending}_{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
+                named = (f"{what}_{axis}{100 * level:.0f}_{end}_mm" for end in ("low", "high"))
                 columns |= dict(zip(named, ends, strict=True))
     return pd.DataFrame(columns)
 
@@ -256,11 +260,10 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
-    in_space = job.dataset.compared == "space" or bool(points[..., 2].any())
-    if in_space:
-        roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
-        points = turn_about_x(points, roll_sd * rng.standard_normal(len(points)))
-    across = points[:, :, 1:] if in_space else points[:, :, 1:2]
+    directions = max(job.dataset.directions, 1 + int(points[..., 2].any()))
+    roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
+    points = turn_about_x(points, draw_rolls(roll_sd, directions, len(points), rng))
+    across = points[:, :, 1 : 1 + directions]
     return Forecast(s, x, across, len(thetas) - len(points), outside, sets)
 
 
@@ -383,10 +386,11 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    depths, in_space = [one.depth for one in job.folds[0].tune], found.across.shape[2] == 2
-    warned += extrapolation_warnings(
-        scene.depth, depths, z_unfitted=in_space and job.dataset.compared == "plane"
+    depths, unfitted = (
+        [one.depth for one in job.folds[0].tune],
+        found.across.shape[2] - job.dataset.directions,
     )
+    warned += extrapolation_warnings(scene.depth, depths, z_unfitted=unfitted > 0)
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     if changed:
@@ -513,26 +517,23 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out
         names = {"median": names["median"]}
+    axes = [axis for axis in AXES if f"needle_{axis}median_mm" in table]
     options: dict[str, Any] = {
-        **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 2.6)},
+        **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 1.0 + 1.6 * len(axes))},
         "x_label": "x along the entry (mm)",
-        "panels": [Panel("y (mm)", line="median_mm", low="low_mm", high="high_mm")],
+        "panels": [
+            Panel(f"{name} (mm)", line=f"{axis}median_mm", low=f"{axis}low_mm", high=f"{axis}high_mm")
+            for name, axis in zip("yz", axes, strict=False)
+        ],
     }
-    if in_space := "needle_z_median_mm" in table:
-        columns = {"line": "z_median_mm", "low": "z_low_mm", "high": "z_high_mm"}
-        options |= {
-            "panels": [*options["panels"], Panel("z (mm)", **columns)],
-            "size": (7.16, 4.2),
-        }
 
     def list_bands(table: pd.DataFrame) -> pd.DataFrame:
         """Return a row for each band and point, and for the median."""
-        planes = ("", "z_") if in_space else ("",)
-        medians = {f"{plane}median_mm": table[f"needle_{plane}median_mm"] for plane in planes}
+        medians = {f"{axis}median_mm": table[f"needle_{axis}median_mm"] for axis in axes}
         parts = [table.assign(band="median", **medians)]
         for level in bands:
-            ends = itertools.product(planes, ("low", "high"))
-            named = {f"{plane}{end}_mm": table[f"band_{plane}{level}_{end}_mm"] for plane, end in ends}
+            ends = itertools.product(axes, ("low", "high"))
+            named = {f"{axis}{end}_mm": table[f"band_{axis}{level}_{end}_mm"] for axis, end in ends}
             parts.append(table.assign(band=level, **named))
         return pd.concat(parts, ignore_index=True)
 

@@ -9,7 +9,7 @@ from needlefit.datasets.columns import MIN_SENSOR_MM
 from needlefit.datasets.insertion import Insertion, find_pose
 from needlefit.errors import DataError
 from needlefit.inference.likelihood.nodes import make_nodes
-from needlefit.inference.likelihood.observation import Observation, StatedErrors, whiten
+from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import ObservationType
 
 #: to both sides of a sensor, over which the simulated curvature is taken, mm
@@ -51,10 +51,9 @@ class _Curvature(ObservationType):
         sensors, s = len(sd), append_sensors(insertion, np.empty(0))
         shape = np.kron(np.ones(sensors), 0.5 * step**2 * np.array([1.0, 0.0, 1.0]))
         measured = np.column_stack([s, *(shape * np.repeat(part, 3) for part in kappa[:count])])
-        cov = np.diag(np.tile(sd**2, count))
-        if count == 2:  # an error of the roll turns all curvatures alike
-            turned = insertion.roll_sd * np.concatenate([-kappa[1], kappa[0]])
-            cov += np.outer(turned, turned)
+        # an error of the roll turns all curvatures alike
+        turned = insertion.roll_sd * (QUARTER_TURN[:count, :count] @ kappa[:count]).ravel()
+        cov = np.diag(np.tile(sd**2, count)) + np.outer(turned, turned)
         second = np.kron(np.eye(count * sensors), np.array([1.0, -2.0, 1.0]) / step**2)
         free, nothing = np.empty((len(cov), 0)), np.empty((0, len(cov)))
         whitening, log_norm = whiten(cov, free)

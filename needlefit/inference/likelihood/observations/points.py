@@ -63,9 +63,8 @@ class _Points(ObservationType):
         operator = points_operator(measurement, s)
         if operator is not None and measurement.operator == "spline":
             cov, free = operator @ cov @ operator.T, operator @ free
-        if dataset.compared == "space":
-            cov, free = block_diag(cov, cov), np.empty((2 * len(cov), 0))
-            operator = None if operator is None else block_diag(operator, operator)
+        cov = block_diag(*[cov] * dataset.directions)
+        operator = None if operator is None else block_diag(*[operator] * dataset.directions)
         pose = np.empty((len(cov), 0))
         if dataset.pose == "known":
             modes, sds = list_pose_modes(insertion, errors, measured)

@@ -13,6 +13,7 @@ from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.smoothing_spline import SplineSections, fit_matrices
 from needlefit.inference.likelihood.observation import (
+    QUARTER_TURN,
     Observation,
     StatedErrors,
     complete_observation,
@@ -72,20 +73,16 @@ class _Sections(ObservationType):
         """Return the observation of an insertion by the coefficients of the spline through its sections."""
         known, dataset, model_error = select_sections(insertion), errors.dataset, errors.model_error
         assert known is not None
-        operator = block_diag(*[known.operator] * dataset.directions)
+        count = dataset.directions
+        operator, measured = block_diag(*[known.operator] * count), known.places[:, : 1 + count]
         cov = known.covariance[: len(operator), : len(operator)]
         if model_error is not None:
-            misfit = block_diag(*[model_error.covariance(known.s)] * dataset.directions)
+            misfit = block_diag(*[model_error.covariance(known.s)] * count)
             cov = cov + operator @ misfit @ operator.T
-        if dataset.compared == "space":
-            measured = known.places
-            # the roll turns the needle, not what sections share; the modes turn both
-            quarter = operator @ np.kron(
-                [[0.0, -insertion.roll_sd], [insertion.roll_sd, 0.0]], np.eye(len(measured))
-            )
-            cov = cov + quarter @ known.shared @ quarter.T
-        else:
-            measured = known.places[:, :2]
+        # the roll turns the needle, not what sections share; the modes turn both
+        quarter = np.kron(insertion.roll_sd * QUARTER_TURN[:count, :count], np.eye(len(measured)))
+        turned, shared = operator @ quarter, known.shared[: len(quarter), : len(quarter)]
+        cov = cov + turned @ shared @ turned.T
         modes, sds = list_pose_modes(insertion, errors, measured, known.slope)
         pose, free = (operator @ part for part in split_pose_modes(insertion, modes, sds))
         return complete_observation(insertion, errors, known.s, measured, cov, pose, free, operator)

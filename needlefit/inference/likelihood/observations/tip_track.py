@@ -105,7 +105,7 @@ class _TipTrack(ObservationType):
         dataset, noise, likelihood = errors.dataset, errors.noise, errors.likelihood
         if likelihood.measurement == "points":
             noise = replace(noise, heading_sd=0.0, slope_sd=0.0)
-        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.compared)
+        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.directions)
         with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
         axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
         for number, one in enumerate(directions):
@@ -206,10 +206,9 @@ def list_session_axes(
     return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
 
-def list_directions(track: Insertion, compared: Compared) -> tuple[Insertion, ...]:
-    """Return what was read along y and, in space, in place of that what was read along z."""
-    if compared == "plane" or track.directions == 1 or track.guide is None:
-        return (track,)
+def list_directions(track: Insertion, count: int) -> tuple[Insertion, ...]:
+    """Return what was read along y, and, in place of that, what was along z: as many as are compared."""
+    assert track.guide is not None
     along_z = replace(
         track,
         points=track.points[:, [0, 2, 1]],
@@ -217,7 +216,7 @@ def list_directions(track: Insertion, compared: Compared) -> tuple[Insertion, ..
         headings=track.headings[1:],
         directions=1,
     )
-    return track, along_z
+    return (track, along_z)[: min(count, track.directions)]
 
 
 TIP_TRACK = _TipTrack("tip_track")

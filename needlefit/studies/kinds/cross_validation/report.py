@@ -57,7 +57,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "run": run,
         "frames": frames,
         "role": role,
-        "in_space": scores.is_in_space(run),
+        "compared": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "dataset": stated.dataset.name,
         "media": {
             "tune": list(dict.fromkeys(errors.loc[errors["role"] == "tune", "medium"])),
@@ -271,9 +271,8 @@ def list_figures(run: Run) -> dict[str, Drawing]:
         found["insertions"] = fit_figures.draw_tips(run, role)
     elif all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
         found["insertions"] = fit_figures.draw_first_page(run, role)
-        found["overlays"] = fit_figures.draw_overlays(run, role)
-        if scores.is_in_space(run):
-            found["overlays_above"] = fit_figures.draw_overlays(run, role, from_above=True)
+        for name in ("overlays", "overlays_above")[: scores.count_directions(run)]:
+            found[name] = fit_figures.draw_overlays(run, role, from_above=name == "overlays_above")
     if len(frames["readings"]):
         found["readings"] = track_report.draw_tracks(run)
     if len(frames["predictive"]):
