@@ -6,8 +6,8 @@ import numpy as np
 from mechanics_cases import random_batch, random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, DERIVATIVE_KINDS_ALONG_Z, _evaluate, find_columns
-from needlefit.mechanics.packing import pack_insertion, pack_problem
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, _evaluate, find_columns
+from needlefit.mechanics.packing import INPUTS_ALONG_Z, pack_insertion, pack_problem
 
 
 def make_problem(rng: np.random.Generator) -> native.KernelProblem:
@@ -19,7 +19,7 @@ def make_problem(rng: np.random.Generator) -> native.KernelProblem:
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     steps = random_steps(rng, int(rng.integers(0, 4)))
     lattice, packed = pack_insertion(steps, needle.length, rules)
-    kinds = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if rng.random() < 0.5 else DERIVATIVE_KINDS
+    kinds = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if rng.random() < 0.5 else DERIVATIVE_KINDS
     columns = find_columns(kinds, tissue, steps, rules)
     return pack_problem(needle, tissue, steps, lattice, rules, packed, columns=columns)
 

@@ -13,7 +13,6 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import reference
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
-    DERIVATIVE_KINDS_ALONG_Z,
     Batch,
     compute_batch_positions,
     differentiate_batch_positions,
@@ -22,6 +21,7 @@ from needlefit.mechanics.batch import (
     simulate_batches,
 )
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.packing import INPUTS_ALONG_Z
 from needlefit.mechanics.plan import Lattice, make_lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import LIMITS, compute_positions
@@ -104,7 +104,7 @@ def test_derivatives_are_those_of_complex_steps(seed: int, kind: str) -> None:
     needle, tissue, steps, rules, lattice = draw(np.random.default_rng(seed), kind, 3, 9.0)
     rules = replace(rules, tolerance=FINE)
     unused = "offset" if kind == "path_angle" else "cut_angle"
-    wrt = [one for one in (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if one != unused]
+    wrt = [one for one in (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if one != unused]
     shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=wrt)
     assert shape.converged and {"roll", "base_z"} <= set(found.names)
     assert_derivatives(found, needle, tissue, steps, rules, lattice)

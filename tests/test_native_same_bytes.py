@@ -32,10 +32,10 @@ from space_cases import leave_plane
 
 from hatch_build import FLAGS, ZIG_FLAGS
 from needlefit.mechanics import native
-from needlefit.mechanics.batch import DERIVATIVE_KINDS, DERIVATIVE_KINDS_ALONG_Z, find_columns
+from needlefit.mechanics.batch import DERIVATIVE_KINDS, find_columns
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.packing import pack_insertion, pack_problem
+from needlefit.mechanics.packing import INPUTS_ALONG_Z, pack_insertion, pack_problem
 
 pytestmark = pytest.mark.on_demand
 INSERTIONS, SPATIAL_EACH = 2000, 4
@@ -100,7 +100,7 @@ def make_problem(rng: np.random.Generator, tables: list[np.ndarray], spatial: bo
     )
     if all(len(step.controls.before) == 1 for step in steps):
         values["guide_x"] = rng.uniform(-30, -2, sets)
-    kinds = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z) if spatial else DERIVATIVE_KINDS
+    kinds = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z) if spatial else DERIVATIVE_KINDS
     columns = find_columns(kinds, tissue, steps, rules)
     columns = columns if rng.random() < 0.3 else None
     lattice, packed = pack_insertion(steps, needle.length, rules)

@@ -225,17 +225,15 @@ def summarize_simulation(
 def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
     from needlefit.mechanics.shape import compute_positions
 
-    slope, slope_z = float(shape.slope[-1]), float(shape.slope_z[-1])
-    size = math.hypot(slope, slope_z)  # of the rotation
-    y, z = (one * math.sin(size) / (size or 1.0) for one in (slope, slope_z))
+    angle, elevation = shape.tip_direction
     return {
         "tip_lateral_mm": shape.tip_lateral,
         "tip_z_mm": shape.tip_z if shape.converged else math.nan,
-        "tip_slope": slope,
-        "tip_slope_z": slope_z,
+        "tip_slope": float(shape.slope[-1]),
+        "tip_slope_z": float(shape.slope_z[-1]),
         "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
-        "tip_angle_deg": math.degrees(entry.angle + (math.atan2(y, math.cos(size)) if slope_z else slope)),
-        "tip_elevation_deg": math.degrees(math.asin(z)) if math.isfinite(z) else math.nan,
+        "tip_angle_deg": math.degrees(entry.angle + angle),
+        "tip_elevation_deg": math.degrees(elevation),
         "converged": shape.converged,
         "status": shape.status,
         "valid": shape.valid,

@@ -20,7 +20,15 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle, require_type
-from needlefit.mechanics.packing import Columns, Evaluation, PreparedInsertion, count_planes, run_evaluations
+from needlefit.mechanics.packing import (
+    BASE_VALUES,
+    INPUTS_ALONG_Z,
+    Columns,
+    Evaluation,
+    PreparedInsertion,
+    count_planes,
+    run_evaluations,
+)
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import (
     NeedleShape,
@@ -164,8 +172,7 @@ class Batch:
 
         steps = []
         for step in self.steps:
-            names = "base_y", "base_slope", "base_z", "base_slope_z"
-            base: dict[str, Any] = {name: choose(name, getattr(step.controls, name)) for name in names}
+            base: dict[str, Any] = {name: choose(name, getattr(step.controls, name)) for name in BASE_VALUES}
             controls = replace(step.controls, **base)
             if self.guide_x is not None:
                 (guide,) = step.controls.before
@@ -241,8 +248,6 @@ DERIVATIVE_KINDS = (
     "mu", "shape", "friction", "boundaries", "rigidity", "offset", "cut_angle", "base_y", "base_slope",
     "stage_slope", "guides",
 )  # fmt: skip
-#: further ones, which move the needle along z
-DERIVATIVE_KINDS_ALONG_Z = ("roll", "base_z", "base_slope_z", "stage_slope_z")
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
@@ -399,14 +404,13 @@ def find_columns(
 ) -> Columns:
     """Return the columns of the derivatives of an insertion by kinds of parameters.
 
-    These are of `DERIVATIVE_KINDS` and `DERIVATIVE_KINDS_ALONG_Z`; `steps` have the roll of the tip, and
+    These are of `DERIVATIVE_KINDS` and `INPUTS_ALONG_Z`; `steps` have the roll of the tip, and
     `values` are the names of what differs between sets.
 
     Raises ModelError if there is no such kind of parameter.
     """
     guide_depths = sorted({guide.x for step in steps for guide in step.controls.guides})  # from the base on
-    planes = 1 if set(DERIVATIVE_KINDS_ALONG_Z).isdisjoint(wrt) else 2
-    planes = max(planes, count_planes(steps, values))
+    planes = count_planes(steps, (*wrt, *values))
     return _make_columns(wrt, tissue.law, tissue.layers, tuple(guide_depths), rules.path_angle, planes)
 
 
@@ -419,7 +423,7 @@ def _make_columns(
     path_angle: bool,
     planes: int,
 ) -> Columns:
-    every = (*DERIVATIVE_KINDS, *DERIVATIVE_KINDS_ALONG_Z)
+    every = (*DERIVATIVE_KINDS, *INPUTS_ALONG_Z)
     wrong = [kind for kind in wrt if kind not in every]
     if wrong:
         raise ModelError(
@@ -587,8 +591,8 @@ def _evaluate(
         )
     insertion = batch.prepared[wrt]
     if not valid.any():  # numbers that a needle may have, in place of what is none
-        step, names = batch.steps[0], ("base_y", "base_slope", "base_z", "base_slope_z")
-        own = {name: getattr(step.controls, name) for name in names} | {
+        step = batch.steps[0]
+        own = {name: getattr(step.controls, name) for name in BASE_VALUES} | {
             "rigidity": batch.needle.flexural_rigidity,
             "offset": step.bevel.offset,
             "cut_angle": step.bevel.cut_angle,

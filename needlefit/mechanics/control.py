@@ -135,9 +135,7 @@ class Controls:
     stage_slope_z: float = 0.0
 
     def __post_init__(self) -> None:
-        along_z = self.base_z, self.base_slope_z, self.stage_slope_z
-        bounded = is_bounded(self.base_y, self.base_slope, self.stage_slope)
-        if not bounded or (any(along_z) and not is_bounded(*along_z)):
+        if not is_bounded(*self.base):
             raise ModelError(
                 f"base and stage have {dict(zip(BASE_INPUTS, self.base, strict=True))}",
                 expected="finite numbers",
@@ -181,10 +179,9 @@ class Controls:
     @property
     def act_along_z(self) -> bool:
         """Whether one of them moves or turns the needle along z."""
-        if self.base_z != 0 or self.base_slope_z != 0 or self.stage_slope_z != 0:
-            return True
         held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
-        return any(one.z != 0 or (one.slope is not None and one.slope_z != 0) for one in held)
+        moved = any(one.z or (one.slope is not None and one.slope_z) for one in held)
+        return moved or any(self.base[3:])
 
 
 @dataclass(frozen=True)

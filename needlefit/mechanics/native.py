@@ -548,11 +548,10 @@ def find_equilibrium(
         if len(state) > room:
             raise TypeError(f"{len(state)} nodes; there is room for {room}")
         found[: len(state)] = state
-    across = () if problem.planes == 1 else (problem.planes,)
     check_array("depths", depths, float, (len(depths),))
-    check_array("y", y, float, (len(depths), *across))
+    check_array("y", y, float, (len(depths), problem.planes))
     if target is not None:
-        check_array("target", target, float, (-1, *across))
+        check_array("target", target, float, (-1, problem.planes))
     memory = make_memory(measure_memory(problem, 1))
     targets = (c_int64(0), None) if target is None else (c_int64(len(target)), _at(target))
     count = library.nf_equilibrium(

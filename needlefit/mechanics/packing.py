@@ -199,18 +199,19 @@ def pack_stops(stops: Sequence[TipStop]) -> PackedStops:
     return PackedStops(packed, bevels, controls, stops[-1], 1 + max(stop.ray for stop in stops))
 
 
-#: what a set of `batch.Batch` may give of the base: its plane, and its place in `Controls.base`
-_BASE_VALUES = ("base_y", 0, 0), ("base_slope", 0, 1), ("base_z", 1, 0), ("base_slope_z", 1, 1)
-#: those values of a set that take a needle out of its plane
-_VALUES_ALONG_Z = frozenset({"roll", "base_z", "base_slope_z"})
+#: what a set of `batch.Batch` may give of the base: its plane, and its place there in `Controls.base`
+BASE_VALUES = {"base_y": (0, 0), "base_slope": (0, 1), "base_z": (1, 0), "base_slope_z": (1, 1)}
+#: inputs of a set, or of a derivative, that take a needle out of its plane
+INPUTS_ALONG_Z = ("roll", "base_z", "base_slope_z", "stage_slope_z")
 
 
-def count_planes(steps: Sequence[Step], values: Iterable[str] = ()) -> int:
+def count_planes(steps: Sequence[Step], varied: Iterable[str] = ()) -> int:
     """Return the planes in which a needle bends: 1 where all inputs lie in z = 0, else 2.
 
-    `values` are the names of what differs between sets.
+    `varied` are the names of what differs between sets, and of what is differentiated by.
     """
-    return 2 if not _VALUES_ALONG_Z.isdisjoint(values) or any(step.acts_along_z for step in steps) else 1
+    along_z = any(name in INPUTS_ALONG_Z for name in varied) or any(step.acts_along_z for step in steps)
+    return 1 + along_z
 
 
 def compute_turn(bevel: Bevel, rules: ModelOptions) -> tuple[float, float]:
@@ -293,7 +294,7 @@ def pack_sets(
     base = np.empty((len(controls), sets, planes, 3))
     for i, one in enumerate(controls):
         base[i].reshape(sets, 3 * planes)[:] = one.base[: 3 * planes]
-        for name, plane, place in _BASE_VALUES:
+        for name, (plane, place) in BASE_VALUES.items():
             if name in values:
                 base[i, :, plane, place] = values[name]
     of_layers, of_sets = pack_layers(tissue, sets, values)

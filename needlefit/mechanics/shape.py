@@ -8,7 +8,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -144,7 +144,7 @@ def _pair_planes(solved: Solution) -> list[tuple[Floats, Floats]]:
 
 def _find_size(parts: Sequence[Floats]) -> Floats:
     """Return the length of a vector whose parts along y, and z, are given."""
-    return np.abs(parts[0]) if len(parts) == 1 else np.hypot(*parts)
+    return np.abs(reduce(np.hypot, parts))
 
 
 ENTRY_TOLERANCE_MM = -1e-9  #: an element that begins before this depth, mm, lies before the entry
@@ -281,6 +281,15 @@ class NeedleShape:
     def tip_z(self) -> float:
         """The z of the tip in C, mm."""
         return float(compute_positions(self, self.x[-1:])[0, 2])
+
+    @property
+    def tip_direction(self) -> tuple[float, float]:
+        """The direction of the tip in C, rad: its angle from x toward y, and its elevation toward z."""
+        along_y, along_z = float(self.slope[-1]), float(self.slope_z[-1])
+        size = math.hypot(along_y, along_z)  # of the rotation
+        y, z = (one * math.sin(size) / (size or 1.0) for one in (along_y, along_z))
+        elevation = math.asin(z) if math.isfinite(z) else math.nan
+        return (math.atan2(y, math.cos(size)) if along_z else along_y), elevation
 
     @property
     def leaves_plane(self) -> bool:

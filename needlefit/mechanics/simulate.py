@@ -108,10 +108,9 @@ def equilibrium(
     depths, depth = points[:, 0].copy(), float(points[-1, 0])
     require_depth(depth)
     check_reach(needle.length, depth, controls)
-    planes = 2 if points[:, 2].any() else count_planes([Step(depth, Bevel(), controls)])
+    planes = max(1 + int(points[:, 2].any()), count_planes([Step(depth, Bevel(), controls)]))
     problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
-    across = points[:, 1].copy() if planes == 1 else points[:, 1:].copy()
-    x, state, status, passes = native.find_equilibrium(problem, depths, across)
+    x, state, status, passes = native.find_equilibrium(problem, depths, points[:, 1 : 1 + planes].copy())
     if status != native.CONVERGED:
         state[:] = np.nan
     u, slope = state.T[:planes].copy(), state.T[planes:].copy()

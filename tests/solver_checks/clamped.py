@@ -60,7 +60,9 @@ class ClampedNeedle:
         depths, y, _ = np.ascontiguousarray(self.constraints.T)
         problem = pack_equilibrium(self.needle, self.tissue, depths, Controls(), self.rules)
         problem.tolerance, problem.max_iterations = tolerance, iterations
-        _, state, status, _ = native.find_equilibrium(problem, depths, y, np.ascontiguousarray(guess), target)
+        cut = None if target is None else target[:, None]
+        guess = np.ascontiguousarray(guess)
+        _, state, status, _ = native.find_equilibrium(problem, depths, y[:, None], guess, cut)
         assert status == native.CONVERGED
         return state
 

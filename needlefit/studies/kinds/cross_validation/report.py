@@ -57,7 +57,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "run": run,
         "frames": frames,
         "role": role,
-        "compared": {1: "one plane", 2: "space"}[scores.count_directions(run)],
+        "compared_in": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "dataset": stated.dataset.name,
         "media": {
             "tune": list(dict.fromkeys(errors.loc[errors["role"] == "tune", "medium"])),
