@@ -17,7 +17,7 @@ from needlefit.mechanics import native
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session, find_tip_force
-from needlefit.mechanics.shape import compute_validity, list_planes
+from needlefit.mechanics.shape import list_planes
 from needlefit.mechanics.simulate import compute_loads
 from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_scene
 from needlefit.schemas.scene import SceneRecord
@@ -187,7 +187,7 @@ def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> No
         assert found["shape"] == [one.tobytes().hex() for one in parts]
         assert found["reach"] == steering.reach()
         assert_same(found["state"], encode_state(viewed, steering), 2e-4)
-        expected = compute_validity(shape)
+        expected = shape.validity
         assert found["validity"] == pytest.approx(
             {key: float(getattr(expected, key)) for key in found["validity"]}, rel=1e-9, abs=1e-12
         )

@@ -32,6 +32,7 @@ from needlefit.mechanics.packing import (
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import (
     NeedleShape,
+    Solution,
     Status,
     Validity,
     compute_scales,
@@ -189,17 +190,9 @@ VARYING_FIELDS = tuple(one.name for one in fields(Batch) if one.init)[4:]  #: wh
 
 
 @dataclass(frozen=True)
-class NeedleShapes:
-    """The shapes of a batch: the fields of `NeedleShape` with a leading axis of B sets."""
+class NeedleShapes(Solution):
+    """The shapes of a batch of B sets."""
 
-    #: x, u, slope, w, slope_z: (B, N)
-    x: Floats
-    u: Floats
-    slope: Floats
-    w: Floats
-    slope_z: Floats
-    constraints: Floats  #: (B, M + 1, 3)
-    tip_track: Floats  #: (B, M + 1, 4)
     status: Ints  #: (B,) into `simulate.STATUS_NAMES`; 0: converged
     iterations: Ints  #: (B,)
     scales: Floats  #: (B, 2)
@@ -208,10 +201,9 @@ class NeedleShapes:
         return len(self.u)
 
     def __getitem__(self, i: int) -> NeedleShape:
-        return NeedleShape(
-            self.x[i], self.u[i], self.slope[i], self.w[i], self.slope_z[i], self.constraints[i],
-            self.tip_track[i], STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
-        )  # fmt: skip
+        nodes: dict[str, Any] = {one.name: getattr(self, one.name)[i] for one in fields(Solution)}
+        status, iterations = STATUS_NAMES[self.status[i]], int(self.iterations[i])
+        return NeedleShape(**nodes, status=status, iterations=iterations, scales=self.scales[i])
 
     def take(self, sets: slice) -> "NeedleShapes":
         """Return some of the sets; their arrays are views."""
@@ -225,7 +217,7 @@ class NeedleShapes:
     @cached_property
     def validity(self) -> Validity:
         """Validity of each set's solution, arrays (B,); NaN where the solution failed."""
-        return compute_validity(self)
+        return compute_validity(self, self.scales)
 
     @property
     def valid(self) -> Bools:
@@ -276,17 +268,12 @@ class Jacobian:
 
 
 @dataclass(frozen=True)
-class Jacobians:
-    """Derivatives of `NeedleShapes`: the fields of `Jacobian` with an axis of B sets, but for `x`."""
+class Jacobians(Jacobian):
+    """Derivatives of `NeedleShapes`, with an axis of B sets behind that of y and z; `x` is that of all sets.
 
-    names: tuple[str, ...]
-    x: Floats  #: (N, P) the same for all sets
-    #: u, slope: (2, B, N, P)
-    u: Floats
-    slope: Floats
-    #: constraints, tip_track: (2, B, M + 1, P), tip_track empty where it was not asked for
-    constraints: Floats
-    tip_track: Floats
+    `tip_track` is empty where it was not asked for.
+    """
+
     converged: Bools  #: (B,) all derivatives of other sets are NaN
 
     def __getitem__(self, i: int) -> Jacobian:

@@ -383,25 +383,18 @@ class CutRay(NamedTuple):
     controls_id: int
 
 
-class SolvedNodes(NamedTuple):
-    """Nodes and constraint points of one needle or several: the fields of `shape.NeedleShape`."""
-
-    x: Floats
-    u: Floats
-    slope: Floats
-    w: Floats
-    slope_z: Floats
-    constraints: Floats
-    tip_track: Floats
+SolvedNodes = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats]
+"""The fields of `shape.Solution`."""
 
 
 def to_space(x: Floats, u: Floats, slope: Floats, constraints: Floats, track: Floats) -> SolvedNodes:
     """Return what the kernel found in P planes: u, slope (P, ..., N), points (..., 1 + P), track (..., 2 P).
 
-    Along z everything is 0 of needles that it solved for in one plane.
+    Along z everything is 0 of needles that the kernel solved for in one plane.
     """
-    w, slope_z = (u[1], slope[1]) if len(u) == 2 else (make_flat(x.shape),) * 2
-    return SolvedNodes(x, u[0], slope[0], w, slope_z, pad_axis(constraints, 3), pad_axis(track, 4))
+    flat = make_flat(x.shape)
+    (y, w, *_), (slope_y, slope_z, *_) = ((*part, flat) for part in (u, slope))
+    return x, y, slope_y, w, slope_z, pad_axis(constraints, 3), pad_axis(track, 4)
 
 
 @lru_cache(maxsize=64)

@@ -191,7 +191,7 @@ class Session:
             shape = replace(self._shape, iterations=0)
         else:
             nodes, status, passes = self._memory.read(points)
-            scales = self._scales[bisect_left(self._boundaries, nodes.x[-1])]
+            scales = self._scales[bisect_left(self._boundaries, nodes[0][-1])]
             shape = NeedleShape(*nodes, STATUS_NAMES[status], int(passes), scales)
             if not shape.converged:
                 self.failures[shape.status] += 1

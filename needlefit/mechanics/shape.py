@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -90,30 +90,29 @@ def find_worst(solutions: Sequence[Validity]) -> Validity:
         return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
 
 
-class Solution(Protocol):
-    """What the shape of a simulation and the shapes of a batch, with a leading axis, have in common."""
+@dataclass(frozen=True)
+class Solution:
+    """The nodes of one bent needle in C, base first, tip last; of B needles with a leading axis of B.
 
-    @property
-    def x(self) -> Floats: ...
-    @property
-    def u(self) -> Floats: ...
-    @property
-    def slope(self) -> Floats: ...
-    @property
-    def w(self) -> Floats: ...
-    @property
-    def slope_z(self) -> Floats: ...
-    @property
-    def constraints(self) -> Floats: ...
-    @property
-    def tip_track(self) -> Floats: ...
-    @property
-    def scales(self) -> Floats: ...
+    `x` is the beam coordinate (arc length, 0 at the entry) and u the deflection that the equations know, not
+    the place in space: see `compute_positions`.
+    """
+
+    #: x, u, slope: (N,) node, deflection (mm) along y and slope u'
+    x: Floats
+    u: Floats
+    slope: Floats
+    #: w, slope_z: (N,) deflection along z (mm) and its slope
+    w: Floats
+    slope_z: Floats
+    constraints: Floats  #: (M + 1, 3) depth, y and z of the constraint points, mm; point 0 is first contact
+    #: (M + 1, 4) of the tip as it stood at each constraint point: deflection (mm) and slope along y, along z
+    tip_track: Floats
 
 
-def compute_validity(solved: Solution) -> Validity:
-    """Return the validity of a solution, or of each solution of a batch."""
-    x, scales, planes = solved.x, solved.scales, _pair_planes(solved)
+def compute_validity(solved: Solution, scales: Floats) -> Validity:
+    """Return the validity of a solution, or of each solution of a batch, by `scales` (..., 2)."""
+    x, planes = solved.x, _pair_planes(solved)
     length, step = x[..., -1] - x[..., 0], np.diff(x, axis=-1)
     before_entry = x[..., :-1] < ENTRY_TOLERANCE_MM
     track = solved.tip_track
@@ -224,23 +223,9 @@ Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 
 
 @dataclass(frozen=True)
-class NeedleShape:
-    """The shape of a needle: the nodes of the bent beam in C, base first, tip last.
+class NeedleShape(Solution):
+    """The shape of a needle."""
 
-    `x` is the beam coordinate (arc length, 0 at the entry) and u the deflection that the equations know, not
-    the place in space: see `compute_positions`.
-    """
-
-    #: x, u, slope: (N,) node, deflection (mm) along y and slope u'
-    x: Floats
-    u: Floats
-    slope: Floats
-    #: w, slope_z: (N,) deflection along z (mm) and its slope
-    w: Floats
-    slope_z: Floats
-    constraints: Floats  #: (M + 1, 3) depth, y and z of the constraint points, mm; point 0 is first contact
-    #: (M + 1, 4) of the tip as it stood at each constraint point: deflection (mm) and slope along y, along z
-    tip_track: Floats
     #: "converged", or why it is not; then what was not reached is NaN, the whole shape with it
     status: Status
     iterations: int  #: Newton iterations over all steps
@@ -250,7 +235,7 @@ class NeedleShape:
     @cached_property
     def validity(self) -> Validity:
         """How far the solution keeps within the model's assumptions; NaN where there is no solution."""
-        return compute_validity(self)
+        return compute_validity(self, self.scales)
 
     @property
     def valid(self) -> bool:
