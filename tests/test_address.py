@@ -12,7 +12,7 @@ from test_page_model import SCENES, pytestmark  # noqa: F401 - a mark of this mo
 from needlefit.mechanics import native
 from needlefit.mechanics.shape import list_planes
 from needlefit.planning.recording import begin_replay, format_head, read_recording, replay
-from needlefit.planning.steered_needle import SteeredNeedle, make_scene
+from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_scene
 
@@ -98,7 +98,7 @@ def draw_path(rng: np.random.Generator, layers: int, strength: str, kind: str) -
 @pytest.mark.parametrize("name", ["measured", "two terms", "path angle", "rolled"])
 def test_random_paths_reopen_to_the_bit_or_are_refused(name: str, kind: str, tmp_path) -> None:
     viewed = SCENES[name]()
-    scene = make_scene(viewed.record, name)
+    scene = make_steered_scene(viewed.record, name)
     strength = "cut_angle_throughout_deg" if scene.rules.path_angle else "offset_throughout_mm"
     rng = np.random.default_rng(79)
     paths = [draw_path(rng, scene.tissue.layers, strength, kind) for _ in range(20)]

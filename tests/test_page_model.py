@@ -19,7 +19,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session, find_tip_force
 from needlefit.mechanics.shape import list_planes
 from needlefit.mechanics.simulate import compute_loads
-from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_scene
+from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_draws, encode_scene
@@ -159,7 +159,7 @@ def random_orders(rng: np.random.Generator, scene: Scene, count: int) -> list[di
 def test_the_page_simulates_the_bytes_of_the_program(name: str, seed: int) -> None:
     """All inputs, parameters, refusals, returns; what is shown, the path that leads there, all bands."""
     viewed, rng = SCENES[name](), np.random.default_rng(seed)
-    scene = make_scene(viewed.record, name)
+    scene = make_steered_scene(viewed.record, name)
     steering = SteeredNeedle(scene, viewed.first_cell)
     orders = random_orders(rng, scene, 60)
     draws = ParameterDraws(

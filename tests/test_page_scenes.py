@@ -11,7 +11,7 @@ from test_page_model import pytestmark  # noqa: F401 - a mark of this module, to
 
 from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics import native
-from needlefit.planning.steered_needle import SteeredNeedle, make_scene
+from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
 from needlefit.viewer.export import PAGE
 from needlefit.viewer.messages import encode_draws, encode_scene
 from needlefit.viewer.opening import open_target
@@ -65,7 +65,7 @@ console.log(JSON.stringify({...found, ms, alone, valley, between, contour, turn,
 
 def run(name: str, others: list[Any]) -> Any:
     viewed = open_target(name, first="scene")
-    scene = make_scene(viewed.record, name)
+    scene = make_steered_scene(viewed.record, name)
     encoded = encode_scene(viewed, SteeredNeedle(scene, viewed.first_cell))
     if encoded["draws"] is None:
         encoded["draws"] = encode_draws(make_draws(scene, -0.9), scene.tissue.law)

@@ -71,9 +71,8 @@ def track(
     roll: float = 0.0,
 ) -> Insertion:
     """A run not yet measured: its tip is 0; with `guide_z` it is in space, its bevel rolled, degrees."""
-    readings = TipReadings(depth, np.zeros(len(depth)), guide)
-    if guide_z is not None:
-        readings = readings._replace(tip_z=np.zeros(len(depth)), guide_z=guide_z)
+    guides = np.column_stack([guide] if guide_z is None else [guide, guide_z])
+    readings = TipReadings(depth, np.zeros((len(depth), guides.shape[1])), guides)
     turns = ((0.0, roll),) if roll else ()
     return make_track(name, "gel", "gel", NEEDLE, side, readings, (np.empty(0), (1,)), turns)
 

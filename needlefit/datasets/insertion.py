@@ -222,7 +222,7 @@ class Insertion:
     curvature: Floats | None = None
     guide: GuideMotion | None = None
     observed: str = "points"
-    directions: Literal[1, 2] = 2
+    directions: int = 2
     headings: tuple[Floats, ...] = ()
     curve_roll: float = 0.0
     _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)

@@ -33,14 +33,13 @@ class TipReadings(NamedTuple):
     """The readings of a run; the first is first contact."""
 
     depth: Floats  # (n,); inserted length at each reading, mm, from 0
-    tip: Floats  # (n,); lateral place of the tip in the tracker's frame, mm: known up to a shift and a slope
-    # (n,); lateral place of the guide on the way to each reading, mm, from where it stood at the first.
+    # (n, 1), or (n, 2) with z, right-handed with the depth; lateral place of the tip in the tracker's frame,
+    # mm: known up to a shift and a slope
+    tip: Floats
+    # of the same size; lateral place of the guide on the way to each reading, mm, from where it stood at the
+    # first.
     guide: Floats
-    heading: Floats | None = None  # (n,); direction of the tip as the tracker reports it, rad
-    # tip_z, guide_z, heading_z: (n,); the same across these, in a right-handed frame with the depth
-    tip_z: Floats | None = None
-    guide_z: Floats | None = None
-    heading_z: Floats | None = None
+    headings: tuple[Floats, ...] = ()  # (n,) each; directions of the tip as the tracker reports them, rad
 
 
 def make_track(
@@ -58,19 +57,17 @@ def make_track(
     `layers` are the boundaries (m - 1,), mm, and the m layer numbers between them.
     """
     boundaries, sequence = layers
-    across = np.zeros(len(readings.depth)) if readings.tip_z is None else readings.tip_z
-    points = np.column_stack([readings.depth, readings.tip, across])
-    along_z = np.zeros(len(across)) if readings.guide_z is None else readings.guide_z
-    headings = (readings.heading, readings.heading_z)
+    directions = readings.tip.shape[1]
+    tip, guide = (np.pad(one, ((0, 0), (0, 2 - directions))) for one in (readings.tip, readings.guide))
+    points = np.column_stack([readings.depth, tip])
     return Insertion(
         id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),
         layers_alternative=len(sequence), depth=float(readings.depth[-1]), side=side,
         frame=IDENTITY_FRAME, pose_source="none", pose_shift_sd=0.0, pose_angle_sd=0.0,
         centerline=points, points=points,
         turns=turns, boundaries=boundaries, sequence=sequence, boundary_sd=0.0,
-        guide=GuideMotion(readings.depth, readings.guide, along_z), observed="tip_track",
-        directions=1 if readings.tip_z is None else 2,
-        headings=tuple(one for one in headings if one is not None),
+        guide=GuideMotion(readings.depth, *guide.T), observed="tip_track", directions=directions,
+        headings=readings.headings,
     )  # fmt: skip
 
 
@@ -123,9 +120,10 @@ def parse_tracks(
         if faults:
             continue
         medium, depth = record.media[media[rows[0]]], own["depth_mm"] - own["depth_mm"][0]
-        heading, tip_z, heading_z = (
-            None if np.isnan(part).any() else part
-            for part in (np.radians(own["heading_deg"]), own["tip_z_mm"], np.radians(own["heading_z_deg"]))
+        tips = [own[name] for name in ("tip_mm", "tip_z_mm") if not np.isnan(own[name]).any()]
+        guides, turned_to = (
+            [own[name] for name in names[: len(tips)]]
+            for names in (("guide_mm", "guide_z_mm"), ("heading_deg", "heading_z_deg"))
         )
         roll = own["bevel_roll_deg"][1:]
         turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
@@ -137,12 +135,9 @@ def parse_tracks(
             int(own["bevel_side"][0]),
             TipReadings(
                 depth=depth,
-                tip=own["tip_mm"],
-                guide=own["guide_mm"] - own["guide_mm"][0],
-                heading=heading,
-                tip_z=tip_z,
-                guide_z=None if tip_z is None else own["guide_z_mm"] - own["guide_z_mm"][0],
-                heading_z=None if tip_z is None else heading_z,
+                tip=np.column_stack(tips),
+                guide=np.column_stack([one - one[0] for one in guides]),
+                headings=tuple(np.radians(one) for one in turned_to if not np.isnan(one).any()),
             ),
             (np.array(medium.boundaries_mm), medium.layers),
             tuple((float(depth[n]), float(roll[n])) for n in turned),

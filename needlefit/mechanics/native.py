@@ -203,6 +203,14 @@ def check_array(name: str, array: np.ndarray, dtype: Any, shape: tuple[int, ...]
         raise TypeError(f"{name} is {found}; the kernel reads a contiguous {np.dtype(dtype)} array {shape}")
 
 
+def take_arrays(**given: tuple[Floats, tuple[int, ...]]) -> list[Floats]:
+    """Return arrays of these sizes as the kernel reads them; TypeError as `check_array`."""
+    kept = {name: np.ascontiguousarray(array, dtype=np.float64) for name, (array, _) in given.items()}
+    for name, (_, shape) in given.items():
+        check_array(name, kept[name], float, shape)
+    return list(kept.values())
+
+
 class Shapes(ctypes.Structure):
     """Where the kernel writes shapes and derivatives: `struct Shapes` of `native/abi.cpp`."""
 
@@ -587,12 +595,11 @@ BentShape = tuple[Floats, Floats, Floats, Floats]
 
 def _bend(shape: BentShape, planes: int) -> tuple[_BentNeedle, list[Floats]]:
     x, u, slope, points = shape
-    given = (x, u, slope, points[:, : 1 + planes])
-    kept = [np.ascontiguousarray(part, dtype=np.float64) for part in given]
     nodes = max(len(x), 2)
-    sizes = (nodes,), (planes, nodes), (planes, nodes), (max(len(points), 1), 1 + planes)
-    for name, array, size in zip(("x", "u", "slope", "constraint points"), kept, sizes, strict=True):
-        check_array(name, array, float, size)
+    kept = take_arrays(
+        x=(x, (nodes,)), u=(u, (planes, nodes)), slope=(slope, (planes, nodes)),
+        points=(points[:, : 1 + planes], (max(len(points), 1), 1 + planes)),
+    )  # fmt: skip
     return _BentNeedle(len(x), len(points) - 1, *(part.ctypes.data for part in kept)), kept
 
 
@@ -626,11 +633,8 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 
     Nodes are (B, N), and their `u` and `slope` (P, B, N) in P planes.
     """
-    planes, count, nodes = len(u), len(x), max(x.shape[-1], 2)
-    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
-    sizes: list[tuple[int, ...]] = [(count, nodes), *[(planes, count, nodes)] * 2, (-1,)]
-    for name, array, size in zip(("x", "u", "slope", "s"), parts, sizes, strict=True):
-        check_array(name, array, float, size)
+    planes, count, nodes = size = len(u), len(x), max(x.shape[-1], 2)
+    parts = take_arrays(x=(x, size[1:]), u=(u, size), slope=(slope, size), s=(s, (-1,)))
     memory = make_memory(8 * (1 + 5 * planes) * (nodes + 2) * count_lanes())
     found = np.empty((count, len(s), 1 + planes))
     load_library().nf_positions(
@@ -641,9 +645,8 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 
 def compute_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     """Return the deflections u (K,) of the beam, mm, at beam coordinates: not the y of its points."""
-    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s)]
-    for name, array in zip(("x", "u", "slope"), parts, strict=False):
-        check_array(name, array, float, (max(len(x), 2),))
+    size = (max(len(x), 2),)
+    parts = take_arrays(x=(x, size), u=(u, size), slope=(slope, size), s=(s, (-1,)))
     found = np.empty(len(parts[3]))
     load_library().nf_deflections(c_int64(len(parts[0])), c_int64(len(found)), *map(_at, (*parts, found)))
     return found
@@ -657,14 +660,12 @@ def compute_position_derivatives(
     In P planes `u` and `slope` are (P, B, N), and their derivatives `u_by` and `slope_by` (P, B, N, Q);
     `x_by` (N, Q) is of all needles.
     """
-    planes = len(u)
-    parts = [np.ascontiguousarray(part, dtype=np.float64) for part in (x, u, slope, s, x_by, u_by, slope_by)]
-    count, nodes, columns = len(x), max(x.shape[-1], 2), x_by.shape[-1]
-    sizes: list[tuple[int, ...]] = [(count, nodes), *[(planes, count, nodes)] * 2, (-1,), (nodes, columns)]
-    sizes += [(planes, count, nodes, columns)] * 2
-    names = ("x", "u", "slope", "s", "x_by", "u_by", "slope_by")
-    for name, array, size in zip(names, parts, sizes, strict=True):
-        check_array(name, array, float, size)
+    planes, count, nodes = size = len(u), len(x), max(x.shape[-1], 2)
+    columns = x_by.shape[-1]
+    parts = take_arrays(
+        x=(x, size[1:]), u=(u, size), slope=(slope, size), s=(s, (-1,)), x_by=(x_by, (nodes, columns)),
+        u_by=(u_by, (*size, columns)), slope_by=(slope_by, (*size, columns)),
+    )  # fmt: skip
     found = np.empty((count, len(s), 1 + planes, columns))
     by = (1 + 3 * planes) * nodes + 1 + planes
     memory = make_memory(8 * count_lanes() * ((1 + 5 * planes) * nodes + by * columns))

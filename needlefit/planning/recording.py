@@ -16,7 +16,7 @@ from pathlib import Path
 
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.session import NeedleState
-from needlefit.planning.steered_needle import Change, SteeredNeedle, make_scene
+from needlefit.planning.steered_needle import Change, SteeredNeedle, make_steered_scene
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.toml import check, dumps
 from needlefit.schemas.limits import MAX_NUMBER
@@ -212,7 +212,7 @@ class ReplayedStep:
 
 def begin_replay(recording: Recording) -> SteeredNeedle:
     """Return the needle of a recording at first contact; ConfigError if the model does not take its scene."""
-    scene = make_scene(recording.head.scene, recording.where)
+    scene = make_steered_scene(recording.head.scene, recording.where)
     return SteeredNeedle(scene, recording.head.first_cell_mm)
 
 

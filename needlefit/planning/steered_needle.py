@@ -22,7 +22,7 @@ from needlefit.schemas.limits import MAX_NEEDLE_LENGTH_MM, MAX_NUMBER
 from needlefit.schemas.scene import SceneRecord
 
 
-def make_scene(record: SceneRecord, where: str) -> Scene:
+def make_steered_scene(record: SceneRecord, where: str) -> Scene:
     """Return the scene of a needle to steer; `where` is named in errors.
 
     ConfigError if the model does not take it, or its needle leaves the plane z = 0 by other inputs than the

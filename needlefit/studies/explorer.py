@@ -31,7 +31,7 @@ from needlefit.planning.insertion_scene import (
     name_layer_values,
 )
 from needlefit.planning.recording import format_head, make_head
-from needlefit.planning.steered_needle import make_scene, name_guides
+from needlefit.planning.steered_needle import make_steered_scene, name_guides
 from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
@@ -244,7 +244,7 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
         }
     )
     try:
-        scene, guides = name_guides(make_scene(record, run.record.scene_name))
+        scene, guides = name_guides(make_steered_scene(record, run.record.scene_name))
     except ConfigError:
         return None  # the page steers no such needle
     lattice = make_lattice(scene.steps, scene.rules)

@@ -14,7 +14,7 @@ from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.likelihood.observations.tip_track import list_directions
+from needlefit.inference.likelihood.observations.tip_track import split_directions
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_curve, predict_runs
 from needlefit.project.random_streams import random_stream
@@ -76,7 +76,7 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
     flat = replace(job.dataset, compared="plane")
     tuned, held = (
         [
-            [make_observation(flat, one, likelihood=plain) for one in list_directions(track, directions)]
+            [make_observation(flat, one, likelihood=plain) for one in split_directions(track, directions)]
             for track in tracks
         ]
         for tracks in (fold.tune, fold.validate)
@@ -96,7 +96,7 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
         certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
             parts = np.split(predicted, directions, axis=1)
-            for direction, one, part in zip("yz", list_directions(track, directions), parts, strict=False):
+            for direction, one, part in zip("yz", split_directions(track, directions), parts, strict=False):
                 row, rows = _score_run(one, count, part, certified)
                 about = {"fold": fold.name, "method": method, "direction": direction}
                 runs.append({**about, **row})

@@ -19,7 +19,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import find_last_shape
 from needlefit.planning.insertion_scene import find_layers, make_scene_record
-from needlefit.planning.steered_needle import make_scene
+from needlefit.planning.steered_needle import make_steered_scene
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
@@ -116,7 +116,7 @@ def _show_insertion(
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
     record = make_scene_record(shown.values, shown.medium, dataset.name, insertion, title)
-    scene = make_scene(record, f"{name}/{insertion.id}")
+    scene = make_steered_scene(record, f"{name}/{insertion.id}")
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     # As in a run's files for 3D Slicer: where shapes are known only up to a motion, the needle is laid on the

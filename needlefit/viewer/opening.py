@@ -14,7 +14,7 @@ import numpy as np
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.mechanics.laws import LAWS
 from needlefit.planning.recording import Recording
-from needlefit.planning.steered_needle import make_scene
+from needlefit.planning.steered_needle import make_steered_scene
 from needlefit.project.input_files import is_file, read_text
 from needlefit.project.locate import TargetKind, file_label, find_view_target
 from needlefit.project.toml import load
@@ -47,7 +47,7 @@ def open_target(
     view_target = replace(find_view_target(name or DEFAULT_SCENE, first), specimen=specimen)
     if view_target.kind == "scene":
         record = load(view_target.path, SceneRecord)
-        scene = make_scene(record, file_label(view_target.path))
+        scene = make_steered_scene(record, file_label(view_target.path))
         title = record.title or view_target.path.stem
         note = f"Parameters: those of the scene {view_target.name}. {record.note}".rstrip()
         draws = read_scene_draws(view_target.path.with_suffix(DRAWS_SUFFIX), record)
@@ -80,7 +80,7 @@ def read_scene_draws(path: Path, record: SceneRecord) -> "ParameterDraws | None"
         usable = False
     if not usable:
         raise DataError("its draws are not all positive", where=str(path), expected=", ".join(names))
-    tissue = make_scene(record, str(path)).tissue
+    tissue = make_steered_scene(record, str(path)).tissue
     for layer, shape in zip(layers, tissue.shape.T.tolist(), strict=True):
         for name, value in zip(LAWS[record.law].shape_names, shape, strict=True):
             table.setdefault(f"{name}{layer}", np.full(len(rows), value))

@@ -14,7 +14,7 @@ from needlefit.inference.forward_model import ParameterDraws
 from needlefit.mechanics.control import Step
 from needlefit.planning.goals import Goal
 from needlefit.planning.recording import RecordedStep, RecordingWriter
-from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_scene
+from needlefit.planning.steered_needle import Change, SteeredNeedle, find_changes, make_steered_scene
 from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.project.unit_warnings import extrapolation_warnings
 from needlefit.reporting.needle_page import encode_step
@@ -60,7 +60,7 @@ def begin_insertion(viewed_scene: ViewedScene) -> StartedInsertion:
 
     A bevel that is rolled out of the plane begins at a roll of 0: it cut nothing yet, and a plan rolls it.
     """
-    scene = make_scene(viewed_scene.record, viewed_scene.name)
+    scene = make_steered_scene(viewed_scene.record, viewed_scene.name)
     first = scene.steps[0]
     rules = replace(scene.rules, first_cell=viewed_scene.first_cell)
     bevel = replace(first.bevel, side=1, roll_deg=0.0) if first.bevel.toward[1] else first.bevel
@@ -105,7 +105,7 @@ def find_placement(viewed_scene: ViewedScene) -> Placement:
     if viewed_scene.placement is not None:
         return Placement.from_record(viewed_scene.placement)
     if viewed_scene.measured is None:
-        return make_scene(viewed_scene.record, viewed_scene.name).entry.placement
+        return make_steered_scene(viewed_scene.record, viewed_scene.name).entry.placement
     raise ConfigError(
         f"where {viewed_scene.name} lies in its scan is not known",
         expected="a target in the constraint frame",
@@ -120,7 +120,7 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
     the scene's parameters.
     """
     viewed_scene = shift_entry(viewed_scene, plan.entry_mm)
-    scene = make_scene(viewed_scene.record, viewed_scene.name)
+    scene = make_steered_scene(viewed_scene.record, viewed_scene.name)
     steering = SteeredNeedle(scene, viewed_scene.first_cell)
     path.unlink(missing_ok=True)
     recorder, time = RecordingWriter(path, viewed_scene.make_head()), 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needlefit.errors import ModelError
 from needlefit.planning.recording import RecordedStep, Recording, RecordingWriter, replay
-from needlefit.planning.steered_needle import SteeredNeedle, make_scene
+from needlefit.planning.steered_needle import SteeredNeedle, make_steered_scene
 from needlefit.viewer.messages import encode_recorded, encode_scene, encode_tables
 from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -25,7 +25,7 @@ class InteractiveTrial:
 
     def __init__(self, name: str, viewed_scene: ViewedScene, path: Path) -> None:
         self.name, self.viewed_scene = name, viewed_scene
-        self.scene = make_scene(viewed_scene.record, viewed_scene.name)
+        self.scene = make_steered_scene(viewed_scene.record, viewed_scene.name)
         self.steps: list[RecordedStep] = []
         self.recorder = RecordingWriter(path, viewed_scene.make_head())
         self._steering = self._begin()

@@ -105,7 +105,7 @@ class _TipTrack(ObservationType):
         dataset, noise, likelihood = errors.dataset, errors.noise, errors.likelihood
         if likelihood.measurement == "points":
             noise = replace(noise, heading_sd=0.0, slope_sd=0.0)
-        further, directions = likelihood.tip_tracks, list_directions(insertion, dataset.directions)
+        further, directions = likelihood.tip_tracks, split_directions(insertion, dataset.directions)
         with_headings = noise.heading_sd > 0 and all(one.headings for one in directions)
         axes, parts = list[ErrorAxis](), list[tuple[Floats, ...]]()
         for number, one in enumerate(directions):
@@ -206,7 +206,7 @@ def list_session_axes(
     return (slope, ErrorAxis(0.0, 1.0, (specimen, FRAME, 2 * direction + 1)))[:parts]
 
 
-def list_directions(track: Insertion, count: int) -> tuple[Insertion, ...]:
+def split_directions(track: Insertion, count: int) -> tuple[Insertion, ...]:
     """Return what was read along y, and, in place of that, what was along z: as many as are compared."""
     assert track.guide is not None
     along_z = replace(
