@@ -297,6 +297,7 @@ def with_predictions(results: Run, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0
             "between_correlation": np.nan,
         }
         row |= {"other_specimens": np.nan, "tip_95_width_after_one_mm": np.nan, "tip_interval_score_mm": 0.6}
+        row["tip_95_width_error_mm"] = 0.02
         for what in ("tip", "shape", "points"):
             row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}

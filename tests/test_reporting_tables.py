@@ -9,7 +9,7 @@ from reporting_results import study
 
 from needlefit.reporting import paper
 from needlefit.reporting.latex import escape_latex, format_cell
-from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number
+from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number, format_to_error
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.studies.fit_tables import lay_out_parameters
@@ -157,3 +157,20 @@ def test_numbers_are_bound_to_their_units(words, bound):
     parts = bind_numbers(words).split(" ")
     found = [one.replace(NO_BREAK, " ") for one in parts if NO_BREAK in one]
     assert found == bound and bind_numbers(words).replace(NO_BREAK, " ") == words
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (2.714, 0.21, "3"),
+        (2.714, 0.13, "2.7"),
+        (2.714, 0.021, "2.7"),
+        (2.714, 0.019, "2.71"),
+        (2.7149, 1e-5, "2.71"),
+        (2.714, None, "2.7"),
+        (13.14, math.nan, "13"),
+        (13.14, 3.0, "13"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_error_supports(value: float, error: float | None, text: str):
+    assert format_to_error(value, error) == text

@@ -84,6 +84,16 @@ def format_mm(value: float | None, digits: int = 2) -> str:
     return f"{value:z.{digits}f}" if is_known(value) else MISSING
 
 
+def format_to_error(value: float, error: float | None) -> str:
+    """Return a number in the digits that its standard error supports, two decimals at most.
+
+    The error is two units of the last digit at most. Without an error it has two significant digits.
+    """
+    if error is None or not error > 0:
+        return f"{value:.2g}"
+    return f"{value:.{min(2, max(0, math.floor(-math.log10(error / 2))))}f}"
+
+
 def format_signed_mm(value: float | None, digits: int = 2) -> str:
     """Return a difference in mm as text with its sign (a true minus); a rounded 0 has no sign."""
     if not is_known(value):

@@ -88,6 +88,7 @@ class Finding:
     missing: int = 0  #: held-out tips that have none
     covered: bool | None = None  #: of intervals: whether tips lie in them; None: one trial
     width_mm: float | None = None  #: median width of the 95 % intervals
+    width_error_mm: float | None = None  #: its Monte Carlo standard error
     max_width_mm: float | None = None
     deflection_mm: float | None = None  #: median of the tips' deflections
     beyond: int | None = None  #: tips that deflect more than their predictive medians

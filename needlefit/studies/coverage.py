@@ -37,6 +37,10 @@ def measure_tips(predictive: pd.DataFrame, which: str) -> "pd.Series[float]":
     return across.combine(predictive[z], math.hypot) if z in predictive else across
 
 
+#: Monte Carlo standard error of the width of the 95 % interval of a tip
+WIDTH_ERROR_COLUMN = "tip_95_width_error_mm"
+
+
 def median_width(predictive: pd.DataFrame) -> float:
     """Return the median width of the 95 % intervals of tips, mm; in space of the wider one of y and z."""
     width = predictive["tip_95_high_mm"] - predictive["tip_95_low_mm"]

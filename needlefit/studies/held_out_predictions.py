@@ -38,7 +38,7 @@ from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.studies.coverage import estimate_width_after_one
+from needlefit.studies.coverage import WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.draw_simulation import (
     DrawnNeedles,
     DrawSimulation,
@@ -58,9 +58,9 @@ from needlefit.studies.prediction_scores import (
 )
 from needlefit.studies.score import Row
 
-#: of these, one in so many predicts a needle that is held out; the next of these strides, and in the end all,
-#: where an end of the tip's 95 % interval has a Monte Carlo error above this part of the interval's width
-DRAW_STRIDES, MAX_END_ERROR = (8, 2), 0.1
+#: one in so many draws predicts a needle that is held out; all do where an end of the tip's 95 % interval has
+#: a Monte Carlo standard error above this part of the interval's width
+DRAW_STRIDE, MAX_END_ERROR = 2, 0.05
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
 AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
@@ -73,7 +73,7 @@ PREDICTIVE_COLUMNS = (
     *(AFTER_ONE_COLUMN, "draw_source", "certified", "draws", "failed_solves", "tip_measured_mm"),
     *("tip_median_mm", "tip_50_low_mm", "tip_50_high_mm", "tip_95_low_mm", "tip_95_high_mm", "tip_pit"),
     *("tip_in_50", "tip_in_95", "tip_crps_mm", "tip_interval_score_mm", "shape_pit", "shape_in_50"),
-    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
+    *("shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm", WIDTH_ERROR_COLUMN),
 )
 
 
@@ -153,9 +153,12 @@ class _Predictor:
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1])  # of the tip
         # the width after one more insertion is estimated from neighbouring draws, which takes all of them
-        for stride in () if insertion.id in self.representatives else DRAW_STRIDES:
-            some = replace(draws, thetas=draws.thetas[::stride])
-            found = self._predict(insertion, observation, some, needles.simulate(stride, sd), MAX_END_ERROR)
+        if insertion.id not in self.representatives:
+            some, simulated = (
+                replace(draws, thetas=draws.thetas[::DRAW_STRIDE]),
+                needles.simulate(DRAW_STRIDE, sd),
+            )
+            found = self._predict(insertion, observation, some, simulated, MAX_END_ERROR)
             if found is not None:
                 return found
         return self._predict(insertion, observation, draws, needles.simulate(sd=sd))
@@ -203,7 +206,8 @@ class _Predictor:
         covariance = _measurement_covariance(observation, factor)
         measured = observation.stack(observation.measured)
         mixture = PredictiveMixture(observation.stack(aligned), np.sqrt(np.diag(covariance)))
-        if max_end_error < math.inf and find_end_error(mixture, len(observation.measured)) > max_end_error:
+        end_error = find_end_error(mixture, len(observation.measured))
+        if end_error > max_end_error:
             return None
         row = {
             "fold": fold.name,
@@ -226,6 +230,8 @@ class _Predictor:
         whole = predict_bands(mixture.means, covariance, rng)
         row |= score_prediction(mixture, measured, whole.pit(measured))
         across: Floats = quantile(mixture, (0.5,)).T
+        width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
+        row[WIDTH_ERROR_COLUMN] = math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
         if directions > 1:
             across = find_geometric_median(aligned[..., 1:])

@@ -1,5 +1,6 @@
 """Predict the runs of tip tracks that a fold holds out, reading by reading, beside baseline curves."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -93,11 +94,13 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
         else:
             rng = random_stream(job.recipe.seed, job.name, fold.name, method)
             ahead = predict_runs(*simulate_runs(job, fold, draws, jobs, rng), placed, rng)
-        certified = method not in BASELINES and not draws.faults  # only certified draws predict intervals
+        certified = method not in BASELINES and not draws.faults
+        steered = any(one.guided for one in fold.tune)
         for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
             parts = np.split(predicted, directions, axis=1)
             for direction, one, part in zip("yz", split_directions(track, directions), parts, strict=False):
-                row, rows = _score_run(one, count, part, certified)
+                # how a moved guide leads a needle, no run at rest has tested
+                row, rows = _score_run(one, count, part, certified, steered or not track.guided)
                 about = {"fold": fold.name, "method": method, "direction": direction}
                 runs.append({**about, **row})
                 readings += [{**about, **each} for each in rows]
@@ -135,8 +138,10 @@ def simulate_runs(
     return scale[good], tuned, held, [one[good] for one in curves]
 
 
-def _score_run(track: Insertion, placed: int, predicted: Floats, certified: bool) -> tuple[Row, list[Row]]:
-    """Return the row of `runs` and the rows of `readings`; intervals are NaN where not certified.
+def _score_run(
+    track: Insertion, placed: int, predicted: Floats, certified: bool, tested: bool
+) -> tuple[Row, list[Row]]:
+    """Return the row of `runs` and the rows of `readings`; intervals are of certified draws, where tested.
 
     `predicted` (B, n - placed) are draws of the readings after the first `placed`, mm.
     """
@@ -150,12 +155,12 @@ def _score_run(track: Insertion, placed: int, predicted: Floats, certified: bool
     if certified or len(predicted) == 1:  # of a point CRPS is the absolute error
         row["crps_mm"] = float(predict.crps(mixture, measured).mean())
     if certified:
-        bands = find_bands(predicted)
+        bands, shown = find_bands(predicted), 1.0 if tested else math.nan
         for level in predict.INTERVAL_PROBABILITIES:
             name, ends = f"{100 * level:.0f}", bands.ends(level)
-            known |= dict(zip((f"low_{name}", f"high_{name}"), ends, strict=True))
-            low, high = (float(end[-1]) for end in predict.interval(mixture, level))
-            row[f"tip_in_{name}"] = bool(low <= measured[-1] <= high)
+            known |= {f"{side}_{name}": shown * end for side, end in zip(("low", "high"), ends, strict=True)}
+            low, high = (shown * float(end[-1]) for end in predict.interval(mixture, level))
+            row[f"tip_in_{name}"] = bool(low <= measured[-1] <= high) if tested else None
             if level == max(predict.INTERVAL_PROBABILITIES):
                 row |= {"tip_95_low_mm": low - float(first), "tip_95_high_mm": high - float(first)}
     row |= {f"tip_{name}_mm": float(known[name][-1] - first) for name in ("measured", "median")}

@@ -26,6 +26,7 @@ from needlefit.studies.advice import list_contradictions, list_doubts
 from needlefit.studies.answer import Check, Finding, Status, is_printed_as_one
 from needlefit.studies.coverage import (
     MAX_AIMING_WIDTH_MM,
+    WIDTH_ERROR_COLUMN,
     count_covered,
     join_trials,
     measure_tips,
@@ -309,6 +310,8 @@ def check_intervals(
     """
     missing = max(0, held_out - len(predictive))
     width, deflection = median_width(predictive), float(measure_tips(predictive, "measured").median())
+    # tips of one fit share its draws: the median width errs about as much as one of them
+    width_error = float(predictive[WIDTH_ERROR_COLUMN].median()) if WIDTH_ERROR_COLUMN in predictive else None
     limit = MAX_AIMING_WIDTH_MM if recipe is None else recipe.aiming_width_mm
     for check, column, expected in (
         (Check.INTERVALS, "tip_in_95", 0.95),
@@ -333,6 +336,7 @@ def check_intervals(
                 passed=False if width > limit else covered,
                 covered=covered,
                 width_mm=width,
+                width_error_mm=width_error,
                 max_width_mm=limit,
                 deflection_mm=deflection,
             )

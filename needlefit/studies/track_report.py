@@ -57,6 +57,7 @@ class TrackErrors:
     runs: int
     registration_depth_mm: float
     faults: bool  #: whether a fit has no bands
+    untested: bool  #: whether a run has none, since its guide moved and that of no fitted run did
 
 
 def judge_errors(run: Run) -> TrackErrors:
@@ -67,7 +68,9 @@ def judge_errors(run: Run) -> TrackErrors:
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
     outcome = judge_tracks(runs, run.record.margin_mm)
-    return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults))
+    without = runs[runs["method"] == "fitted"]["tip_95_low_mm"].isna().any()
+    untested = bool(without) and not run.faults
+    return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults), untested)
 
 
 def find_track_answer(run: Run, values: Mapping[str, object]) -> Answer:
@@ -75,9 +78,12 @@ def find_track_answer(run: Run, values: Mapping[str, object]) -> Answer:
     known, runs = judge_errors(run), run.frames["runs"]
     status, closer = STATUS[known.outcome], CLOSER[known.outcome]
     checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve)]
-    ends = runs.query("method == 'fitted'").dropna(subset="tip_95_low_mm")
+    predicted = runs.query("method == 'fitted'").rename(columns={"run": "hole"})
+    ends = predicted.dropna(subset="tip_95_low_mm")
     if len(ends):
-        checks += check_intervals(ends.rename(columns={"run": "hole"}), run.metadata.recipe)
+        checks += check_intervals(ends, run.metadata.recipe, len(predicted))
+    elif known.untested:
+        checks.append(Finding(Check.INTERVALS, None))
     about = asdict(known)
     numbers = {key: about[key] for key in ("outcome", "rms_mm", "curve", "curve_mm", "runs")}
     words = {**values, "tracks": known}

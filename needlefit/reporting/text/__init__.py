@@ -51,7 +51,13 @@ from markupsafe import Markup
 from needlefit.reporting import document
 from needlefit.reporting.columns import FORMATS
 from needlefit.reporting.document import Block, Words
-from needlefit.reporting.number_format import format_bare_symbol, format_quantity, insert_symbols, join_words
+from needlefit.reporting.number_format import (
+    format_bare_symbol,
+    format_quantity,
+    format_to_error,
+    insert_symbols,
+    join_words,
+)
 from needlefit.reporting.table import Table, TableLayout
 
 _PUNCTUATION = re.compile(r"([!-/:-@\[-`{-~])")
@@ -97,6 +103,7 @@ def _environment(package: str) -> jinja2.Environment:
         # tip errors below 0.1 mm have a third decimal
         "error": lambda value: f"{FORMATS['mm3' if value < 0.1 else 'mm'](value)} mm",
         "ratio": lambda value: f"{value:.2g}",
+        "rounded": format_to_error,
         "significant": lambda value, digits: f"{value:.{digits}g}",
         "bare": format_bare_symbol,
         "symbols": insert_symbols,
