@@ -3,7 +3,8 @@
     python studies/one_fit_rates.py [--quick]
 
 Tips of three methods, ours and two references, err by normal deviations that are correlated between needles,
-for they share the fit; the measured tip errs, too. Tip errors are the absolute differences. The verdict
+for they share the fit; the measured tip errs, too, in part by the registration of the scan that all needles
+share (`REGISTRATIONS`). Tip errors are the absolute differences. The verdict
 states what holds on these needles: where the means of true tip errors are equal on them (`CASES`), any word
 but "as close" is false. Of methods that are equal in the mean of many fits, "any fit", the words show how far
 they hold beyond this one: hardly, which is why they name their reach. What came out: docs/studies.md.
@@ -18,7 +19,9 @@ import pandas as pd
 from needlefit import api
 
 NEEDLES, CORRELATIONS = (1, 3, 6, 12), (0.0, 0.3, 0.6, 0.9)
+REGISTRATIONS = (0.0, 0.5, 0.9)  #: share of the variance of measured tips that all needles of a scan share
 ERRORS = (0.3, 1.0, 3.0, 10.0)  #: SD of a method's deviations, in those of the noise
+SETTING = ("needles", "correlation", "error", "registration")
 NOISE_FLOOR = np.sqrt(2 / np.pi)  #: mean distance of a measured tip, for noise of SD 1
 #: by how many noise floors the true mean tip errors of the references exceed ours; None: of any fit
 CASES: dict[str, tuple[float, float] | None] = {
@@ -33,7 +36,13 @@ CASES: dict[str, tuple[float, float] | None] = {
 
 
 def simulate_needles(
-    rng: np.random.Generator, count: int, needles: int, correlation: float, error: float, case: str
+    rng: np.random.Generator,
+    count: int,
+    needles: int,
+    correlation: float,
+    error: float,
+    registration: float,
+    case: str,
 ) -> np.ndarray:
     """Return measured tip errors (count, 3 methods, needles): ours, then the references'."""
     shared, own = rng.standard_normal((count, 3, 1)), rng.standard_normal((count, 3, needles))
@@ -44,7 +53,8 @@ def simulate_needles(
         )
         mean = np.abs(off).mean(axis=2, keepdims=True)
         off *= (mean[:, :1] + np.array([ours, *others])[:, None]) / mean
-    return np.abs(off - rng.standard_normal((count, 1, needles)))
+    own, shared = rng.standard_normal((count, 1, needles)), rng.standard_normal((count, 1, 1))
+    return np.abs(off - np.sqrt(1 - registration) * own - np.sqrt(registration) * shared)
 
 
 def judge_needles(tips: np.ndarray) -> np.ndarray:
@@ -68,25 +78,26 @@ def tabulate_needles(tips: np.ndarray) -> pd.DataFrame:
 def judge_one_fit(count: int) -> pd.DataFrame:
     """Return the share of each outcome, by needles, correlation, error and case."""
     rows = []
-    for needles, correlation, error, case in product(NEEDLES, CORRELATIONS, ERRORS, CASES):
-        rng = np.random.default_rng([needles, round(10 * correlation), round(10 * error)])
-        tips = simulate_needles(rng, count, needles, correlation, error, case)
+    for *setting, case in product(NEEDLES, CORRELATIONS, ERRORS, REGISTRATIONS, CASES):
+        rng = np.random.default_rng([round(10 * one) for one in setting])
+        tips = simulate_needles(rng, count, *setting, case)
         words = judge_needles(tips)
         one = api.compare_with_references(tabulate_needles(tips[0]), "fitted", NOISE_FLOOR)
         if one.outcome != words[0]:
             raise SystemExit(f"the program has another rule: {one.outcome}, not {words[0]}")
         shares = {word: (words == word).mean() for word in ("closer than both", "as close", "worse than one")}
-        rows.append({"case": case, "needles": needles, "correlation": correlation, "error": error, **shares})
+        rows.append({"case": case, **dict(zip(SETTING, setting, strict=True)), **shares})
     return pd.DataFrame(rows)
 
 
 def print_one_fit(table: pd.DataFrame) -> None:
     words = ["closer than both", "as close", "worse than one"]
-    found = table.groupby(["case", "needles"], sort=False)[words].agg(["min", "mean", "max"])
+    found = table.groupby(["case", "needles", "registration"], sort=False)[words].agg(["min", "mean", "max"])
     print(found.to_string(float_format=lambda value: f"{value:.3f}"))
     equal = table[table["case"].isin(["equal", "one reference equal"])]
-    wrong = (1 - equal["as close"]).groupby(equal["needles"]).max()
-    print("largest share of false words, by needles:", wrong.round(3).to_dict())
+    wrong = (1 - equal["as close"]).groupby([equal["registration"], equal["needles"]]).max().unstack()
+    print("Largest share of false words, by registration and needles:")
+    print(wrong.round(3).to_string())
 
 
 def main() -> None:
