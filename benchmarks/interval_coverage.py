@@ -64,7 +64,7 @@ def test_study(study: str, seed: int, folder: str) -> list[dict]:
     insertion = next(one for one in twin.insertions if one.id == row["insertion"])
     scene = describe_scene(twin, insertion, run.metadata.medium.advance)
     where = "same" if row["specimen_treatment"] == "same" else "new"
-    tip, y = needlefit.predict(run, scene, where).frames["forecast"].iloc[-1], insertion.planar[-1, 1]
+    tip, y = needlefit.predict(run, scene, where).frames["forecast"].iloc[-1], insertion.points[-1, 1]
     for level in LEVELS:
         low, high = tip[f"needle_{level}_low_mm"], tip[f"needle_{level}_high_mm"]
         about = {"interval": "tip by `predict`", "level": level, "width_mm": high - low}
