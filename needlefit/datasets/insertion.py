@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, Self, cast
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class Noise:
 
     def correlate(self, s: Floats) -> Floats:
         """Return the correlation (K, K) of the correlated part at arc lengths `s` (K,), mm."""
-        return cast(Floats, np.exp(-np.abs(s[:, None] - s) / self.correlation_length))
+        return np.exp(-np.abs(s[:, None] - s) / self.correlation_length)
 
     @property
     def stated(self) -> bool:

@@ -90,8 +90,7 @@ def _draw_errors_along_z(
         return points
     shift = max(dataset.noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     normal = rng.normal(size=(2, draws, 1, 1))
-    found: Floats = points + shift * normal[0] + insertion.pose_angle_sd * normal[1] * s[:, None]
-    return found
+    return points + shift * normal[0] + insertion.pose_angle_sd * normal[1] * s[:, None]
 
 
 def draw_point_noise(s: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
@@ -100,15 +99,13 @@ def draw_point_noise(s: Floats, noise: Noise, rng: np.random.Generator, draws: i
     independent = noise.point_sd * rng.normal(size=shape)
     # A Cholesky root of the correlation matrix turns independent draws into correlated ones.
     root = noise.correlated_sd * np.linalg.cholesky(noise.correlate(s))
-    drawn: Floats = independent + root @ rng.normal(size=shape)
-    return drawn
+    return independent + root @ rng.normal(size=shape)
 
 
 def displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
     """Return the displacement (draws, N, 2) of small motions about C's origin, from `normal` (draws, 3)."""
     perpendicular = np.column_stack([-curve[:, 1], curve[:, 0]])  # (N, 2)
-    displaced: Floats = shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * perpendicular
-    return displaced
+    return shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * perpendicular
 
 
 def _prepare_comparison(

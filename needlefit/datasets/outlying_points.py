@@ -60,8 +60,7 @@ class Scatter:
         own = np.zeros(len(insertion.points)) if insertion.sd is None else insertion.sd
         shared = self.noise.point_sd**2 + self.noise.correlated_sd**2
         shared += (self.rounding / 2) ** 2 + MIN_SCATTER_MM**2
-        found: Floats = self.larger * np.sqrt(shared + np.square(own))
-        return found
+        return self.larger * np.sqrt(shared + np.square(own))
 
 
 def estimate_scatter(curves: Sequence[ListedInsertion], noise: Noise) -> Scatter:

@@ -169,5 +169,4 @@ def _make_radial_directions(tangent: Floats) -> Floats:
     """Return unit vectors (RAYS, 3) perpendicular to `tangent` (3,), evenly around it."""
     angle = 2 * np.pi * np.arange(ENCLOSURE_RAYS) / ENCLOSURE_RAYS
     u = make_normal(tangent)
-    directions: Floats = np.outer(np.cos(angle), u) + np.outer(np.sin(angle), np.cross(tangent, u))
-    return directions
+    return np.outer(np.cos(angle), u) + np.outer(np.sin(angle), np.cross(tangent, u))

@@ -32,8 +32,7 @@ def interpolate_hermite(x: Floats, y: Floats, slope: Floats, at: Floats) -> Floa
     step, s = x[k + 1] - x[k], at - x[k]
     chord = (y[k + 1] - y[k]) / step
     bend = (slope[k] + slope[k + 1] - 2 * chord) / step
-    found: Floats = ((bend / step * s + (chord - slope[k]) / step - bend) * s + slope[k]) * s + y[k]
-    return found
+    return ((bend / step * s + (chord - slope[k]) / step - bend) * s + slope[k]) * s + y[k]
 
 
 STRAIGHT_TOLERANCE_MM = 1e-9  # greatest distance from the entry line, mm, of a curve that counts as straight
@@ -129,8 +128,7 @@ class ComparedCurves:
     @cached_property
     def distances(self) -> Floats:
         """Distance (K,) at each station, |r_sim - r_measured|, mm."""
-        distances: Floats = np.linalg.norm(self.simulated - self.measured, axis=1)
-        return distances
+        return np.linalg.norm(self.simulated - self.measured, axis=1)
 
     @property
     def is_curve(self) -> bool:

@@ -33,19 +33,16 @@ class Frame:
 
     def to_local(self, points: ArrayLike) -> Floats:
         """Return world `points` (N, 3) in coordinates of this frame."""
-        local: Floats = (np.asarray(points, dtype=np.float64) - self.origin) @ self.rotation
-        return local
+        return (np.asarray(points, dtype=np.float64) - self.origin) @ self.rotation
 
     def to_world(self, points: ArrayLike) -> Floats:
         """Return `points` (N, 3), given in this frame, in world coordinates."""
-        world: Floats = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
-        return world
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
 
 
 def apply_affine(matrix: Floats, points: ArrayLike) -> Floats:
     """Return `points` (N, 3) moved by an affine map (4, 4), which need not be rigid."""
-    moved: Floats = np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-    return moved
+    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
@@ -54,8 +51,7 @@ def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
     length = float(np.linalg.norm(array))
     if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
         raise DataError(f"{name} is {array.tolist()}", expected="three finite numbers, not all zero")
-    scaled: Floats = array / length
-    return scaled
+    return array / length
 
 
 def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
@@ -87,8 +83,7 @@ def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
     across = np.sum(a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0], axis=-1)
     angle = np.arctan2(across, np.sum(a * b, axis=(-2, -1)))
     c, s = np.cos(angle), np.sin(angle)
-    aligned: Floats = a @ np.moveaxis(np.array([[c, s], [-s, c]]), (0, 1), (-2, -1)) + centre_f
-    return aligned
+    return a @ np.moveaxis(np.array([[c, s], [-s, c]]), (0, 1), (-2, -1)) + centre_f
 
 
 def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
@@ -150,8 +145,7 @@ RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
 
 def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:
     """Convert `points` (..., 3) from a patient coordinate system to LPS; the same call converts back."""
-    turned: Floats = np.asarray(points, dtype=np.float64) * AXIS_SIGNS[system] + 0.0  # no "-0.0"
-    return turned
+    return np.asarray(points, dtype=np.float64) * AXIS_SIGNS[system] + 0.0  # no "-0.0"
 
 
 @dataclass(frozen=True)
@@ -175,8 +169,7 @@ class Placement:
     @property
     def across(self) -> Floats:
         """C's y axis in patient coordinates, (3,)."""
-        found: Floats = self.frame.rotation[:, 1] @ self.patient.rotation
-        return found
+        return self.frame.rotation[:, 1] @ self.patient.rotation
 
     def to_world(self, points: ArrayLike) -> Floats:
         """Return points (K, 2), in C's plane, or (K, 3), in C, in world coordinates, (K, 3) mm."""

@@ -92,8 +92,7 @@ def _smooth_points(points: Floats, chords: Floats, sd: float) -> MeasuredCurve |
 
 def _remove_along(vectors: Floats, tangents: Floats) -> Floats:
     """Return what of vectors (N, d) lies across unit tangents (N, d)."""
-    across: Floats = vectors - np.sum(vectors * tangents, axis=1, keepdims=True) * tangents
-    return across
+    return vectors - np.sum(vectors * tangents, axis=1, keepdims=True) * tangents
 
 
 def _repeat_points(curve: MeasuredCurve, new: NDArray[np.bool_]) -> MeasuredCurve:
@@ -121,8 +120,7 @@ class _SmoothCurve:
         """Return the arc lengths (N,) of the feet of the points that the spline was fitted to."""
         tangents = self._tangents(self.u)
         ahead = np.sum((points - self.spline.curve(self.u)) * tangents, axis=1)
-        feet: Floats = np.interp(self.u, self.grid, self.lengths) + ahead
-        return feet
+        return np.interp(self.u, self.grid, self.lengths) + ahead
 
     def points_at(self, s: Floats) -> Floats:
         return np.asarray(self.spline.curve(np.interp(s, self.lengths, self.grid)))
@@ -132,8 +130,7 @@ class _SmoothCurve:
 
     def _tangents(self, u: Floats) -> Floats:
         slopes = self.spline.curve.derivative()(u)
-        tangents: Floats = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
-        return tangents
+        return slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
 
     def differentiate_length(self, start: float, end: float) -> Floats:
         """Return the derivatives (N, d) of the length between two places by the points."""
@@ -143,8 +140,7 @@ class _SmoothCurve:
         tangents = slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
         weights = np.full(len(u), (high - low) / MIN_SAMPLES)
         weights[[0, -1]] /= 2
-        found: Floats = matrix.T @ (weights[:, None] * tangents)
-        return found
+        return matrix.T @ (weights[:, None] * tangents)
 
 
 def _settle_places(feet: Floats, noise_sd: float) -> tuple[Floats, Floats, float]:
@@ -178,8 +174,7 @@ def _equalize_steps(steps: Floats, noise_sd: float) -> Floats | None:
     if usual <= 0 or np.mean(alike) < MIN_EQUAL_STEPS:
         return None
     places = np.concatenate([[0.0], np.cumsum(np.where(alike, usual, np.abs(steps)))])
-    equal: Floats = places / places[-1]
-    return equal
+    return places / places[-1]
 
 
 def _make_increasing(places: Floats) -> Floats:
@@ -189,5 +184,4 @@ def _make_increasing(places: Floats) -> Floats:
     kept = (places > before) & (places < last) & (places > first)
     kept[[0, -1]] = True
     rows = np.arange(len(places))
-    found: Floats = np.interp(rows, rows[kept], places[kept])
-    return found
+    return np.interp(rows, rows[kept], places[kept])

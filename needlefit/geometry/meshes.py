@@ -133,5 +133,4 @@ def fill_outline(lines: Floats, shape: tuple[int, int]) -> NDArray[np.bool_]:
     column = np.clip(np.ceil(crossing), 0, columns).astype(np.int64)
     turns = np.zeros((rows, columns + 1), dtype=np.int32)
     np.add.at(turns, (row, column), 1)
-    inside: NDArray[np.bool_] = np.cumsum(turns, axis=1)[:, :columns] % 2 == 1
-    return inside
+    return np.cumsum(turns, axis=1)[:, :columns] % 2 == 1

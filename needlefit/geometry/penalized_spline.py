@@ -36,7 +36,7 @@ class PenalizedSpline:
     def differentiate(self, u: Floats) -> tuple[Floats, Floats]:
         """Return the derivative (K, d) at places (K,), and the matrix (K, N) that gives it of the values."""
         bases = scipy.interpolate.BSpline(self.curve.t, self.operator, DEGREE).derivative()
-        return np.asarray(self.curve.derivative()(u)), np.asarray(bases(u))
+        return self.curve.derivative()(u), bases(u)
 
 
 def fit_penalized_spline(
@@ -94,13 +94,11 @@ def _maximize_likelihood(
     known = count + (STATED_WEIGHT if stated else 0.0)
 
     def misfit(log_ratio: Floats) -> Floats:
-        left: Floats = outside + (squares / (1 + np.exp(log_ratio) * sizes**2)).sum(axis=-1)
-        return left
+        return outside + (squares / (1 + np.exp(log_ratio) * sizes**2)).sum(axis=-1)
 
     def objective(log_ratio: Floats) -> Floats:
         grown = noisy_axes * np.log1p(np.exp(log_ratio) * sizes**2).sum(axis=-1)
-        value: Floats = grown + known * np.log(misfit(log_ratio) + stated)
-        return value
+        return grown + known * np.log(misfit(log_ratio) + stated)
 
     # relative to the largest direction, so that the range fits values of any count and unit
     grid = np.linspace(MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS)[:, None] - 2 * np.log(sizes[0])

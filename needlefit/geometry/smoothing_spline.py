@@ -27,8 +27,7 @@ def make_knots(start: float, end: float, spacing: float) -> Floats:
 
 def design_matrix(q: Floats, knots: Floats) -> Floats:
     """Return the B-splines (N, C) on `knots` (C + 4,) at `q` (N,)."""
-    matrix: Floats = scipy.interpolate.BSpline.design_matrix(q, knots, DEGREE, extrapolate=True).toarray()
-    return matrix
+    return scipy.interpolate.BSpline.design_matrix(q, knots, DEGREE, extrapolate=True).toarray()
 
 
 def free_end_basis(knots: Floats) -> Floats:
@@ -92,8 +91,7 @@ def find_empty_pieces(q: Floats, weights: Floats, knots: Floats) -> Floats:
     edges = np.unique(knots)
     counts, _ = np.histogram(q[weights > 0], edges)
     within = (edges[1:] > q[0]) & (edges[:-1] < q[-1])
-    found: Floats = np.column_stack([edges[:-1], edges[1:]])[within & (counts == 0)]
-    return found
+    return np.column_stack([edges[:-1], edges[1:]])[within & (counts == 0)]
 
 
 def fit_matrices(q: Floats, weights: Floats, knots: Floats) -> SplineFit:

@@ -58,20 +58,18 @@ class PointSpread:
     def pass_in_slices(self, squared: Reals) -> Reals:
         """Return what passes of squared angular frequencies in the slices, 1/mm^2."""
         x2 = squared * (self.blur**2 / 2)
-        return np.asarray((1 + self.boost * x2) * np.exp(-x2))
+        return (1 + self.boost * x2) * np.exp(-x2)
 
     def pass_across(self, frequency: Reals) -> Reals:
         """Return what passes of angular frequencies along the slices' normal, 1/mm."""
         y = frequency * self.slice_blur
         box = np.sinc(y * float(np.sqrt(3 * BOX_PART) / np.pi))
-        return np.asarray(np.exp(-(y**2) * ((1 - BOX_PART) / 2)) * box)
+        return np.exp(-(y**2) * ((1 - BOX_PART) / 2)) * box
 
     def weigh_planes(self, away: Floats) -> Floats:
         """Return the sensitivity of a slice at distances from its middle, mm, over that of its middle."""
         half, edge = np.sqrt(3 * BOX_PART) * self.slice_blur, np.sqrt(1 - BOX_PART) * self.slice_blur
-        return np.asarray(
-            (ndtr((half - away) / edge) - ndtr((-half - away) / edge)) / (2 * ndtr(half / edge) - 1)
-        )
+        return (ndtr((half - away) / edge) - ndtr((-half - away) / edge)) / (2 * ndtr(half / edge) - 1)
 
 
 def read_spread(parameters: Floats) -> PointSpread:

@@ -226,7 +226,7 @@ def _fit_model(near: SphereVoxels, first: Floats, count: int) -> tuple[Floats, F
     best = _minimize(near, first, count, noise, robust=False)
     noise = max(1.0, noise * _spread(best.fun[: len(near.values)]))
     best = _minimize(near, np.append(best.x, first[count:]), count, noise, robust=True)
-    theta, residuals = np.append(best.x, first[count:]), noise * np.asarray(best.fun[: len(near.values)])
+    theta, residuals = np.append(best.x, first[count:]), noise * best.fun[: len(near.values)]
     slopes = differentiate(near, theta, count)
     known = np.zeros(count)
     known[PRIOR_COLUMNS] = (noise / _list_prior(near)[1]) ** 2
@@ -316,7 +316,7 @@ def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, ro
     def slopes(theta: Floats) -> Floats:
         return np.vstack([differentiate(near, np.append(theta, first[count:]), count) / noise, held])
 
-    best: OptimizeResult = least_squares(
+    return least_squares(
         residuals,
         np.clip(first, LOWER_BOUNDS + 1e-6, UPPER_BOUNDS - 1e-6)[free],
         jac=slopes,
@@ -327,4 +327,3 @@ def _minimize(near: SphereVoxels, first: Floats, count: int, noise: float, *, ro
         ftol=FINAL_TOLERANCE if robust else FIRST_TOLERANCE,
         max_nfev=40,
     )
-    return best

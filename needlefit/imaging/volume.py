@@ -42,7 +42,7 @@ class VoxelGrid:
     def normal(self) -> Floats:
         """The unit normal (3,) of the slices, on the side to which k grows."""
         across = np.cross(self.direction[:, 0], self.direction[:, 1])
-        return np.asarray(across * np.sign(across @ self.direction[:, 2]))
+        return across * np.sign(across @ self.direction[:, 2])
 
     @property
     def slice_distance(self) -> float:
@@ -142,7 +142,7 @@ def orthogonalize(direction: Floats) -> Floats:
         axes = orthogonalize(np.column_stack([direction[:, :2], normal / np.linalg.norm(normal)]))
         return np.column_stack([axes[:, :2], direction[:, 2] / np.linalg.norm(direction[:, 2])])
     u, _, vt = np.linalg.svd(direction)
-    return np.asarray(u @ vt)
+    return u @ vt
 
 
 def max_voxels() -> int:
@@ -288,14 +288,14 @@ def require_same_frame(part: Volume, frame_of_reference: str) -> None:
 def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
     """Return the LPS points (N, 3), mm, of fractional voxel indices i, j, k (N, 3)."""
     steps = np.asarray(ijk, dtype=np.float64) * volume.spacing
-    return np.asarray(steps @ volume.direction.T + volume.origin)
+    return steps @ volume.direction.T + volume.origin
 
 
 def to_index(volume: Volume | VoxelGrid, points: ArrayLike) -> Floats:
     """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
     away = np.asarray(points, dtype=np.float64) - volume.origin
     inverse = np.linalg.inv(volume.direction) if is_tilted(volume.direction) else volume.direction.T
-    return np.asarray(away @ inverse.T / volume.spacing)
+    return away @ inverse.T / volume.spacing
 
 
 def find_outside(volume: Volume, points: ArrayLike) -> NDArray[np.int64]:

@@ -26,7 +26,7 @@ def metric_misfits(off: Floats, weights: Floats) -> Floats:
     """
     distances = np.sqrt(np.sum(off**2, axis=-1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (B, K)
     # a product for each row: that of a matrix rounds a row by where it stands
-    return np.asarray((distances[:, None] @ weights[:, None])[:, 0, 0])
+    return (distances[:, None] @ weights[:, None])[:, 0, 0]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class WeightedDistances:
     @cached_property
     def _lengths(self) -> Floats:
         # numpy's own sum over so short an axis takes three times as long
-        return np.asarray(np.sqrt(sum((self.off * self.off).T) + SMOOTHING_MM**2))
+        return np.sqrt(sum((self.off * self.off).T) + SMOOTHING_MM**2)
 
     def move(self, step: Floats) -> "WeightedDistances":
         """Return the distances after a step of theta (P,), to first order."""
@@ -59,7 +59,7 @@ class WeightedDistances:
     def differentiate(self) -> Floats:
         """Return the derivatives of the objective, (P,)."""
         along = (self.weights / self._lengths)[:, None] * self.off
-        return np.asarray(along.ravel() @ self.rows)
+        return along.ravel() @ self.rows
 
 
 def station_weights(measured: Floats, weights: WeightsRecord) -> Floats:

@@ -143,6 +143,6 @@ def find_farthest_step(
     optimizer.set_xtol_abs(np.full(len(along), tolerance))
     optimizer.set_maxeval(MAX_STEP_EVALUATIONS)
     try:
-        return np.asarray(optimizer.optimize(np.zeros(len(along))))
+        return optimizer.optimize(np.zeros(len(along)))
     except (nlopt.RoundoffLimited, RuntimeError, ValueError):
         return np.zeros(len(along))

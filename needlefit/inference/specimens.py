@@ -192,8 +192,7 @@ class Specimen:
         whiten = np.linalg.inv(factor)
         white = whiten @ self.centres.T - whiten @ means[..., None]  # (W, Q, K)
         volume = np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        logs: Floats = -0.5 * np.sum(white**2, axis=1) - volume[:, None]
-        return logs
+        return -0.5 * np.sum(white**2, axis=1) - volume[:, None]
 
 
 def make_specimen(draws: Floats) -> Specimen:
@@ -255,8 +254,7 @@ class Population:
     def log_stated(self, at: Floats) -> Floats:
         """Return the log density (W,) of what is stated of m, at (W, Q), but for a constant."""
         means, sds = self.stated
-        found: Floats = -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
-        return found
+        return -0.5 * np.sum(((at - means) / sds) ** 2, axis=1)
 
     def posterior(self, rng: np.random.Generator) -> WeightedDraws:
         """Return weighted draws of m and the hyperparameters of T: (N, Q + S)."""

@@ -113,8 +113,7 @@ def predict_by_curve(
     total = total + design @ np.diag([SHIFT_SD_MM**2, slope_variance]) @ design.T
     mean = columns @ best + slope * design[:, 1]
     gain = np.linalg.solve(total[first, first], further.measured[first, 1] - mean[first])
-    later: Floats = mean[observed:] + total[observed:, first] @ gain
-    return later
+    return mean[observed:] + total[observed:, first] @ gain
 
 
 def _predict_slope(slopes: Floats, runs: Sequence[Insertion], baseline: Baseline) -> tuple[float, float]:

@@ -302,5 +302,4 @@ def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
 
 @lru_cache(maxsize=1)  # tasks of the same work share what it computes once
 def _read_work(data: bytes) -> Callable[[object], object]:
-    work: Callable[[object], object] = pickle.loads(data)  # noqa: S301  from the process that started this one
-    return work
+    return pickle.loads(data)  # noqa: S301  from the process that started this one

@@ -240,7 +240,7 @@ def _place_along(reconstruction: Reconstruction, s: Floats) -> Floats:
     along = arc_length(points)
     along += reconstruction.depth - along[-1]
     beyond = np.clip(s - along[-1], 0, None) + np.clip(s - along[0], None, 0)
-    return np.asarray(np.interp(s, along, points[:, 0]) + beyond)
+    return np.interp(s, along, points[:, 0]) + beyond
 
 
 def _paint_materials(axes: Axes, reconstruction: Reconstruction, scale: float) -> None:

@@ -63,8 +63,7 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
 
 
 def _interpolate_slope(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    found: Floats = scipy.interpolate.CubicHermiteSpline(x, u, slope)(s, 1)
-    return found
+    return scipy.interpolate.CubicHermiteSpline(x, u, slope)(s, 1)
 
 
 def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placement | None = None) -> None:

@@ -60,8 +60,7 @@ def registration_errors(built: ReconstructedInsertion) -> Floats:
     """Return how far the registration moves each point of the true centreline (N,), mm."""
     true = built.insertion.true_insertion.centerline
     moved = built.reconstruction.patient.to_world(built.exposure.scene.box.to_world(true))
-    errors: Floats = np.linalg.norm(moved - true, axis=1)
-    return errors
+    return np.linalg.norm(moved - true, axis=1)
 
 
 def centerline_errors(built: ReconstructedInsertion) -> Floats:

@@ -235,8 +235,7 @@ class RandomField:
     def at(self, points: ArrayLike) -> Floats:
         """Return the field (N,) at world `points` (N, 3)."""
         angles = np.asarray(points, dtype=np.float64) @ self.waves.T + self.phases  # (N, n)
-        field: Floats = self.sd * np.sqrt(2 / len(self.phases)) * np.cos(angles).sum(axis=1)
-        return field
+        return self.sd * np.sqrt(2 / len(self.phases)) * np.cos(angles).sum(axis=1)
 
 
 @dataclass(frozen=True)

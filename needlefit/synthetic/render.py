@@ -141,8 +141,7 @@ def densify(points: Floats) -> Floats:
     """Return the cubic spline through `points` (N, 3), sampled every `AXIS_SPACING_MM` mm: (M, 3)."""
     s = arc_length(points)
     spline = make_interp_spline(s, points, k=min(3, len(points) - 1))
-    fine: Floats = spline(np.linspace(0, s[-1], int(np.ceil(s[-1] / AXIS_SPACING_MM)) + 1))
-    return fine
+    return spline(np.linspace(0, s[-1], int(np.ceil(s[-1] / AXIS_SPACING_MM)) + 1))
 
 
 def bevel_side(needle: Needle3D) -> Floats:
@@ -159,16 +158,14 @@ def _nonzero_voxels(voxels: NDArray[np.int64], part: Floats, hu: float) -> Metal
 
 def _inside_fraction(depth: Floats, grid: VoxelGrid) -> Floats:
     """Return the part of a sub-voxel whose centre lies `depth` (mm) inside: no face snaps to the lattice."""
-    part: Floats = np.clip(depth / (np.mean(grid.spacing) / SUBVOXELS_PER_EDGE) + 0.5, 0, 1)
-    return part
+    return np.clip(depth / (np.mean(grid.spacing) / SUBVOXELS_PER_EDGE) + 0.5, 0, 1)
 
 
 def _subvoxel_offsets(grid: VoxelGrid) -> Floats:
     """Return the places of a voxel's sub-points relative to its centre (n, 3), mm, patient."""
     steps = (np.arange(SUBVOXELS_PER_EDGE) + 0.5) / SUBVOXELS_PER_EDGE - 0.5
     mesh = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    offsets: Floats = (mesh * grid.spacing) @ grid.direction.T
-    return offsets
+    return (mesh * grid.spacing) @ grid.direction.T
 
 
 def _voxels_near(points: Floats, reach: float, grid: VoxelGrid) -> NDArray[np.int64]:
@@ -182,8 +179,7 @@ def _voxels_near(points: Floats, reach: float, grid: VoxelGrid) -> NDArray[np.in
     voxels = (seeds[:, None] + block[ball]).reshape(-1, 3)
     inside = voxels[np.all((voxels >= 0) & (voxels < grid.size), axis=1)]
     flat = np.unique(np.ravel_multi_index(tuple(inside.T), grid.size))
-    near: NDArray[np.int64] = np.column_stack(np.unravel_index(flat, grid.size))
-    return near
+    return np.column_stack(np.unravel_index(flat, grid.size))
 
 
 Voxels = NDArray[np.float32]
@@ -342,8 +338,7 @@ def _local_coordinates(frame: Frame, grid: VoxelGrid, k: int) -> tuple[PixelArra
 
 def _face_fraction(distance: PixelArray, width: float) -> PixelArray:
     """Return the part of a voxel of `width` (mm) on the positive side of a face at `distance` (mm)."""
-    part: PixelArray = np.clip(distance / np.float32(width) + np.float32(0.5), 0, 1)
-    return part
+    return np.clip(distance / np.float32(width) + np.float32(0.5), 0, 1)
 
 
 def render_scan(scene: Scene3D, scanner: Scanner, rng: np.random.Generator) -> Volume:

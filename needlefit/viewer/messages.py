@@ -72,8 +72,7 @@ def encode_recorded(step: RecordedStep) -> list[Any]:
 
 def encode_law(law: str, shape: Floats) -> list[float]:
     """Return the law of all layers at shape parameters (..., p, n) as the kernel has it, or a ModelError."""
-    found: list[float] = np.concatenate(compile_law(law, shape), axis=-1).ravel().tolist()
-    return found
+    return np.concatenate(compile_law(law, shape), axis=-1).ravel().tolist()
 
 
 def compile_asked_law(tissue: Tissue, rows: object) -> list[float]:
@@ -125,8 +124,7 @@ def encode_fault(error: NeedlefitError, *names: str) -> dict[str, str]:
 
 def round_lengths(values: Floats) -> list[float]:
     """Return drawn lengths, mm, as numbers for JSON."""
-    found: list[float] = np.round(values, LENGTH_DIGITS).tolist()
-    return found
+    return np.round(values, LENGTH_DIGITS).tolist()
 
 
 ACTIONS = {"hello", "steps", "show", "plan"}

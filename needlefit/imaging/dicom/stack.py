@@ -508,4 +508,4 @@ def _measure_slice_step(
             expected: even steps, to {allowed:.2g} mm
             fix: resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD
             where: {ordered[worst].where}""")
-    return np.asarray(spacing * (normal + lean))
+    return spacing * (normal + lean)

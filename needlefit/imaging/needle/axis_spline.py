@@ -86,7 +86,7 @@ def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float, tip: float
     freedom = max(1.0, len(s) - matrix.shape[1])
     variance = float(np.sum(w[:, None] * residuals**2) / (2 * freedom))  # two directions are free
     variance *= correlation_factor(residuals, matrix.shape[1])
-    covariance = np.asarray(basis @ np.linalg.inv(normal) @ basis.T * variance, dtype=np.float64)
+    covariance = basis @ np.linalg.inv(normal) @ basis.T * variance
     spline = BSpline(knots, basis @ coefficients, 3)
     return AxisSpline(spline, float(s[-1]), variance, covariance, s, points, weights, w)
 
@@ -127,10 +127,10 @@ def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
     """Return the standard deviation in any one direction across (N,) at `s` (N,), mm."""
     if axis.slice_sds is not None:
         both = [np.interp(s, axis.s[: len(one)], one) for one in axis.slice_sds]
-        return np.asarray(np.hypot(*both) / np.sqrt(2))
+        return np.hypot(*both) / np.sqrt(2)
     matrix = design_matrix(s, axis.spline.t)
     variance = np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2
-    return np.asarray(np.sqrt(variance))
+    return np.sqrt(variance)
 
 
 def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
@@ -221,7 +221,7 @@ def disc_points(radius: float) -> Floats:
         * PLANE_SPACING_MM
     )
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-    return np.asarray(grid[np.hypot(*grid.T) <= radius])
+    return grid[np.hypot(*grid.T) <= radius]
 
 
 def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
@@ -235,7 +235,7 @@ def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
     # to_index gives i, j, k; the array is indexed k, j, i
     index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
     values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
-    return np.asarray(values.reshape(points.shape[:2]))
+    return values.reshape(points.shape[:2])
 
 
 def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:

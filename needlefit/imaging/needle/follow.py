@@ -60,7 +60,7 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
         piece -= piece.min()
         count = np.bincount(piece)
         sums = np.stack([np.bincount(piece, axis) for axis in marked.T], axis=1)
-        return np.asarray(sums[count > 0] / count[count > 0, None])
+        return sums[count > 0] / count[count > 0, None]
 
 
 def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) -> AxisSpline:
@@ -77,7 +77,7 @@ def follow_points(volume: Volume, points: Floats, recipe: ReconstructionRecord) 
     ordered = points[np.argsort((points - center) @ axes[0])]
     s = arc_length(ordered)
     count = max(2, round(float(s[-1]) / STEP_MM) + 1)
-    places = np.asarray(PchipInterpolator(s, ordered)(np.linspace(0.0, s[-1], count)))
+    places = PchipInterpolator(s, ordered)(np.linspace(0.0, s[-1], count))
     for _ in range(ROUNDS):  # to the needle's middle; where it is faint they stay
         shifts, amplitude = _look_across(volume, places, recipe)
         shown = amplitude > MIN_RELATIVE_AMPLITUDE * np.median(amplitude)

@@ -52,7 +52,7 @@ class Rod:
         """Heights of the planes (P,), mm."""
         n = self.in_slice
         count = n * (len(self.heights) + 1) - 1
-        return np.asarray(self.heights[0] + self.thick / n * (np.arange(count) - n + 1))
+        return self.heights[0] + self.thick / n * (np.arange(count) - n + 1)
 
     @property
     def in_slice(self) -> int:
@@ -86,7 +86,7 @@ class Rod:
     def _half_area(height: Floats, radius: float) -> Floats:
         """Return half the area of a rod's section below `height` from its middle, mm2."""
         u = np.clip(height / radius, -1, 1)
-        return np.asarray(radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u)))
+        return radius**2 / 2 * (u * np.sqrt(1 - u**2) + np.arcsin(u))
 
     def back_projection(self, aside: float) -> csr_array:
         """Return the sum over the views (S U, V cells) at the samples moved by `aside` mm, interpolated."""

@@ -53,7 +53,7 @@ def _list_parts(mask: NDArray[np.bool_]) -> Iterator[Ints]:
 
 def _distance(mask: NDArray[np.bool_], spacing: Floats) -> NDArray[np.float32]:
     """Return the distance (mm) of every voxel of a mask to the nearest outside it."""
-    return np.asarray(distance_transform_edt(mask, sampling=spacing).astype(np.float32))
+    return distance_transform_edt(mask, sampling=spacing).astype(np.float32)
 
 
 # Low thresholds to try, as parts of the way from tissue to metal; the high one lies a quarter higher.

@@ -212,7 +212,7 @@ def _find_end(volume: Volume, points: Floats) -> Floats:
     bright = np.flatnonzero(over > END_BRIGHT * np.median(over[max(0, count - 2 * END_STATIONS) : count]))
     gaps = np.flatnonzero((np.diff(bright) > MAX_DARK_STATIONS) & (bright[1:] >= count))
     last = bright[gaps[0]] if len(gaps) else bright.max(initial=0)
-    return np.asarray(points[: max(int(last) + 2, min(count, END_STATIONS))])
+    return points[: max(int(last) + 2, min(count, END_STATIONS))]
 
 
 def _make_problem(
@@ -301,7 +301,7 @@ def _basis(knots: Floats) -> BSpline:
 def _extend(spline: BSpline, x: Floats) -> Floats:
     """Return a spline at `x` (N,), straight beyond its ends."""
     inside = np.clip(x, spline.t[0], spline.t[-1])
-    return np.asarray(spline(inside) + spline.derivative()(inside) * (x - inside)[:, None])
+    return spline(inside) + spline.derivative()(inside) * (x - inside)[:, None]
 
 
 @dataclass(frozen=True)
@@ -371,7 +371,7 @@ class _SliceProblem:
     @cached_property
     def level(self) -> Floats:
         """Brightness of the surroundings (K, S, 1)."""
-        return np.asarray(self.shown[..., self.rim].mean(axis=-1, keepdims=True))
+        return self.shown[..., self.rim].mean(axis=-1, keepdims=True)
 
     def image(self, metal: csr_array, theta: Floats, aside: float = 0.0) -> Floats:
         """Return what slices show (K, S, U) where `metal` is on the rays."""
@@ -524,7 +524,7 @@ class _SliceProblem:
         left /= np.sqrt(1 + (left / robust) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(theta))
         factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
-        covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
+        covariance: Floats = np.linalg.inv(normal) * factor / CORRELATED
         return theta, covariance, self.error(image)
 
     def end_bluntly(self, theta: Floats) -> float:

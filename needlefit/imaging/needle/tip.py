@@ -93,7 +93,7 @@ class RodModel:
         solid = np.zeros((len(along), len(across), len(across)), dtype=np.float32)
         solid[:, rows, columns] = np.mean(ends * weights, axis=2)
         solid[along < along[0] + MARGIN_MM / 2] = 0
-        return np.asarray(rfftn(solid))
+        return rfftn(solid)
 
     @cached_property
     def _fibres(self) -> tuple[tuple[Ints, Ints], Floats, Floats]:
@@ -118,7 +118,7 @@ class RodModel:
         @lru_cache(maxsize=8)
         def blur(roll: float, cotangent: float, spread: PointSpread) -> Singles:
             passed = spread.pass_in_slices(in_slice) * spread.pass_across(normal) * spline
-            return np.asarray(irfftn(transform(roll, cotangent) * passed, shape))
+            return irfftn(transform(roll, cotangent) * passed, shape)
 
         return blur
 
@@ -319,7 +319,7 @@ class TipProblem:
 
     def covariance(self, best: OptimizeResult) -> Floats:
         """Return the covariance (12, 12) of the parameters: each block of voxels is one observation."""
-        return self._sum_blocks(np.asarray(best.jac, dtype=np.float64), best.fun)[0]
+        return self._sum_blocks(best.jac, best.fun)[0]
 
     def width_misfit(self, best: OptimizeResult) -> tuple[float, float]:
         """Return by which factor's logarithm the needle is wider than stated, to first order; its SD."""
@@ -340,17 +340,17 @@ class TipProblem:
         piece = np.floor((self.near.s - self.near.s.min()) / BLOCK_LENGTH_MM).astype(np.int64)
         quadrant = 2 * (self.near.u > 0) + (self.near.v > 0)
         outer = np.hypot(self.near.u, self.near.v) > RADIAL_REACH_MM / 2
-        block = np.asarray(8 * piece + 2 * quadrant + outer)
+        block = 8 * piece + 2 * quadrant + outer
         total = np.zeros((block.max() + 1, jacobian.shape[1]))
         np.add.at(total, block, pulls[:count])
         total = np.vstack([total, jacobian[count:]])
         normal = jacobian.T @ jacobian
         inverse = np.linalg.inv(normal + 1e-9 * np.diag(np.maximum(np.diag(normal), 1e-9)))
-        return np.asarray(inverse @ (total.T @ total) @ inverse), np.asarray(-inverse @ total.sum(axis=0))
+        return inverse @ (total.T @ total) @ inverse, -inverse @ total.sum(axis=0)
 
     def bevel_probability(self, best: OptimizeResult, covariance: Floats) -> float:
         """Return the probability that the bevel's point lies on the fitted side, within 90 degrees."""
-        jacobian = np.asarray(best.jac, dtype=np.float64)
+        jacobian = best.jac
         others = np.delete(jacobian, ROLL, axis=1)
         basis = np.linalg.qr(others)[0]
         naive = 1 / max(
@@ -416,7 +416,7 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     points = to_patient(volume, ijk)
     distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=RADIAL_REACH_MM + 0.1)
     close = np.isfinite(distance)
-    at = np.asarray(nearest)[close]
+    at = nearest[close]
     d = points[close] - where.origins[at]
     along = np.einsum("ni,ni->n", d, where.tangents[at])
     s = fine[at] + along

@@ -53,7 +53,7 @@ class MarkerSets:
     @property
     def variance(self) -> Floats:
         """The variance (M, N) of each pair in any one direction, mm^2."""
-        return np.asarray(self.found_sd[:, None] ** 2 + self.known_sd**2)
+        return self.found_sd[:, None] ** 2 + self.known_sd**2
 
     @property
     def typical_sd(self) -> float:
@@ -114,7 +114,7 @@ def motion_jacobian(arms: ArrayLike) -> Floats:
 def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
     """Return sum J^T J / variance (6, 6) of markers at `arms` (P, 3); `variance` (P,), mm^2."""
     moved = motion_jacobian(arms)
-    return np.asarray(np.einsum("nia,n,nib->ab", moved, 1 / variance, moved))
+    return np.einsum("nia,n,nib->ab", moved, 1 / variance, moved)
 
 
 Pairs = NDArray[np.int64]  # (P, 2): number of the found marker, number of the known one

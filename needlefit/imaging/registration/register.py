@@ -190,7 +190,7 @@ def scan_frame(registration: Registration) -> Frame:
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
     moved = motion_jacobian(scan_frame(registration).to_world(points) - registration.centre)
-    return np.asarray(moved @ registration.covariance @ np.swapaxes(moved, -1, -2))
+    return moved @ registration.covariance @ np.swapaxes(moved, -1, -2)
 
 
 def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
@@ -200,7 +200,7 @@ def predict_mean_target_error(registration: Registration, points: ArrayLike) -> 
     of a quadratic form is Carlson's R_G of its eigenvalues.
     """
     a, b, c = np.maximum(np.linalg.eigvalsh(target_covariance(registration, points)), 0.0).T
-    return np.asarray(np.sqrt(8 / np.pi) * elliprg(a, b, c))
+    return np.sqrt(8 / np.pi) * elliprg(a, b, c)
 
 
 def _refuse_collinear(points: Floats, sd: float) -> None:

@@ -243,8 +243,7 @@ def add_model_error(problem: Problem, theta: Floats, at: Linearized) -> Floats:
     ]
     # the allowance adds variance in every direction; rounding may say otherwise where it adds none
     added, vectors = np.linalg.eigh(covariances[1] - covariances[0])
-    covariance: Floats = vectors * np.maximum(added, 0.0) @ vectors.T
-    return covariance
+    return vectors * np.maximum(added, 0.0) @ vectors.T
 
 
 def estimate_model_error(problem: Problem, at: Linearized) -> Discrepancy:

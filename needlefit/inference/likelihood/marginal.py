@@ -70,7 +70,7 @@ def solve_shared(
     ]
     total, _ = _sum_over_group(products, group, spread)
     stiff = np.eye(len(group.surfaces)) + total[:, 1:, 1:]
-    covariance = np.asarray(np.linalg.inv(stiff), dtype=np.float64)
+    covariance: Floats = np.linalg.inv(stiff)
     return -(covariance @ total[:, 1:, :1])[..., 0], covariance
 
 
@@ -78,7 +78,7 @@ def weigh_linear(nodes: Nodes, spread: Floats) -> Floats:
     """Return `nodes.linear` (B, 1 + d, m), the slope by a bevel's t for each `spread` (B,)."""
     of_bevel = np.array([False, *(axis.of_bevel for axis in nodes.axes)])
     weights = np.where(of_bevel, spread[:, None], 1.0)
-    return np.asarray(weights[:, :, None] * nodes.linear)
+    return weights[:, :, None] * nodes.linear
 
 
 def _sum_over_group(products: Sequence[Floats], group: NodeGroup, spread: Floats) -> tuple[Floats, Floats]:

@@ -193,7 +193,7 @@ class Observation:
     def estimator(self) -> Floats:
         """Matrix (f, K) that gives the best coefficients of `free` for measured minus simulated y (K,)."""
         weighted = np.linalg.solve(self.covariance(), self.free)  # (K, f)
-        return np.asarray(np.linalg.solve(self.free.T @ weighted, weighted.T), dtype=np.float64)
+        return np.linalg.solve(self.free.T @ weighted, weighted.T)
 
 
 def whiten_known(

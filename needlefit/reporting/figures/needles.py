@@ -658,8 +658,7 @@ def smooth_load(s: Floats, load: Floats, reach: float) -> Floats:
         i = np.clip(np.searchsorted(s, at, side="right"), 1, len(s) - 1)
         gone = at - s[i - 1]
         slope = (load[i] - load[i - 1]) / np.maximum(s[i] - s[i - 1], 1e-12)
-        found: Floats = sums[i - 1] + gone * (load[i - 1] + slope * gone / 2)
-        return found
+        return sums[i - 1] + gone * (load[i - 1] + slope * gone / 2)
 
     inside = half > 0
     means = (add_up_to(s + half) - add_up_to(s - half)) / np.where(inside, 2 * half, 1.0)

@@ -307,5 +307,4 @@ def separate_positions(places: Sequence[float] | Floats, offsets: Floats) -> Flo
             before, more = runs.pop()
             mean, count = (mean * count + before * more) / (count + more), count + more
         runs.append((mean, count))
-    at: Floats = np.repeat([mean for mean, _ in runs], [count for _, count in runs]) + offsets
-    return at
+    return np.repeat([mean for mean, _ in runs], [count for _, count in runs]) + offsets

@@ -38,7 +38,7 @@ def points_operator(measurement: MeasurementRecord, s: Floats) -> Floats | None:
     if measurement.operator == "gaussian" and measurement.width_mm is not None:
         # every point stands for the stretch halfway to its neighbours
         weights = np.gradient(s) * np.exp(-0.5 * ((s[:, None] - s) / measurement.width_mm) ** 2)
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        return weights / weights.sum(axis=1, keepdims=True)
     return None
 
 
@@ -78,7 +78,7 @@ class _Points(ObservationType):
 
 
 def _apply(operator: Floats | None, values: Floats) -> Floats:
-    return values if operator is None else np.asarray(operator @ values)
+    return values if operator is None else operator @ values
 
 
 POINTS = _Points("points")
