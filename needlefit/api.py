@@ -835,7 +835,7 @@ def _require_unchanged(dataset: Dataset) -> Dataset:
     if not same or dataset.noise != stored.noise:
         raise ConfigError(
             "the dataset is not what its files hold",
-            where=str(dataset.path),
+            where=dataset.path,
             expected="a dataset as `load_dataset` returns it: a run records the digest of its files",
             fix="select insertions with `tune`; write changed data to a folder of their own",
         )

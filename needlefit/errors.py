@@ -12,6 +12,7 @@ A solve that does not converge is no exception: it is a value (`NeedleShape.conv
 """
 
 import re
+from pathlib import Path
 from typing import Self
 
 _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -29,7 +30,7 @@ class NeedlefitError(Exception):
     ----------
     what : str
         The fault, in a sentence without a full stop.
-    where : str
+    where : str or Path
         File, key, line or column; empty if there is none.
     expected : str
         What a right value looks like.
@@ -42,9 +43,9 @@ class NeedlefitError(Exception):
     exit_code = 1
 
     def __init__(
-        self, what: str, *, where: str = "", expected: str = "", fix: str = "", key: str = ""
+        self, what: str, *, where: str | Path = "", expected: str = "", fix: str = "", key: str = ""
     ) -> None:
-        self.what, self.where, self.expected, self.fix, self.key = what, where, expected, fix, key
+        self.what, self.where, self.expected, self.fix, self.key = what, str(where), expected, fix, key
         super().__init__(str(self))
 
     def __str__(self) -> str:
@@ -53,7 +54,7 @@ class NeedlefitError(Exception):
         tail = [("expected", self.expected), ("fix", self.fix)]
         return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
-    def at(self, where: str) -> Self:
+    def at(self, where: str | Path) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
         return type(self)(self.what, where=where, expected=self.expected, fix=self.fix, key=self.key)
 

@@ -51,7 +51,7 @@ def new_workbook(
 
     if file.suffix.lower() != ".xlsx" or file.exists():
         what = "exists already" if file.exists() else f"has the ending {file.suffix!r}"
-        raise ConfigError(what, where=str(file), expected="a new .xlsx", fix="choose another name")
+        raise ConfigError(what, where=file, expected="a new .xlsx", fix="choose another name")
     with replace_file(file) as fresh:
         shutil.copyfile(WORKBOOK_FILE, fresh)
     screen.print_line(str(file))

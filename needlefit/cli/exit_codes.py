@@ -110,7 +110,7 @@ def _to_user_error(error: BaseException, invocation: Invocation) -> BaseExceptio
         advice = _SPACE_ADVICE.get(error.errno or 0, "")
         return ConfigError(
             f"cannot be read or written: {error.strerror or error}",
-            where=str(error.filename or (invocation.out if advice else "")),
+            where=error.filename or (invocation.out if advice else ""),
             expected="a place that exists, with space left, that you may read and write",
             fix=f"{advice or 'check the path and its permissions'}, or choose another folder",
         )

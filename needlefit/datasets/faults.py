@@ -63,4 +63,4 @@ def as_error(faults: Sequence[Fault], path: Path) -> DataError:
         (fault,) = merged
         return DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
     listed = "\n".join(str(fault) for fault in merged)
-    return DataError(f"has {len(faults)} faults\n{listed}", where=str(path))
+    return DataError(f"has {len(faults)} faults\n{listed}", where=path)

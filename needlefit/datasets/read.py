@@ -371,7 +371,7 @@ def require_shapes(dataset: Dataset) -> Dataset:
     if dataset.pose == "tracker":
         what = "holds tip tracks, no shapes"
         fix = "tune, calibrate and predict take it; this does not"
-        raise DataError(what, where=str(dataset.path), expected="a dataset with [centerlines]", fix=fix)
+        raise DataError(what, where=dataset.path, expected="a dataset with [centerlines]", fix=fix)
     return dataset
 
 

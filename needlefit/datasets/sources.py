@@ -36,7 +36,7 @@ def find_folder(record: SourceRecord, path: Path) -> Path:
     if len(found) != 1:
         what = f"{len(found) or 'no'} folder{'s match' if found else ' matches'} root {record.root}"
         fix = "narrow root" if found else record.how_to_get or "check the path"
-        raise DataError(what, where=str(path), expected=f"one: {absolute}", fix=fix)
+        raise DataError(what, where=path, expected=f"one: {absolute}", fix=fix)
     return found[0]
 
 

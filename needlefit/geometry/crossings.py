@@ -143,11 +143,9 @@ ENCLOSURE_RAYS = 12  # number of directions across the curve in which the surfac
 MAX_MISSED_RAYS = 1
 
 
-def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:
-    """Return the length of a polyline (N, 3) on which a surface is nearer than `radius` on all sides, mm.
-
-    `step`: distance of the stations at which that is asked, mm.
-    """
+def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float) -> float:
+    """Return the length of a polyline (N, 3) on which a surface is nearer than `radius` on all sides, mm."""
+    step = 0.5  # mm, between the stations at which that is asked
     curve = np.asarray(points, dtype=np.float64)
     stations = np.arange(step / 2, float(arc_length(curve)[-1]), step)
     triangles = np.asarray(surface.mesh.triangles, dtype=np.float64)

@@ -145,7 +145,7 @@ def _describe_damage(data: bytes, ending: str) -> str:
 
 
 def _mesh_error(path: Path, what: str, fix: str = _MESH_FIX) -> DataError:
-    return DataError(what, where=str(path), expected="an STL, PLY or OBJ file of triangles, in mm", fix=fix)
+    return DataError(what, where=path, expected="an STL, PLY or OBJ file of triangles, in mm", fix=fix)
 
 
 def write_surface(surface: Surface, path: Path) -> None:

@@ -210,7 +210,7 @@ def assemble_checked(
         what = "; ".join(dict.fromkeys(fault.what for fault in faults))
         error = DataError(
             f"gives no insertion that a dataset may hold: {what}",
-            where=str(one.scan.volume),
+            where=one.scan.volume,
             expected=faults[0].expected,
             fix=faults[0].fix,
         )

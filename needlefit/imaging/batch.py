@@ -213,7 +213,7 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
             return one
         moved = [name for name, places in vars(scan.corrections).items() if places is not None]
         return replace(one, warnings=(f"corrected by hand: {', '.join(moved)}", *one.warnings))
-    failed = found.error or NeedlefitError("nothing was found", where=str(scan.volume))
+    failed = found.error or NeedlefitError("nothing was found", where=scan.volume)
     needle = None if found.needle_axis is None else found.needle_axis.points
     if needle is None and found.selection is not None:  # about where it is
         axis = found.selection.axis or fit_rough_axis(search.volume, found.selection.needle, search.recipe)

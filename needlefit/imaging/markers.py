@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
-from needlefit.datasets.formats import find_format, list_suffixes
+from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
@@ -201,8 +201,9 @@ def read_markers(path: Path) -> Floats:
     """
     format_ = find_format(path)
     if format_ is None or format_.read_markers is None:
+        known = ", ".join(end for one in FORMATS.values() if one.read_markers for end in one.suffixes)
         raise refusal(f"""has the ending {path.suffix.lower()!r}
-            expected: a list of points: {list_suffixes(markers=True)}
+            expected: a list of points: {known}
             fix: save it as that
             where: {path}""")
     return format_.read_markers(path).values

@@ -212,7 +212,7 @@ def _fit_edge(
     # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
     left, free = best.fun[: len(s)], 2 * count + 3
     spread = max(1.0, 2 * best.cost / max(1, len(s) - free)) * correlation_factor(left[:, None], free)
-    jacobian = best.jac
+    jacobian = np.asarray(best.jac, dtype=np.float64)
     variance = float(np.linalg.pinv(jacobian.T @ jacobian)[this, this]) * spread
     # an edge sharper than the stations are dense leaves no slope, but lies between two of them: uniform there
     between = max(np.median(np.diff(s)), 2 * np.exp(best.x[count])) / np.sqrt(12)

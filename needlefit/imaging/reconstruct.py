@@ -585,7 +585,7 @@ def examine(
                 found.registration = register(markers.centers, places, markers.sd, sd)
             except DataError as error:
                 if error.where == KNOWN_SET:
-                    raise error.at(str(scan.markers)) from None
+                    raise error.at(scan.markers) from None
                 seen = error.where == FOUND_SET
                 what = f"{error.what}: {markers.candidates}" if seen else error.what
                 fix = f"{error.fix}; {CANDIDATE_FIX}" if seen else error.fix

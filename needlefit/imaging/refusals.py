@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from needlefit.errors import DataError
 
@@ -18,11 +19,11 @@ def refusal(text: str) -> DataError:
 
 
 @contextmanager
-def located(where: object) -> Iterator[None]:
+def located(where: str | Path) -> Iterator[None]:
     """Give errors that name no place this one: the file that is read, as a rule."""
     try:
         yield
     except DataError as error:
         if error.where:
             raise
-        raise error.at(str(where)) from error.__cause__
+        raise error.at(where) from error.__cause__

@@ -71,7 +71,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
         if is_image_file(place):
             if series or acquisition:
                 expected, fix = "a DICOM series", "leave out series and acquisition"
-                raise DataError("it is one image", where=str(path), expected=expected, fix=fix)
+                raise DataError("it is one image", where=path, expected=expected, fix=fix)
             return _build_volume(*_read_arrays(place, labels=False), place)
         if not place.is_dir():
             with open_regular(place, sys.maxsize):  # a regular file

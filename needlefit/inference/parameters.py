@@ -300,15 +300,13 @@ def with_bevel_spread(parameters: Parameters, sd: float) -> Parameters:
     )
 
 
-def with_hyperparameters(
-    parameters: Parameters, likelihood: LikelihoodRecord, largest: float = NOISE_SCALE_BOUNDS[1]
-) -> Parameters:
-    """Return the parameters with those that a likelihood estimates beside them; `largest` bounds the scale.
+def with_hyperparameters(parameters: Parameters, likelihood: LikelihoodRecord) -> Parameters:
+    """Return the parameters with those that a likelihood estimates beside them.
 
     No needle's bevel is known to vary where the medium fixes it.
     """
     if likelihood.noise_scale == "estimated":
-        bounds = {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)}
+        bounds = {**parameters.bounds, NOISE_SCALE: NOISE_SCALE_BOUNDS}
         parameters = replace(parameters, names=(*parameters.names, NOISE_SCALE), bounds=bounds)
     if likelihood.bevel_spread > 0 and any(name in parameters.free for name in BEVEL_PARAMETERS):
         parameters = with_bevel_spread(parameters, likelihood.bevel_spread)

@@ -183,7 +183,7 @@ def read_goal_points(
     if len(aims) > 1:
         raise DataError(
             f"names {len(aims)} targets: {', '.join(labels[n] for n in aims)}",
-            where=str(path),
+            where=path,
             expected="one point whose label begins with `target`",
             fix="rename the others",
         )

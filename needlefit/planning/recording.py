@@ -117,7 +117,7 @@ def read_recording(path: Path) -> Recording:
     if not tables:
         raise DataError(
             "is no recording: it does not begin with the scene",
-            where=str(path),
+            where=path,
             expected="a file that `needlefit view` recorded",
         )
     record = check(tables, RecordingRecord, str(path))

@@ -25,7 +25,7 @@ def unpack_archive(path: Path, folder: Path, total_bytes: int, levels: int, fix:
     """
 
     def error(what: str) -> DataError:
-        return DataError(what, where=str(path), expected="a ZIP archive of one scan", fix=fix)
+        return DataError(what, where=path, expected="a ZIP archive of one scan", fix=fix)
 
     with open_regular(path, MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()

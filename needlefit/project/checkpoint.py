@@ -90,7 +90,7 @@ class Checkpoint:
         except OSError as error:  # a full disk
             raise UnfinishedWorkError(
                 f"what is finished cannot be kept: {error.strerror}",
-                where=str(self.folder),
+                where=self.folder,
                 expected="a disk with space left",
                 fix="free some space; what was kept before is not lost",
             ) from error
@@ -163,7 +163,7 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
         if found != work:
             raise ConfigError(
                 "the interrupted run was of other work",
-                where=str(folder),
+                where=folder,
                 expected="the same data, configuration, seed and versions",
                 fix="run again without --resume, which starts afresh",
             )
@@ -171,7 +171,7 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
     if found == work and any(one.name not in (LOCK_NAME, MANIFEST) for one in folder.iterdir()):
         raise UnfinishedWorkError(
             "holds the unfinished work of an earlier run, which was interrupted or killed",
-            where=str(folder),
+            where=folder,
             expected="--resume (in Python: resume=True), which goes on with it",
             fix="to start afresh instead, remove this folder",
         )

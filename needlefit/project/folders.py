@@ -49,13 +49,13 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
         require_folder(path)
         place = Path(os.path.realpath(path))
         if place.is_dir():
-            raise ConfigError("is a folder", where=str(path), fix=f"name a file with {option}")
+            raise ConfigError("is a folder", where=path, fix=f"name a file with {option}")
         others = [os.path.realpath(other) for name, other in outputs.items() if name != option]
         is_read = place.exists() and any(place.is_relative_to(one) or place.samefile(one) for one in read)
         if is_read or str(place) in others:
             raise ConfigError(
                 f"is an input of this run, or named twice: {option} would replace it",
-                where=str(path),
+                where=path,
                 expected="a new file, or one that may be lost",
                 fix=f"choose another name with {option}",
             )
@@ -66,7 +66,7 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
 def require_folder(path: Path) -> None:
     """Raise ConfigError unless the folder of a file to write exists."""
     if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(path.parent), fix="make it first")
+        raise ConfigError("there is no such folder", where=path.parent, fix="make it first")
 
 
 def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
@@ -76,7 +76,7 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
         if Path(os.path.realpath(path)).is_relative_to(place):
             raise ConfigError(
                 f"holds an input of this run: {path}",
-                where=str(folder),
+                where=folder,
                 expected="a folder of results that is not read",
                 fix="choose another folder with --out",
             )
@@ -86,7 +86,7 @@ def not_writable_error(place: Path, reason: str) -> ConfigError:
     """Return what is raised of a place where nothing can be written."""
     return ConfigError(
         f"cannot be written to: {reason}",
-        where=str(place),
+        where=place,
         expected="a folder in which you may write",
         fix="choose another one with --out, or check its permissions",
     )
@@ -132,7 +132,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     table = {} if path.is_symlink() else read_json(path)
     if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
         return table
-    raise DataError("is not a manifest of needlefit", where=str(path), expected=f"one of format {FORMAT}")
+    raise DataError("is not a manifest of needlefit", where=path, expected=f"one of format {FORMAT}")
 
 
 def listed_files(folder: Path) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def require_unchanged(folder: Path) -> None:
     if changes:
         raise DataError(
             f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
-            where=str(folder),
+            where=folder,
             expected=f"files with the digests that {MANIFEST} lists",
             fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
             "`needlefit report` makes them again",
@@ -203,14 +203,14 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
         if faults:
             raise ConfigError(
                 f"is not replaced: needlefit did not write all of it: {join_names(faults, MAX_LISTED_FILES)}",
-                where=str(folder),
+                where=folder,
                 expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
                 fix="move those files away, or choose another folder with --out",
             )
         if Path.cwd().is_relative_to(place) and not _is_empty(place):
             raise ConfigError(
                 "is not replaced: it is the working folder, or holds it",
-                where=str(folder),
+                where=folder,
                 expected="a folder of results in which you do not stand",
                 fix="run the command from another folder, or choose another folder with --out",
             )
@@ -267,7 +267,7 @@ def take_lock(folder: Path) -> "BaseFileLock":
     except Timeout:
         raise ConfigError(
             "another run of needlefit is writing there",
-            where=str(folder),
+            where=folder,
             expected="one run at a time for each folder of results",
             fix="wait until it has ended, or choose another folder with --out",
         ) from None
@@ -336,7 +336,7 @@ def require_new(folder: Path) -> None:
     if not _is_empty(folder) and (folder.exists() or folder.is_symlink()):
         raise ConfigError(
             "exists already",
-            where=str(folder),
+            where=folder,
             expected="a new or empty folder",
             fix="choose another folder",
         )

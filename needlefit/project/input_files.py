@@ -142,7 +142,7 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
     except (OverflowError, TypeError, ValueError) as fault:
         raise DataError(
             f"holds values that needlefit cannot use ({type(fault).__name__})",
-            where=str(where),
+            where=where,
             expected="files as needlefit wrote them",
             fix="run it again, or take them from a copy",
         ) from fault
@@ -183,7 +183,7 @@ def list_files(folder: Path) -> list[Path]:
         if len(found) > MAX_FOLDER_FILES:
             raise DataError(
                 f"holds over {MAX_FOLDER_FILES} files",
-                where=str(folder),
+                where=folder,
                 expected="the folder of one export",
                 fix="name the folder in which the files lie",
             )

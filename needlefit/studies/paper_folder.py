@@ -22,7 +22,7 @@ def write_paper_folder(run: Run, run_folder: Path, folder: Path) -> list[Path]:
     Raises ConfigError if the folder exists and holds anything.
     """
     if folder.exists() and any(folder.iterdir()):
-        raise ConfigError("is not empty", where=str(folder), fix="name a new folder")
+        raise ConfigError("is not empty", where=folder, fix="name a new folder")
     folder.mkdir(parents=True, exist_ok=True)
     for path in sorted(run_folder.iterdir()):
         if path.suffix == ".tex":

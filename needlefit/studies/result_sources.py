@@ -80,7 +80,7 @@ def _find_dataset_name(record: FitRecord) -> str:
 def _other_result_error(folder: Path, before: str, after: str) -> ConfigError:
     return ConfigError(
         f"holds another result, of {before}",
-        where=str(folder),
+        where=folder,
         expected=f"a new folder, or the result of {after}",
         fix="choose another folder with --out, or move that result away",
     )

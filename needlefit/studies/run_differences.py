@@ -29,7 +29,7 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     runs = [restore_run(folder) for folder in (before, after)]
     if runs[0].kind != runs[1].kind:
         what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
-        raise DataError(what, where=str(after), expected=expected, fix="compare runs of the same command")
+        raise DataError(what, where=after, expected=expected, fix="compare runs of the same command")
     first, second = ({f"{name}.csv": one for name, one in list_run_files(run).items()} for run in runs)
     first[RUN_JSON], second[RUN_JSON] = (pd.json_normalize(run.run_json) for run in runs)
     joined = []

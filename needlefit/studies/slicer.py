@@ -61,7 +61,7 @@ def write_slicer_scene(
     if not path.name.lower().endswith((".mrk.json", ".ply")):
         raise ConfigError(
             f"cannot write a `{path.suffix}` file for 3D Slicer",
-            where=str(path),
+            where=path,
             expected="a name that ends in .mrk.json or .ply",
             fix=f"write to {path.stem or 'needle'}.mrk.json",
         )

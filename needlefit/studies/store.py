@@ -126,7 +126,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN_FILE
     table = read_json(path, MAX_RUN_BYTES)
     if not isinstance(table, dict):
-        raise DataError("holds no table", where=str(path), expected="a JSON object", fix="run it again")
+        raise DataError("holds no table", where=path, expected="a JSON object", fix="run it again")
     require_schema(table, RunTable, str(path))
     return table
 
@@ -176,7 +176,7 @@ def unpack(folder: Path) -> dict[str, Any]:
     if not is_file(path):
         raise DataError(
             "holds no stored results",
-            where=str(folder),
+            where=folder,
             expected=f"{RESULTS_FILE}, which needlefit writes into each run",
             fix="name the folder of a run",
         )
@@ -190,7 +190,7 @@ def unpack(folder: Path) -> dict[str, Any]:
     if table.get("format") != FORMAT_VERSION:
         raise DataError(
             "is of a format that this version cannot read",
-            where=str(path),
+            where=path,
             expected=f"format {FORMAT_VERSION}",
             fix="read it with the version that wrote it, or run it again",
         )
@@ -216,7 +216,7 @@ def damage_error(path: Path, why: str) -> DataError:
     """Return the error for a file of a result that does not hold what it should."""
     return DataError(
         f"is damaged: {why}",
-        where=str(path),
+        where=path,
         expected="the file as needlefit wrote it",
         fix="run it again, or take the file from a copy",
     )

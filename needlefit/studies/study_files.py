@@ -169,7 +169,7 @@ def load_target(target: str) -> Target:
                 return Target(f"{path.stem}-{one.name}-tune", record.tuning(one), Inputs(), path)
         raise ConfigError(
             f"is a study of {len(record.folds)} fits" + (f", none of them {wanted}" if wanted else ""),
-            where=str(path),
+            where=path,
             expected=f"one of {', '.join(f'{path.stem}:{one.name}' for one in record.folds)}",
             fix="name the study and the fit, with a colon between them",
         )
@@ -180,7 +180,7 @@ def load_target(target: str) -> Target:
     if not isinstance(record, StudyRecord):
         raise ConfigError(
             "is a study that does more than tune, and is not tuned by itself",
-            where=str(path),
+            where=path,
             fix=f"use: {shlex.join(('needlefit', 'validate', target))}",
         )
     return Target(f"{path.stem}-tune", record.tuning(), Inputs(), path)

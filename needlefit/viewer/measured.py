@@ -155,7 +155,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     if kind not in FIT_KINDS:
         raise DataError(
             f"is a run of another kind ({kind}): it has no fitted needle to show",
-            where=str(view_target.path),
+            where=view_target.path,
             expected="a run of tune or validate that fits the shapes of needles",
             fix="name such a run, or a scene or an insertion of a dataset",
         )
@@ -176,7 +176,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     if rows.empty:
         raise DataError(
             "its fit found no parameters with which every needle can be solved",
-            where=str(view_target.path),
+            where=view_target.path,
             expected="a run whose fit ended",
             fix="look at its report, or run it again",
         )

@@ -124,20 +124,18 @@ def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> Non
     steering = SteeredNeedle(scene, viewed_scene.first_cell)
     path.unlink(missing_ok=True)
     recorder, time = RecordingWriter(path, viewed_scene.make_head()), 0.0
-    for changes in list_changes(steering, plan.steps, RECORDED_STEP_MM):
+    for changes in list_changes(steering, plan.steps):
         moved = sum(change.value - steering.now.step.depth for change in changes if change.name == "depth_mm")
         time += abs(moved) / SPEED_MM_S
         state = steering.apply(changes)
         recorder.write(RecordedStep(steering.number, time, changes, state.shape.tip_lateral))
 
 
-def list_changes(
-    steering: SteeredNeedle, steps: Sequence[Step], piece_mm: float
-) -> Iterator[tuple[Change, ...]]:
-    """Yield the changes that lead a needle through steps in pieces of so many mm; each is applied at once."""
+def list_changes(steering: SteeredNeedle, steps: Sequence[Step]) -> Iterator[tuple[Change, ...]]:
+    """Yield the changes that lead a needle through steps, piece by piece; each is applied at once."""
     for step in steps:
         now = steering.now.step
-        count = max(1, math.ceil(abs(step.depth - now.depth) / piece_mm))
+        count = max(1, math.ceil(abs(step.depth - now.depth) / RECORDED_STEP_MM))
         for depth in np.linspace(now.depth, step.depth, count + 1)[1:].tolist():
             inputs = find_changes(step, steering.now.step, steering.names)
             yield (*inputs, Change("depth_mm", None, depth))

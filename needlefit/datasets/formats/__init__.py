@@ -48,7 +48,7 @@ class FileFormat:
         curves = {} if self.read_curves is None else self.read_curves(path)[0]
         if len(curves) != 1:
             what = f"holds {len(curves)} curves: {', '.join(curves)}"
-            raise DataError(what, where=str(path), expected="one curve", fix="save one insertion a file")
+            raise DataError(what, where=path, expected="one curve", fix="save one insertion a file")
         return next(iter(curves.values()))
 
 
@@ -70,10 +70,3 @@ def find_format(path: Path) -> FileFormat | None:
             fix="leave out the plugin of one of them",
         )
     return found[0] if found else None
-
-
-def list_suffixes(markers: bool = False) -> str:
-    """Return the endings of all formats, or of those that hold markers, for a message."""
-    return ", ".join(
-        end for one in FORMATS.values() for end in one.suffixes if one.read_markers or not markers
-    )

@@ -54,7 +54,7 @@ def read_table(path: Path) -> CsvTable:
     rows = _read_rows(path)
     if not rows:
         fix = "fill it, or restore it"
-        raise DataError("is empty", where=str(path), expected="a header line and rows below it", fix=fix)
+        raise DataError("is empty", where=path, expected="a header line and rows below it", fix=fix)
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
     if not body:
@@ -73,28 +73,23 @@ def read_table(path: Path) -> CsvTable:
     return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
-def parse_numbers(
-    table: CsvTable,
-    column: str,
-    found: list[Fault],
-    *,
-    optional: bool = False,
-    largest: float = MAX_COORDINATE,
-) -> Floats:
+def parse_numbers(table: CsvTable, column: str, found: list[Fault], *, optional: bool = False) -> Floats:
     """Return a column as numbers (N,); NaN where a cell is faulty, or empty in an `optional` column.
 
-    What exceeds `largest` is faulty.
+    What exceeds `MAX_COORDINATE` is faulty.
     """
     text = table.cells[column]
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
     # Infinity parses as a number; this comparison rejects it too.
-    values = np.where(np.abs(values) <= largest, values, np.nan)
+    values = np.where(np.abs(values) <= MAX_COORDINATE, values, np.nan)
     empty = (text == "").to_numpy()
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
         what = f"{describe_column(table.names, column)} {problem}"
-        found.append(Fault(table.where(row), what, f"a finite number, at most {largest:g}", "fix the cell"))
+        found.append(
+            Fault(table.where(row), what, f"a finite number, at most {MAX_COORDINATE:g}", "fix the cell")
+        )
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
         what = f"{describe_column(table.names, column)} has {more} more such cells from here on"

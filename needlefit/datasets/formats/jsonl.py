@@ -27,7 +27,7 @@ def read_curves(path: Path) -> ReadCurves:
     curves = {one.name: one.to_points(path) for one in reader.find_curves("line", objects)}
     if not curves:
         expected = "points of a needle in each line, as N x 3 numbers, N > 3"
-        raise DataError("holds no curve", where=str(path), expected=expected, fix=_FIX)
+        raise DataError("holds no curve", where=path, expected=expected, fix=_FIX)
     return curves, [f"{one} ignored" for one in reader.unused]
 
 

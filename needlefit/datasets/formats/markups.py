@@ -71,7 +71,7 @@ class Markups:
         what = f"`{self.name}` is a {self.kind}, which is no centreline"
         expected = "an open curve (Curve), or points (Fiducial) from the entry to the tip"
         fix = "draw the needle in Slicer as an open curve, and save that"
-        raise DataError(what, where=str(self.path), expected=expected, fix=fix)
+        raise DataError(what, where=self.path, expected=expected, fix=fix)
 
 
 def read_markups(path: Path) -> tuple[Markups, ...]:
@@ -89,11 +89,11 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
         fix = (
             f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a .jsonl file"
         )
-        raise DataError("has no `markups`", where=str(path), expected=expected, fix=fix)
+        raise DataError("has no `markups`", where=path, expected=expected, fix=fix)
     schema = str(whole.get("@schema", SCHEMA))
     if not _SCHEMA.search(schema):
         what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
-        raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+        raise DataError(what, where=path, expected=expected, fix=SAVE_AGAIN_FIX)
     found = [
         _parse_markups(path, one, n)
         for n, one in enumerate(lists, 1)
@@ -102,7 +102,7 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
         what, expected = f"holds no list of points, but {kinds}", "a point list, a Curve or a Line"
-        raise DataError(what, where=str(path), expected=expected, fix="save such a list in Slicer")
+        raise DataError(what, where=path, expected=expected, fix="save such a list in Slicer")
     return tuple(found)
 
 
@@ -141,7 +141,7 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     def check(is_right: bool, key: str, expected: str) -> None:
         if not is_right:
             what = f"list {number}, key `{key}` is missing or wrong"
-            raise DataError(what, where=str(path), expected=expected, fix=SAVE_AGAIN_FIX)
+            raise DataError(what, where=path, expected=expected, fix=SAVE_AGAIN_FIX)
 
     kind, system, points = (table.get(key) for key in ("type", "coordinateSystem", "controlPoints"))
     units = table.get("coordinateUnits") or "mm"
@@ -170,7 +170,7 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     if not placed:
         what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
         fix = "place its points in Slicer and save it again, or take another file"
-        raise DataError(what, where=str(path), expected="a list with points", fix=fix)
+        raise DataError(what, where=path, expected="a list with points", fix=fix)
     labels, notes = (tuple(str(one.get(key) or "") for one in placed) for key in ("label", "description"))
     own: PatientSystem = "LPS" if system == "LPS" else "RAS"
     values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), own)
@@ -183,7 +183,7 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
         return lists[0]
     listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
     what = f"holds {len(lists)} lists: {listed}"
-    raise DataError(what, where=str(path), expected="one list", fix="save the list that is meant on its own")
+    raise DataError(what, where=path, expected="one list", fix="save the list that is meant on its own")
 
 
 def _read_curves(path: Path) -> ReadCurves:
@@ -205,7 +205,7 @@ def _read_curves(path: Path) -> ReadCurves:
         if count > 1:
             what = f"holds {count} lists called `{name}`"
             fix = "rename them in Slicer, and save them again"
-            raise DataError(what, where=str(path), expected="names that differ: they become ids", fix=fix)
+            raise DataError(what, where=path, expected="names that differ: they become ids", fix=fix)
     return dict(named), notes
 
 

@@ -46,7 +46,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
         raise DataError(
             f"holds no curve; its variables are "
             f"{', '.join(map(str, variables[:MAX_SHOWN_VARIABLES])) or '(none)'}",
-            where=str(path),
+            where=path,
             expected=EXPECTED_ARRAYS,
             fix=ARRAYS_FIX,
         )

@@ -33,7 +33,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     reader, seconds = f"{__name__}:read_contours", len(data) / READ_BYTES_PER_SECOND
     (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     if not found:
-        raise DataError("holds no open contour", where=str(path), expected=_EXPECTED, fix=_FIX)
+        raise DataError("holds no open contour", where=path, expected=_EXPECTED, fix=_FIX)
     return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
 
 

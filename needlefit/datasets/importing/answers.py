@@ -31,13 +31,10 @@ class Stated:
         """The text with the unit of its header, where it has none of its own."""
         return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
 
-    def to_number(self, what: str, unit: str = "mm", usual: str = "", is_above: bool = False) -> float:
-        """Return the number of at least 0, or above 0, in a unit; `usual`: of lengths without one.
-
-        DataError if it is none.
-        """
+    def to_number(self, what: str, unit: str = "mm", is_above: bool = False) -> float:
+        """Return the number of at least 0, or above 0, in a unit; DataError if it is none."""
         value, own = read_quantity(self.text) or (-1.0, "")
-        own = own or self.unit or usual or unit
+        own = own or self.unit or unit
         known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
         factor = known.get(own, 0.0)
         if not 0 <= value * factor <= MAX_NUMBER or not factor or (is_above and not value):
@@ -47,12 +44,12 @@ class Stated:
             raise self.error(what, expected)
         return value * factor
 
-    def to_place(self, what: str, usual: str = "mm") -> Floats:
-        """Return the point (3,), mm, in a text such as `0,0,1`; DataError if it is none."""
-        unit = self.unit or usual
+    def to_entry(self) -> Floats:
+        """Return the entry point (3,), mm, in a text such as `0,0,1`; DataError if it is none."""
+        unit = self.unit or "mm"
         if unit not in UNITS_MM:
-            raise self.error(what, f"three numbers in one of {', '.join(UNITS_MM)}")
-        return UNITS_MM[unit] * self.to_vector(what, is_direction=False)
+            raise self.error("entry point", f"three numbers in one of {', '.join(UNITS_MM)}")
+        return UNITS_MM[unit] * self.to_vector("entry point", is_direction=False)
 
     def to_vector(self, what: str, is_direction: bool = True) -> Floats:
         """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
@@ -64,16 +61,16 @@ class Stated:
             raise self.error(what, "three numbers, such as 0,0,1")
         return vector
 
-    def to_depths(self, what: str, usual: str = "mm", separator: str = ",") -> tuple[float, ...]:
+    def to_boundaries(self) -> tuple[float, ...]:
         """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
-        parts = re.split(";" if ";" in self.text else separator, self.text)
+        parts = self.text.split(";" if ";" in self.text else ",")
         # of `2, 4 cm` the unit is of all; beside numbers with another one it is of its own
         last = re.search(r"[^\W\d].*$", parts[-1])
         if last and not any(re.search(r"[^\W\d]", part) for part in parts[:-1]):
             parts = [*(f"{part} {last[0]}" for part in parts[:-1]), parts[-1]]
-        depths = [replace(self, text=part.strip()).to_number(what, "mm", usual) for part in parts]
+        depths = [replace(self, text=part.strip()).to_number("boundaries") for part in parts]
         if any(b <= a for a, b in pairwise([0.0, *depths])):
-            raise self.error(what, "depths above 0 that increase, such as 15; 30")
+            raise self.error("boundaries", "depths above 0 that increase, such as 15; 30")
         return tuple(depths)
 
     def to_angle(self) -> float:

@@ -84,6 +84,12 @@ class ImportedCurve:
         return self.readings is not None and self.readings.is_deflection
 
     @property
+    def track(self) -> Readings:
+        """Its readings, which every track has."""
+        assert self.readings is not None
+        return self.readings
+
+    @property
     def depth(self) -> float:
         """The inserted length: as it is stated, else that of the curve."""
         return self.stated["depth"].to_number("depth") if "depth" in self.stated else self.length

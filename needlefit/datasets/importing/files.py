@@ -81,9 +81,7 @@ def read_content(
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
-        raise DataError(
-            what, where=str(paths[0]), expected=expected, fix="name the files of their points, too"
-        )
+        raise DataError(what, where=paths[0], expected=expected, fix="name the files of their points, too")
     shapes = [one for one in content.curves if len(one.line) and not one.is_tip]
     if shapes and all(len(one.line) == 1 for one in shapes):
         names = join_names([one.name for one in shapes], 3)
@@ -97,7 +95,7 @@ def read_content(
         raise as_error(faults, paths[0])
     for name in content.columns.keys() - content.columns_found:
         what = f"no table has a column {name!r}"
-        raise DataError(what, where=str(paths[0]), expected="a header or a number", fix="correct --columns")
+        raise DataError(what, where=paths[0], expected="a header or a number", fix="correct --columns")
     curves: dict[str, ImportedCurve] = {}
     for one in content.curves:
         name = make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)
@@ -154,7 +152,7 @@ def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]
     for path in paths:
         if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
             what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
-            raise DataError(what, where=str(path), expected="files of other programs", fix=fix)
+            raise DataError(what, where=path, expected="files of other programs", fix=fix)
         if not is_dir(path):
             yield path
             continue
@@ -181,7 +179,7 @@ def _read_file(path: Path, content: ImportContent) -> None:
         name = make_unique(surface.name[:MAX_NAME_CHARS], [one.name for one, *_ in content.surfaces])
         content.surfaces.append((replace(surface, name=name), path, "LPS" if stated else None))
     elif not path_exists(path):
-        raise DataError("there is no such file", where=str(path), fix="check the name and the path")
+        raise DataError("there is no such file", where=path, fix="check the name and the path")
     else:
         _read_format(path, content)
 
@@ -192,7 +190,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
     if format_ is None or format_.read_curves is None:
         what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
         fix = EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)
-        raise DataError(what, where=str(path), expected=expected, fix=fix)
+        raise DataError(what, where=path, expected=expected, fix=fix)
     before = len(content.unused)
     found, remarks = format_.read_curves(path)
     unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
@@ -201,7 +199,7 @@ def _read_format(path: Path, content: ImportContent) -> None:
     if wrong and readings:  # by their labels: `entry-1`, `tip-1`, `entry-2`
         what, expected = f"labels name points: {', '.join(wrong)}", "labels of needles, as N1-1, N1-2, N2-1"
         fix = "rename the points after their needles, from entry to tip; remove points of no needle"
-        raise DataError(what, where=str(path), expected=expected, fix=fix)
+        raise DataError(what, where=path, expected=expected, fix=fix)
     unknown = dict[str, None]()  # numbers in fields that no language knows
     for name, points in found.items():
         unit, system = ("mm", "LPS") if format_.in_scan else (_read_unit(name, points), None)
@@ -234,9 +232,7 @@ def _read_unit(name: str, points: Points) -> str:
     units = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
     if len(units) > 1:
         what = f"the unit of {name} is {' and '.join(sorted(units))}"
-        raise DataError(
-            what, where=str(points.path), expected="one unit", fix="correct the field of the unit"
-        )
+        raise DataError(what, where=points.path, expected="one unit", fix="correct the field of the unit")
     return units.pop() if units else ""
 
 

@@ -38,7 +38,11 @@ def join_needles(content: ImportContent) -> None:
         if (name := found.get(row.needle)) is None:
             content.leave_out(f"row of needle {row.needle}", row.where.rpartition("/")[2], doubt)
         else:
-            _add_row(curves[name], row)
+            curve = curves[name]
+            add_stated(curve.stated, row.stated)
+            curve.turns += row.turns
+            curve.sensors += row.sensors
+            curve.are_sensors_from_base |= row.are_sensors_from_base
     content.renamed = {row: name for row, name in found.items() if _make_key(row) != _make_key(name)}
     _doubt_left_out(content, curves)
 
@@ -110,10 +114,3 @@ def _refuse_table(rows: Sequence[NeedleRow], curves: Sequence[ImportedCurve]) ->
         expected=expected,
         fix="write the same names in both; or leave out this table, if it is about other needles",
     )
-
-
-def _add_row(curve: ImportedCurve, row: NeedleRow) -> None:
-    add_stated(curve.stated, row.stated)
-    curve.turns += row.turns
-    curve.sensors += row.sensors
-    curve.are_sensors_from_base = row.are_sensors_from_base or curve.are_sensors_from_base

@@ -16,7 +16,7 @@ from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
-from needlefit.datasets.importing.tips import MIN_TRACK_READINGS, is_track_like, make_tips, split_tips
+from needlefit.datasets.importing.tips import MIN_TRACK_READINGS, make_tips, split_tips
 from needlefit.datasets.importing.tracks import make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
@@ -103,18 +103,12 @@ class Planner:
             raise other.error("point sd", expected)
         own_sds = [one.to_number("point sd", is_above=True) for one in sds]
         sd = min(own_sds)
-        if is_track:
-            pose, rows = "tracker", make_tracks(self)
+        if observable != "shapes":
+            pose = "tracker" if is_track else "known"
+            rows = make_tracks(self) if is_track else make_tips(self, own_sds)
             depths = self.settle_layers()
             needles = self.settle_needles([row.depth for row in rows])
-        elif observable != "shapes":
-            pose, rows = "known", make_tips(self, own_sds)
-            depths = self.settle_layers()
-            needles = self.settle_needles([row.depth for row in rows])
-            pairs = zip(rows, depths, strict=True)
-            rows = [
-                replace(row, layers=len(select_layers(np.array(own), row.depth)[1])) for row, own in pairs
-            ]
+            rows = rows if is_track else set_layers(rows, depths)
         else:
             self.settle_order()
             self.settle_frame()
@@ -177,7 +171,7 @@ class Planner:
         if all(one.is_tip for one in self.curves):
             choices = (*choices, "tips")
             reason += "; --observable tips, if each row is an insertion"
-            if not all(map(is_track_like, self.curves)):
+            if any(len(one.line) < MIN_TRACK_READINGS for one in self.curves):
                 guess = "tips"
                 reason = f"depths of a needle are fewer than {MIN_TRACK_READINGS}, or in no order"
         answer = self.settle("observable", guess, reason, "guess", choices).text
@@ -310,7 +304,7 @@ class Planner:
         stated = self.answers.stated.get("entry point")
         if stated is None or "," not in stated.text:
             return False
-        place = stated.to_place("entry point")
+        place = stated.to_entry()
         gaps = np.array([np.linalg.norm(one.line[[0, -1]] - place, axis=1) for one in self.curves])
         return bool(np.all(gaps[:, 0] < gaps[:, 1]))
 
@@ -336,7 +330,7 @@ class Planner:
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for one, answer in zip(self.curves, answers, strict=True):
             is_place = answer.text not in ("first", "depth", *surfaces)
-            entries.append(entry := answer.to_place("entry point") if is_place else None)
+            entries.append(entry := answer.to_entry() if is_place else None)
             arc = 0.0
             if answer.text in surfaces:
                 hits = find_surface_hits(one.points.curve.smoothed, surfaces[answer.text])
@@ -381,14 +375,11 @@ class Planner:
         """Return the rows with entry poses and bevels, without medium and specimen."""
         angles = self.settle_sides()
         sides = to_sides(angles or [0.0] * len(self.curves))[0]
-        reached = [
-            len(select_layers(np.array(own), one.depth)[1])
-            for one, own in zip(self.curves, depths, strict=True)
-        ]
-        rows = [
-            InsertionRow(one.name, "", layers, one.depth, side=side, depth_sd=find_depth_sd(one, point_sd))
-            for one, layers, side in zip(self.curves, reached, sides, strict=True)
-        ]
+        rows = []
+        for one, side in zip(self.curves, sides, strict=True):  # a stated length is believed
+            sd = 0.0 if "depth" in one.stated else measure_curve(one.line, point_sd).length_sd
+            rows.append(InsertionRow(one.name, "", 1, one.depth, side=side, depth_sd=sd))
+        rows = set_layers(rows, depths)
         if poses[0].text == "free":
             source: ImportSource = "guess" if angles else "assumption"
             self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
@@ -460,7 +451,7 @@ class Planner:
             for what in {one.stated["boundaries"].text for one in self.curves if "boundaries" in one.stated}:
                 self.keep("not used", f"boundaries = {what}", "surfaces part the layers")
             return [() for _ in self.curves]
-        return [() if one.text == "none" else one.to_depths("boundaries") for one in self.each("boundaries")]
+        return [() if one.text == "none" else one.to_boundaries() for one in self.each("boundaries")]
 
     def doubt_boundaries(self, depths: Sequence[tuple[float, ...]], inserted: Sequence[float]) -> None:
         """Keep the unit of boundaries as an assumption where it may be cm."""
@@ -481,11 +472,26 @@ class Planner:
         DataError if a cell is not understood.
         """
         self.settle_bevel_angle()
-        if "bevel side" not in self.answers.stated and not any(
-            "bevel side" in one.stated for one in self.curves
-        ):
-            return None
-        return [cell.to_angle() for cell in self.each("bevel side")]
+        return [cell.to_angle() for cell in self.each("bevel side")] if self.has_sides else None
+
+    def settle_flat_sides(self, fix: str) -> list[int]:
+        """Return the side of each bevel, of needles of which no shape was measured.
+
+        DataError, with a `fix`, if bevels face several planes, or were turned.
+        """
+        angles = self.settle_sides()
+        if angles is None:
+            self.keep("bevel side", "1", "not stated", "assumption")
+        sides, turns = to_sides(angles or [0.0] * len(self.curves))
+        if any(turns) or any(one.turns or (one.sensors and len(one.line) > 1) for one in self.curves):
+            what, where = "bevels are at right angles, turned, or beside curvatures", self.curves[0].points
+            raise DataError(what, where=where.where(), expected="sides 1 and -1, without shapes", fix=fix)
+        return sides
+
+    @property
+    def has_sides(self) -> bool:
+        """Whether the sides of bevels are stated."""
+        return any("bevel side" in one for one in (self.answers.stated, *(one.stated for one in self.curves)))
 
     def settle_bevel_angle(self) -> None:
         """Take bevel angles as rolls, or leave them out: papers call the angle of the cut so, too."""
@@ -493,10 +499,7 @@ class Planner:
         if not angles:
             return
         texts = ", ".join(dict.fromkeys(one.text for one in angles.values()))
-        has_side = "bevel side" in self.answers.stated or any(
-            "bevel side" in one.stated for one in self.curves
-        )
-        if has_side and "bevel angle" not in self.answers.stated:
+        if self.has_sides and "bevel angle" not in self.answers.stated:
             self.keep("bevel angle", "cut", f"{texts}: where the bevel faces is stated beside it")
         elif self.settle("bevel angle", "", f"it is {texts}", choices=("roll", "cut")).text == "roll":
             for one in self.curves:
@@ -615,6 +618,14 @@ def count_from_tip(curve: ImportedCurve, curvature: Floats | None, length: float
     return np.column_stack([length - curvature[:, 0], curvature[:, 1:]])
 
 
+def set_layers(rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]) -> list[InsertionRow]:
+    """Return rows with the numbers of layers that they meet along their depths, by those of boundaries."""
+    return [
+        replace(row, layers=len(select_layers(np.array(own), row.depth)[1]))
+        for row, own in zip(rows, depths, strict=True)
+    ]
+
+
 def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
     """Return the order of points (N, 3) in which each is followed by the nearest one that is left.
 
@@ -628,14 +639,6 @@ def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
         gaps = np.where(left, np.linalg.norm(line - line[order[-1]], axis=1), np.inf)
         order.append(int(np.argmin(gaps)))
     return np.array(order, dtype=np.int64)
-
-
-def find_depth_sd(curve: ImportedCurve, point_sd: float) -> float:
-    """Return the standard deviation of an inserted length by the noise of the points that it is taken of.
-
-    A stated length is believed.
-    """
-    return 0.0 if "depth" in curve.stated else measure_curve(curve.line, point_sd).length_sd
 
 
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:

@@ -139,7 +139,7 @@ def _decode(data: bytes, path: Path) -> str:
         text = max(texts, key=_count_known_headers)
     if "\0" in text:
         expected, fix = "text in UTF-8, UTF-16 or Windows-1252", "save it again as CSV (UTF-8)"
-        raise DataError("cannot be read as text", where=str(path), expected=expected, fix=fix)
+        raise DataError("cannot be read as text", where=path, expected=expected, fix=fix)
     return text
 
 

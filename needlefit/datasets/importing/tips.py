@@ -10,7 +10,6 @@ import numpy as np
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.answers import Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.directions import to_sides
 from needlefit.datasets.importing.joining import make_unique
 from needlefit.datasets.points import Points
 from needlefit.errors import DataError
@@ -19,12 +18,6 @@ if TYPE_CHECKING:
     from needlefit.datasets.importing.planning import Planner
 
 MIN_TRACK_READINGS = 5  # of a tip: fewer depths of one hole are insertions of their own
-X_AXIS, Y_AXIS = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-
-
-def is_track_like(curve: ImportedCurve) -> bool:
-    """Whether depths and deflections may be the readings of one tip on its way."""
-    return len(curve.line) >= MIN_TRACK_READINGS
 
 
 def add_needles_without_points(content: ImportContent) -> None:
@@ -60,13 +53,7 @@ def make_tips(planner: "Planner", sds: Sequence[float]) -> list[InsertionRow]:
     """
     point_sd = min(sds)
     planner.keep("frame", "depth along x, deflection along y", "tips are known from the line of insertion")
-    angles = planner.settle_sides()
-    if angles is None:
-        planner.keep("bevel side", "1", "not stated", "assumption")
-    sides, turns = to_sides(angles or [0.0] * len(planner.curves))
-    if any(turns) or any(one.turns for one in planner.curves):
-        what, fix = "bevels of tips alone are at right angles, or turned", "import the tips of each plane"
-        raise DataError(what, where=planner.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
+    sides = planner.settle_flat_sides("import the tips of each plane")
     tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in planner.curves])
     signs = np.ones(len(tips))
     if len({*sides}) > 1 and (tips[:, 1] >= 0).all() and tips[:, 1].any():
@@ -76,14 +63,14 @@ def make_tips(planner: "Planner", sds: Sequence[float]) -> list[InsertionRow]:
     in_space = tips[:, 2].any()
     shifts = planner.each("pose shift sd", guess=f"{point_sd:g}")
     turned = planner.each("pose angle sd")
-    rows = []
+    rows, axes = [], np.eye(3)
     for n, one in enumerate(planner.curves):
         is_tip = len(one.line) > 0
         y, z = (signs[n] * tips[n, 1:]).tolist()
         further = math.sqrt(max(sds[n] ** 2 - point_sd**2, 0.0))
         row = InsertionRow(
-            one.name, "", 1, find_depth(one), side=sides[n], entry=np.zeros(3), direction=X_AXIS,
-            bevel=Y_AXIS, pose_source="stage", pose_shift_sd=shifts[n].to_number("pose shift sd"),
+            one.name, "", 1, find_depth(one), side=sides[n], entry=np.zeros(3), direction=axes[0],
+            bevel=axes[1], pose_source="stage", pose_shift_sd=shifts[n].to_number("pose shift sd"),
             pose_angle_sd=float(np.radians(turned[n].to_number("pose angle sd", "deg"))), hole=one.hole,
             tip_y=y if is_tip else None, tip_z=z if is_tip and in_space else None, tip_sd=further or None,
             curvature=np.array(one.sensors).reshape(-1, 4) if one.sensors else None,
@@ -99,7 +86,7 @@ def find_depth(curve: ImportedCurve) -> float:
     if "depth" not in curve.stated:
         raise DataError(
             f"the inserted length of needle {curve.name} is not stated",
-            where=str(curve.points.path),
+            where=curve.points.path,
             expected="a column `depth` in a table with a row for each needle",
             fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
         )

@@ -8,7 +8,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curves import ImportedCurve
-from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
+from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis
 from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.errors import DataError
 from needlefit.geometry.frames import normalize
@@ -23,28 +23,18 @@ MIN_TRACK_SLOPE = 0.7  # by which a tip moves for each mm of depth, if its coord
 def make_tracks(planner: "Planner") -> list[InsertionRow]:
     """Return the runs; their readings are then in mm, and their points the deflections along y and z."""
     settle_guide(planner)
-    for n, one in enumerate(planner.curves):
-        assert one.readings is not None, "a track has readings"
-        if len(one.readings.depth):
-            if (unit := one.readings.unit or one.unit) not in UNITS_MM:
+    for one in planner.curves:
+        if len(one.track.depth):
+            if (unit := one.track.unit or one.unit) not in UNITS_MM:
                 what, where = f"the unit of the depths is {unit!r}", one.points.where()
                 raise DataError(what, where=where, expected=", ".join(UNITS_MM), fix="correct the header")
-            depth = UNITS_MM[unit] * one.readings.depth
-            planner.curves[n].readings = replace(one.readings, depth=depth)
-    if any(not len(one.readings.depth) for one in planner.curves if one.readings is not None):
+            one.readings = replace(one.track, depth=UNITS_MM[unit] * one.track.depth)
+    if not all(len(one.track.depth) for one in planner.curves):
         measure_depths(planner)
-    angles = planner.settle_sides()
-    if angles is None:
-        planner.keep("bevel side", "1", "not stated", "assumption")
-    sides, turns = to_sides(angles or [0.0] * len(planner.curves))
-    if any(turns) or any(one.turns or one.sensors for one in planner.curves):
-        what = "bevels of tip tracks are at right angles, turned, or beside curvatures"
-        fix = "import the runs of each plane; state bevel_roll_deg in tracks.csv"
-        raise DataError(what, where=planner.curves[0].points.where(), expected="sides 1 and -1", fix=fix)
+    sides = planner.settle_flat_sides("import the runs of each plane; state bevel_roll_deg in tracks.csv")
     bends, rows = list[Floats](), list[InsertionRow]()
     for one, side in zip(planner.curves, sides, strict=True):
-        assert one.readings is not None, "a track has readings"
-        depth = one.readings.depth
+        depth = one.track.depth
         if len(depth) > 2:
             bend, slope, _ = np.polyfit(depth - depth[0], one.line, 2)
             if np.linalg.norm(slope) > MIN_TRACK_SLOPE:  # else the coordinates are across the needle
@@ -53,7 +43,7 @@ def make_tracks(planner: "Planner") -> list[InsertionRow]:
             bends.append(side * np.ptp(depth) ** 2 * bend)
         rows.append(InsertionRow(one.name, "", 1, float(depth[-1]), side=side))
     bevel = np.array([0.0, 1.0, 0.0])
-    if not all(one.readings and one.readings.is_deflection for one in planner.curves):
+    if not all(one.is_tip for one in planner.curves):
         mean = np.mean([normalize(one) for one in bends if one.any()] or [np.zeros(3)], axis=0)
         guess, reason = "bend", "the mean direction in which the tips bend from their sides"
         if np.linalg.norm(mean) <= MIN_SAME_SIDE:
@@ -116,14 +106,13 @@ def measure_depths(planner: "Planner") -> None:
     pose = planner.settle("pose", guess, "the direction in which the tips run", "guess")
     axis, entry = normalize(pose.to_vector("pose")), None
     if "entry point" in planner.answers.stated:
-        entry = planner.settle("entry point").to_place("entry point")
+        entry = planner.settle("entry point").to_entry()
     for one in planner.curves:
-        assert one.readings is not None, "a track has readings"
-        if len(one.readings.depth):
+        if len(one.track.depth):
             continue  # its file states them
         depth = (one.line - (one.line[0] if entry is None else entry)) @ axis
         kept = np.flatnonzero(depth >= 0)
-        one.points, one.readings = one.points.part(kept), replace(one.readings, depth=depth[kept], unit="mm")
+        one.points, one.readings = one.points.part(kept), replace(one.track, depth=depth[kept], unit="mm")
         one.guide = None if one.guide is None else one.guide[kept]
     start = "the first reading" if entry is None else "the entry point"
     planner.keep("depth", f"along {pose.text}", f"the path of the tip from {start} on", "assumption")

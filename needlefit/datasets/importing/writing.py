@@ -130,12 +130,11 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
         layers = [*range(1, len(depths) + 2)]
         media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
-        assert curve.readings is not None, "a track has readings"
         places = curve.line[:, : 2 - flat]
         if is_guided:
             guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
             places = np.column_stack([places, guide[:, : 2 - flat]])
-        for depth, place in zip(curve.readings.depth, places, strict=True):
+        for depth, place in zip(curve.track.depth, places, strict=True):
             numbers = [f"{value:.4f}" for value in (depth, *place)]
             lines.append([row.id, row.medium, row.needle, f"{row.side}", *numbers])
     source: dict[str, object] = {"file": TRACKS_FILE}

@@ -524,7 +524,7 @@ class _SliceProblem:
         left /= np.sqrt(1 + (left / robust) ** 2)
         factor = correlation_factor(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), len(theta))
         factor *= correlation_factor(np.moveaxis(left, 2, 0).reshape(left.shape[2], -1), 3)
-        covariance: Floats = np.linalg.inv(normal) * factor / CORRELATED
+        covariance: Floats = np.asarray(np.linalg.inv(normal) * factor / CORRELATED, dtype=np.float64)
         return theta, covariance, self.error(image)
 
     def end_bluntly(self, theta: Floats) -> float:

@@ -416,7 +416,7 @@ def select_axis_voxels(volume: Volume, axis: AxisSpline, start: float, stop: flo
     points = to_patient(volume, ijk)
     distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=RADIAL_REACH_MM + 0.1)
     close = np.isfinite(distance)
-    at = nearest[close]
+    at = np.asarray(nearest)[close]
     d = points[close] - where.origins[at]
     along = np.einsum("ni,ni->n", d, where.tangents[at])
     s = fine[at] + along

@@ -44,7 +44,6 @@ def minimize_squares(
     target: Problem,
     theta: Floats,
     held: int | None = None,
-    max_evaluations: int = MAX_EVALUATIONS,
     min_gain: float = MIN_GAIN,
 ) -> LocalMinimum:
     """Return the minimum nearest to `theta` (P,); the parameter numbered `held` keeps its value."""
@@ -52,7 +51,7 @@ def minimize_squares(
     lower, upper = target.lower[moving], target.upper[moving]
     at = _evaluate(target, np.clip(theta, target.lower, target.upper))
     radius, evaluations, converged = FIRST_RADIUS, 1, not moving.any()
-    while math.isfinite(at.value) and evaluations < max_evaluations and not converged:
+    while math.isfinite(at.value) and evaluations < MAX_EVALUATIONS and not converged:
         step_bounds = (
             np.maximum(lower - at.theta[moving], -radius),
             np.minimum(upper - at.theta[moving], radius),

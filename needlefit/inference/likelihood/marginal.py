@@ -70,7 +70,7 @@ def solve_shared(
     ]
     total, _ = _sum_over_group(products, group, spread)
     stiff = np.eye(len(group.surfaces)) + total[:, 1:, 1:]
-    covariance: Floats = np.linalg.inv(stiff)
+    covariance = np.asarray(np.linalg.inv(stiff), dtype=np.float64)
     return -(covariance @ total[:, 1:, :1])[..., 0], covariance
 
 

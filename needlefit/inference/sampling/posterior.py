@@ -128,7 +128,7 @@ def load(path: Path) -> Posterior:
     except (DataError, KeyError, TypeError, ValueError) as error:
         raise DataError(
             f"is not a posterior of needlefit, or a damaged one: {error}",
-            where=str(path),
+            where=path,
             expected="the file as `needlefit tune` wrote it",
             fix="tune again, or take the file from a copy",
         ) from error

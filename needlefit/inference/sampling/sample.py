@@ -41,20 +41,18 @@ def sample(
     callbacks: Callbacks | None = None,
     checkpoint: Checkpoint = NO_CHECKPOINT,
     name: str = "",
-    *,
-    interpolated: bool = True,
 ) -> Posterior | None:
     """Return the posterior by an ensemble of walkers; None after a stop before the first step.
 
     Walkers start from draws by importance, none twice while these suffice. Where these are not certified, the
-    first half of the steps is burn-in; else densities are `interpolated` as those of the draws were, and if
+    first half of the steps is burn-in; else densities are interpolated as those of the draws were, and if
     that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`, nor on
     where a run was interrupted that goes on from the chain that `checkpoint` keeps under `name`.
 
     Parameters that are held are independent draws of their prior.
     """
     options = (settings, rng, callbacks or Callbacks(), checkpoint, name)
-    found = _sample(problem.searched, begin, *options, interpolated=interpolated)
+    found = _sample(problem.searched, begin, *options, interpolated=True)
     return found and _add_held(found, problem.parameters, rng.spawn(1)[0])
 
 

@@ -42,7 +42,7 @@ def animate(
     if suffix != ".gif":
         raise ConfigError(
             f"cannot write a `{suffix}` file" if suffix else "the file name has no ending",
-            where=str(path),
+            where=path,
             expected="a name that ends in .gif",
             fix=f"write to {path.stem or 'needle'}.gif",
         )

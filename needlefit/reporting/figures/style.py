@@ -109,7 +109,7 @@ def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path
     if suffix not in (*_METADATA, ".pdf"):
         raise ConfigError(
             f"cannot draw a `{suffix}` file" if suffix else "the file name has no ending",
-            where=str(path),
+            where=path,
             expected="a name that ends in .pdf, .png or .svg",
             fix=f"write to {path.stem or 'figure'}.pdf",
         )
