@@ -317,5 +317,5 @@ def show_warnings(invocation: Invocation, run: "Run") -> None:
             continue
         file = one.where.partition(", key ")[0].rpartition(":")[0] or one.where.partition(", key ")[0]
         is_there = file and (data / file).is_file()
-        located.append(replace(one, where=str(data / one.where) if is_there else one))
+        located.append(replace(one, where=str(data / one.where)) if is_there else one)
     screen.print_warnings(invocation, located)

@@ -40,7 +40,7 @@ from needlefit.datasets.sections import find_operator_faults, find_sections
 from needlefit.datasets.sources import DatasetFiles, find_checksum_faults, find_dataset_file, find_folder
 from needlefit.datasets.tip_tracks import parse_tracks
 from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
@@ -369,9 +369,10 @@ def read_shapes(path: Path) -> Dataset:
 def require_shapes(dataset: Dataset) -> Dataset:
     """Return a dataset of shapes; DataError if it holds tip tracks."""
     if dataset.pose == "tracker":
-        what = "holds tip tracks, no shapes"
-        fix = "tune, calibrate and predict take it; this does not"
-        raise DataError(what, where=dataset.path, expected="a dataset with [centerlines]", fix=fix)
+        raise refusal(f"""holds tip tracks, no shapes
+            expected: a dataset with [centerlines]
+            fix: tune, calibrate and predict take it; this does not
+            where: {dataset.path}""")
     return dataset
 
 

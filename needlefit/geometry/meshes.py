@@ -8,7 +8,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import Surface, make_mesh
 
@@ -30,7 +30,8 @@ def make_tube(
     axis = np.asarray(points, dtype=np.float64)
     count = len(axis)
     if count < 2 or not are_bounded(axis):
-        raise DataError(f"a tube along {count} points", expected="two finite points or more")
+        raise refusal(f"""a tube along {count} points
+            expected: two finite points or more""")
     first, second = _find_cross_sections(axis, toward)
     widths = np.broadcast_to(np.asarray(half_widths, dtype=np.float64), (count, 2))
     angle = 2 * np.pi * np.arange(TUBE_FACETS) / TUBE_FACETS
@@ -72,8 +73,9 @@ def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Float
     steps = np.diff(axis, axis=0)
     lengths = np.linalg.norm(steps, axis=1, keepdims=True)
     if not (lengths > 0).all():
-        what = "two neighbouring points of a curve coincide"
-        raise DataError(what, expected="points that differ", fix="remove the repeated points")
+        raise refusal("""two neighbouring points of a curve coincide
+            expected: points that differ
+            fix: remove the repeated points""")
     steps = steps / lengths
     # Neighbouring cross-sections share the bisecting plane, so that the tube does not fold at bends.
     tangents = np.vstack([steps[:1], steps[1:] + steps[:-1], steps[-1:]])
@@ -82,10 +84,8 @@ def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Float
     ).reshape(-1, 1)
     size = np.linalg.norm(first, axis=1, keepdims=True)
     if not (size > PARALLEL_SINE).all():
-        raise DataError(
-            "the curve runs along the direction that its cross-sections are to have",
-            expected="a direction across the needle",
-        )
+        raise refusal("""the curve runs along the direction that its cross-sections are to have
+            expected: a direction across the needle""")
     first = first / size
     second = np.cross(tangents, first)
     return first, second / np.linalg.norm(second, axis=1, keepdims=True)

@@ -12,12 +12,11 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.read import check
 from needlefit.datasets.sections import SECTIONS_PATTERN
 from needlefit.datasets.write import write_dataset
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.batch import ReconstructionFailure
 from needlefit.imaging.corrections import list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.refusals import refusal
 from needlefit.schemas.dataset import (
     CenterlinesRecord,
     DatasetMediumRecord,

@@ -13,11 +13,11 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.formats.markups import Markups, read_markups
+from needlefit.errors import located, refusal
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.scans import Corrections, Scan
 

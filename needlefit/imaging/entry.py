@@ -15,13 +15,13 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
+from needlefit.errors import refusal
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, STEP_MARGIN_MM, find_rises, find_runs, find_steps
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.register import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 

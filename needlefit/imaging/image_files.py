@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import SimpleITK as sitk
 
-from needlefit.imaging.refusals import located, refusal
+from needlefit.errors import located, refusal
 from needlefit.imaging.volume import (
     VoxelGrid,
     check_expansion,

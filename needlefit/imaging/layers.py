@@ -22,7 +22,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
-from needlefit.errors import DataError
+from needlefit.errors import DataError, located, refusal
 from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import RAS_TO_LPS, Frame
@@ -35,7 +35,6 @@ from needlefit.geometry.surfaces import (
     transform_surface,
 )
 from needlefit.imaging.reconstruction import EntryPose, Layers
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels

@@ -13,11 +13,11 @@ from scipy.spatial.distance import cdist
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.formats import FORMATS, find_format
+from needlefit.errors import refusal
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import MIN_MARKERS
 from needlefit.imaging.registration.register import check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere

@@ -18,8 +18,8 @@ from nibabel.filebasedimages import ImageFileError
 from nibabel.spatialimages import HeaderDataError
 
 from needlefit.arrays import Floats
+from needlefit.errors import located, refusal
 from needlefit.geometry.frames import RAS_TO_LPS
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
     VoxelGrid,

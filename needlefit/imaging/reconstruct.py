@@ -19,7 +19,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.datasets.columns import BEVEL_FIX
 from needlefit.datasets.insertion_table import MIN_DEPTH_MM
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import DataError, NeedlefitError, located, refusal
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
 from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
@@ -67,7 +67,6 @@ from needlefit.imaging.reconstruction import (
     Reconstruction,
     render_views,
 )
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET
 from needlefit.imaging.registration.register import (
     Registration,

@@ -19,10 +19,9 @@ from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_C
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.imaging.refusals import located, refusal
+from needlefit.errors import located, refusal
 from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file, read_structures
 

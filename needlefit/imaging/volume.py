@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError
-from needlefit.imaging.refusals import refusal
+from needlefit.errors import DataError, refusal
 from needlefit.project.input_files import is_dir, is_file, list_files, open_regular
 from needlefit.project.reader_process import MEMORY_VARIABLE, stated_memory_bytes
 

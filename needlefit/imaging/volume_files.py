@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.refusals import refusal
+from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.imaging.volume import (
     ARCHIVE_SUFFIX,
     EXEMPT_BYTES,

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.project.input_files import path_exists, read_json
 from needlefit.project.locate import join_names
 from needlefit.project.progress import Note
@@ -132,7 +132,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     table = {} if path.is_symlink() else read_json(path)
     if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
         return table
-    raise DataError("is not a manifest of needlefit", where=path, expected=f"one of format {FORMAT}")
+    raise refusal(f"""is not a manifest of needlefit
+        expected: one of format {FORMAT}
+        where: {path}""")
 
 
 def listed_files(folder: Path) -> dict[str, Any]:
@@ -169,13 +171,11 @@ def require_unchanged(folder: Path) -> None:
     """Raise DataError, which names the files, where a result does not agree with its manifest."""
     changes = [f"{name} {how}" for name, how in find_changes(folder).items()]
     if changes:
-        raise DataError(
-            f"does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}",
-            where=folder,
-            expected=f"files with the digests that {MANIFEST} lists",
-            fix="take the files from a copy, or run it again; tables, figures and pages may be removed: "
-            "`needlefit report` makes them again",
-        )
+        raise refusal(f"""does not agree with its manifest: {join_names(changes, MAX_LISTED_FILES)}
+            expected: files with the digests that {MANIFEST} lists
+            fix: take the files from a copy, or run it again; tables, figures and pages may be removed:
+                `needlefit report` makes them again
+            where: {folder}""")
 
 
 def find_foreign(folder: Path) -> list[str]:

@@ -14,7 +14,7 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, refusal
 
 MAX_CONFIG_BYTES = 8 * 2**20  # size of a TOML file
 MAX_TEXT_BYTES = 256 * 2**20  # size of a table, a list of markups or another text file
@@ -94,12 +94,10 @@ def parse_json(text: str, where: str) -> Any:  # noqa: ANN401 - whatever the tex
     try:
         return json.loads(text)
     except (RecursionError, ValueError) as fault:
-        raise DataError(
-            f"is not valid JSON: {fault}",
-            where=where,
-            expected="JSON",
-            fix="restore the file, or save it again from the program that made it",
-        ) from None
+        raise refusal(f"""is not valid JSON: {fault}
+            expected: JSON
+            fix: restore the file, or save it again from the program that made it
+            where: {where}""") from None
 
 
 MAX_NESTING = 50  #: tables and lists within each other; no file of ours has more than eight
@@ -140,12 +138,10 @@ def convert_stored_errors(where: Path | str) -> Iterator[None]:
     try:
         yield
     except (OverflowError, TypeError, ValueError) as fault:
-        raise DataError(
-            f"holds values that needlefit cannot use ({type(fault).__name__})",
-            where=where,
-            expected="files as needlefit wrote them",
-            fix="run it again, or take them from a copy",
-        ) from fault
+        raise refusal(f"""holds values that needlefit cannot use ({type(fault).__name__})
+            expected: files as needlefit wrote them
+            fix: run it again, or take them from a copy
+            where: {where}""") from fault
 
 
 def path_exists(path: Path) -> bool:
@@ -181,12 +177,10 @@ def list_files(folder: Path) -> list[Path]:
         paths = (Path(place, name) for name in names if not name.startswith("."))
         found += filter(is_file, paths)
         if len(found) > MAX_FOLDER_FILES:
-            raise DataError(
-                f"holds over {MAX_FOLDER_FILES} files",
-                where=folder,
-                expected="the folder of one export",
-                fix="name the folder in which the files lie",
-            )
+            raise refusal(f"""holds over {MAX_FOLDER_FILES} files
+                expected: the folder of one export
+                fix: name the folder in which the files lie
+                where: {folder}""")
     return sorted(found)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.points import Points
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, refusal
 from needlefit.registry import Registry
 
 # Curves by the names that a file gives them, and remarks on how it was read.
@@ -47,8 +47,10 @@ class FileFormat:
             return self.read_centerline(path, columns, found)
         curves = {} if self.read_curves is None else self.read_curves(path)[0]
         if len(curves) != 1:
-            what = f"holds {len(curves)} curves: {', '.join(curves)}"
-            raise DataError(what, where=path, expected="one curve", fix="save one insertion a file")
+            raise refusal(f"""holds {len(curves)} curves: {", ".join(curves)}
+                expected: one curve
+                fix: save one insertion a file
+                where: {path}""")
         return next(iter(curves.values()))
 
 

@@ -16,7 +16,7 @@ from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, describe_column
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.project.input_files import read_text
 
 MAX_TABLE_BYTES = 64 * 2**20
@@ -53,20 +53,23 @@ def read_table(path: Path) -> CsvTable:
     """
     rows = _read_rows(path)
     if not rows:
-        fix = "fill it, or restore it"
-        raise DataError("is empty", where=path, expected="a header line and rows below it", fix=fix)
+        raise refusal(f"""is empty
+            expected: a header line and rows below it
+            fix: fill it, or restore it
+            where: {path}""")
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
     if not body:
-        what = "has a header but no rows"
-        fix = "add the rows, or restore the file"
-        raise DataError(what, where=f"{path}:{top}", expected="one row a line below it", fix=fix)
+        raise refusal(f"""has a header but no rows
+            expected: one row a line below it
+            fix: add the rows, or restore the file
+            where: {path}:{top}""")
     for line, row in body:
         if len(row) > len(header):
-            what = f"has {len(row)} cells under {len(header)} columns"
-            expected = f"{len(header)} cells, decimal points (not decimal commas)"
-            fix = "remove the cells that are too many, or put text that holds a comma in quotes"
-            raise DataError(what, where=f"{path}:{line}", expected=expected, fix=fix)
+            raise refusal(f"""has {len(row)} cells under {len(header)} columns
+                expected: {len(header)} cells, decimal points (not decimal commas)
+                fix: remove the cells that are too many, or put text that holds a comma in quotes
+                where: {path}:{line}""")
     width = len(header)
     # Text cells: pandas must not guess types, or ids such as 007 would lose their zeros.
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
@@ -149,19 +152,20 @@ def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
                 rows.append((begin, [cell.strip() for cell in cells]))
                 check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
     except csv.Error as error:
-        what = f"cannot be read: {error}"
-        where = f"{path}:{end + 1}"
-        raise DataError(what, where=where, expected="a CSV file", fix="save it again as CSV") from None
+        raise refusal(f"""cannot be read: {error}
+            expected: a CSV file
+            fix: save it again as CSV
+            where: {path}:{end + 1}""") from None
     return rows
 
 
 def check_extent(rows: int, columns: int, where: str, most: int = MAX_CELLS) -> None:
     """Raise DataError if a table has more than `most` cells, empty ones included, or too many columns."""
     if columns > MAX_COLUMNS or rows * columns > most:
-        what = f"is too large: {rows} rows of {columns} columns"
-        expected = f"at most {MAX_COLUMNS} columns, and {most:,} cells"
-        fix = "check that it is the file that you meant, or divide it"
-        raise DataError(what, where=where, expected=expected, fix=fix)
+        raise refusal(f"""is too large: {rows} rows of {columns} columns
+            expected: at most {MAX_COLUMNS} columns, and {most:,} cells
+            fix: check that it is the file that you meant, or divide it
+            where: {where}""")
 
 
 def list_columns(columns: Iterable[object]) -> str:
@@ -174,18 +178,17 @@ def list_columns(columns: Iterable[object]) -> str:
 def _check_header(header: list[str], where: str) -> None:
     for sign, name in OTHER_DELIMITERS.items():
         if len(header) == 1 and sign in header[0]:
-            what = f"columns are separated by {name}"
-            fix = "save it again as comma-separated values"
-            raise DataError(what, where=where, expected="commas between columns, points in decimals", fix=fix)
+            raise refusal(f"""columns are separated by {name}
+                expected: commas between columns, points in decimals
+                fix: save it again as comma-separated values
+                where: {where}""")
     repeated = sorted({name for name in header if header.count(name) > 1})
     if repeated:
-        raise DataError(
-            f"has more than one column "
-            f"`{'`, `'.join(name[:MAX_SHOWN_CHARS] for name in repeated[:MAX_LISTED_CELLS])}`",
-            where=where,
-            expected="a name for every column",
-            fix="rename or remove one of them",
-        )
+        raise refusal(f"""has more than one column
+                `{"`, `".join(name[:MAX_SHOWN_CHARS] for name in repeated[:MAX_LISTED_CELLS])}`
+            expected: a name for every column
+            fix: rename or remove one of them
+            where: {where}""")
 
 
 def _read_markers(path: Path) -> Points:

@@ -16,7 +16,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import read_json, read_text
 
@@ -68,10 +68,10 @@ class Markups:
         """Return the points as a centreline; DataError if the list is not a curve."""
         if self.kind in CURVE_KINDS:
             return Points(self.path, self.points)
-        what = f"`{self.name}` is a {self.kind}, which is no centreline"
-        expected = "an open curve (Curve), or points (Fiducial) from the entry to the tip"
-        fix = "draw the needle in Slicer as an open curve, and save that"
-        raise DataError(what, where=self.path, expected=expected, fix=fix)
+        raise refusal(f"""`{self.name}` is a {self.kind}, which is no centreline
+            expected: an open curve (Curve), or points (Fiducial) from the entry to the tip
+            fix: draw the needle in Slicer as an open curve, and save that
+            where: {self.path}""")
 
 
 def read_markups(path: Path) -> tuple[Markups, ...]:
@@ -85,15 +85,17 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
-        expected = '{"@schema": ..., "markups": [{"type": "Curve", ...}]}'
-        fix = (
-            f"{SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a .jsonl file"
-        )
-        raise DataError("has no `markups`", where=path, expected=expected, fix=fix)
+        raise refusal(f"""has no `markups`
+            expected: {{"@schema": ..., "markups": [{{"type": "Curve", ...}}]}}
+            fix: {SAVE_AGAIN_FIX}; points of other programs: an object for each needle a line, in a
+                .jsonl file
+            where: {path}""")
     schema = str(whole.get("@schema", SCHEMA))
     if not _SCHEMA.search(schema):
-        what, expected = f"its schema is {schema[:120]!r}", "markups-schema-v1.x.y.json"
-        raise DataError(what, where=path, expected=expected, fix=SAVE_AGAIN_FIX)
+        raise refusal(f"""its schema is {schema[:120]!r}
+            expected: markups-schema-v1.x.y.json
+            fix: {SAVE_AGAIN_FIX}
+            where: {path}""")
     found = [
         _parse_markups(path, one, n)
         for n, one in enumerate(lists, 1)
@@ -101,8 +103,10 @@ def read_markups(path: Path) -> tuple[Markups, ...]:
     ]
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
-        what, expected = f"holds no list of points, but {kinds}", "a point list, a Curve or a Line"
-        raise DataError(what, where=path, expected=expected, fix="save such a list in Slicer")
+        raise refusal(f"""holds no list of points, but {kinds}
+            expected: a point list, a Curve or a Line
+            fix: save such a list in Slicer
+            where: {path}""")
     return tuple(found)
 
 
@@ -140,8 +144,10 @@ def _to_float(text: str) -> float | str:
 def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups:
     def check(is_right: bool, key: str, expected: str) -> None:
         if not is_right:
-            what = f"list {number}, key `{key}` is missing or wrong"
-            raise DataError(what, where=path, expected=expected, fix=SAVE_AGAIN_FIX)
+            raise refusal(f"""list {number}, key `{key}` is missing or wrong
+                expected: {expected}
+                fix: {SAVE_AGAIN_FIX}
+                where: {path}""")
 
     kind, system, points = (table.get(key) for key in ("type", "coordinateSystem", "controlPoints"))
     units = table.get("coordinateUnits") or "mm"
@@ -182,8 +188,10 @@ def pick_list(lists: Sequence[Markups], path: Path) -> Markups:
     if len(lists) == 1:
         return lists[0]
     listed = ", ".join(f"`{one.name}` ({one.kind})" for one in lists)
-    what = f"holds {len(lists)} lists: {listed}"
-    raise DataError(what, where=path, expected="one list", fix="save the list that is meant on its own")
+    raise refusal(f"""holds {len(lists)} lists: {listed}
+        expected: one list
+        fix: save the list that is meant on its own
+        where: {path}""")
 
 
 def _read_curves(path: Path) -> ReadCurves:
@@ -203,9 +211,10 @@ def _read_curves(path: Path) -> ReadCurves:
     counts = Counter(name for name, _ in named)
     for name, count in counts.most_common(1):
         if count > 1:
-            what = f"holds {count} lists called `{name}`"
-            fix = "rename them in Slicer, and save them again"
-            raise DataError(what, where=path, expected="names that differ: they become ids", fix=fix)
+            raise refusal(f"""holds {count} lists called `{name}`
+                expected: names that differ: they become ids
+                fix: rename them in Slicer, and save them again
+                where: {path}""")
     return dict(named), notes
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from needlefit.datasets.fields import MAX_TEXT_CHARS, FieldCurve, FieldReader
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import Arrays, read_in_process, stated_memory_bytes
 
@@ -43,13 +43,11 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
         reader, path, {"path": str(path)}, 2 * memory, seconds
     )
     if not found:
-        raise DataError(
-            f"holds no curve; its variables are "
-            f"{', '.join(map(str, variables[:MAX_SHOWN_VARIABLES])) or '(none)'}",
-            where=path,
-            expected=EXPECTED_ARRAYS,
-            fix=ARRAYS_FIX,
-        )
+        raise refusal(f"""holds no curve; its variables are
+                {", ".join(map(str, variables[:MAX_SHOWN_VARIABLES])) or "(none)"}
+            expected: {EXPECTED_ARRAYS}
+            fix: {ARRAYS_FIX}
+            where: {path}""")
     curves = {name: FieldCurve(name, array, **beside[name]).to_points(path) for name, array in found.items()}
     return curves, [f"{one} ignored" for one in unused]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
 
@@ -33,7 +33,10 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     reader, seconds = f"{__name__}:read_contours", len(data) / READ_BYTES_PER_SECOND
     (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     if not found:
-        raise DataError("holds no open contour", where=path, expected=_EXPECTED, fix=_FIX)
+        raise refusal(f"""holds no open contour
+            expected: {_EXPECTED}
+            fix: {_FIX}
+            where: {path}""")
     return {name: Points(path, found[str(n)]) for n, name in enumerate(names)}, left
 
 
@@ -46,10 +49,15 @@ def read_contours(arrays: Arrays, path: str) -> tuple[list[str], list[str]]:
     file = pydicom.dcmread(BytesIO(read_bytes(Path(path), MAX_FILE_BYTES)), force=True)
     kind = file.get("SOPClassUID")
     if kind == RT_PLAN:
-        raise DataError("is an RT plan, which is not read", where=path, expected=_EXPECTED, fix=_PLAN_FIX)
+        raise refusal(f"""is an RT plan, which is not read
+            expected: {_EXPECTED}
+            fix: {_PLAN_FIX}
+            where: {path}""")
     if kind != STRUCTURE_SET:
-        fix = f"{_FIX}; scans are read by `needlefit reconstruct`"
-        raise DataError("is no RT structure set", where=path, expected=_EXPECTED, fix=fix)
+        raise refusal(f"""is no RT structure set
+            expected: {_EXPECTED}
+            fix: {_FIX}; scans are read by `needlefit reconstruct`
+            where: {path}""")
     regions = {int(one.ROINumber): str(one.get("ROIName", "")) for one in file.StructureSetROISequence}
     for region in file.get("ROIContourSequence") or ():
         number = int(region.ReferencedROINumber)

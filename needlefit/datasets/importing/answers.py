@@ -11,7 +11,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import ImportDecisionRecord, ImportSource
 
@@ -107,8 +107,11 @@ def add_stated(known: dict[str, Stated], stated: Mapping[str, Stated]) -> None:
     """Add what is stated to what is known; DataError if the two differ."""
     for what, one in stated.items():
         if known.setdefault(what, one).text != one.text:
-            text = f"{what} is {one.text[:60]!r}, and {known[what].text[:60]!r} in {known[what].where}"
-            raise DataError(text, where=one.where, expected="one value", fix="correct one of the two")
+            raise refusal(f"""{what} is {one.text[:60]!r}, and {known[what].text[:60]!r} in
+                    {known[what].where}
+                expected: one value
+                fix: correct one of the two
+                where: {one.where}""")
 
 
 @dataclass

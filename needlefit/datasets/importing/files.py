@@ -27,7 +27,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.datasets.importing.tips import add_needles_without_points
 from needlefit.datasets.points import MIN_POINTS, Points
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
 from needlefit.project.input_files import is_dir, is_file, path_exists
@@ -68,8 +68,9 @@ def read_content(
     hold no curve, or a bad one.
     """
     if layout not in ("", *LAYOUTS):
-        what, fix = f"layout is {layout[:60]!r}", f"correct {name_option('layout')}"
-        raise DataError(what, expected=" or ".join(LAYOUTS), fix=fix)
+        raise refusal(f"""layout is {layout[:60]!r}
+            expected: {" or ".join(LAYOUTS)}
+            fix: correct {name_option("layout")}""")
     named = parse_columns(columns) if isinstance(columns, str) else columns
     content = ImportContent(named, layout)
     for path in itertools.islice(_list_files(paths, content), MAX_FILES):
@@ -85,12 +86,11 @@ def read_content(
     shapes = [one for one in content.curves if len(one.line) and not one.is_tip]
     if shapes and all(len(one.line) == 1 for one in shapes):
         names = join_names([one.name for one in shapes], 3)
-        raise DataError(
-            f"holds one point of each of {len(shapes)} needles: {names}",
-            where=shapes[0].points.where(),
-            expected=f"at least {MIN_POINTS} points along each needle, or depth and deflection of each tip",
-            fix="name the columns of tips with --columns depth=HEADER,deflection=HEADER",
-        )
+        raise refusal(f"""holds one point of each of {len(shapes)} needles: {names}
+            expected: at least {MIN_POINTS} points along each needle, or depth and deflection of each
+                tip
+            fix: name the columns of tips with --columns depth=HEADER,deflection=HEADER
+            where: {shapes[0].points.where()}""")
     if faults := [fault for one in shapes for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for name in content.columns.keys() - content.columns_found:
@@ -151,8 +151,10 @@ def _list_files(paths: Iterable[Path], content: ImportContent) -> Iterable[Path]
     """Yield the files that are named, or stand in a folder that is."""
     for path in paths:
         if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
-            what, fix = "is a dataset already", f"use it as it is: needlefit check {own}"
-            raise DataError(what, where=path, expected="files of other programs", fix=fix)
+            raise refusal(f"""is a dataset already
+                expected: files of other programs
+                fix: use it as it is: needlefit check {own}
+                where: {path}""")
         if not is_dir(path):
             yield path
             continue
@@ -179,7 +181,9 @@ def _read_file(path: Path, content: ImportContent) -> None:
         name = make_unique(surface.name[:MAX_NAME_CHARS], [one.name for one, *_ in content.surfaces])
         content.surfaces.append((replace(surface, name=name), path, "LPS" if stated else None))
     elif not path_exists(path):
-        raise DataError("there is no such file", where=path, fix="check the name and the path")
+        raise refusal(f"""there is no such file
+            fix: check the name and the path
+            where: {path}""")
     else:
         _read_format(path, content)
 
@@ -188,18 +192,20 @@ def _read_format(path: Path, content: ImportContent) -> None:
     """Add the curves of a file format of points, with what fields beside the points state."""
     format_ = find_format(path)
     if format_ is None or format_.read_curves is None:
-        what, expected = f"has the ending {path.suffix!r}", ", ".join(list_import_suffixes())
-        fix = EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)
-        raise DataError(what, where=path, expected=expected, fix=fix)
+        raise refusal(f"""has the ending {path.suffix!r}
+            expected: {", ".join(list_import_suffixes())}
+            fix: {EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)}
+            where: {path}""")
     before = len(content.unused)
     found, remarks = format_.read_curves(path)
     unused = {text.removesuffix(" ignored"): None for text in remarks if text.endswith(" ignored")}
     readings = [text for text in remarks if not text.endswith(" ignored")]
     wrong = [name for name in found if find_meaning("column", name.rpartition("-")[2]) in POINT_NAMES]
     if wrong and readings:  # by their labels: `entry-1`, `tip-1`, `entry-2`
-        what, expected = f"labels name points: {', '.join(wrong)}", "labels of needles, as N1-1, N1-2, N2-1"
-        fix = "rename the points after their needles, from entry to tip; remove points of no needle"
-        raise DataError(what, where=path, expected=expected, fix=fix)
+        raise refusal(f"""labels name points: {", ".join(wrong)}
+            expected: labels of needles, as N1-1, N1-2, N2-1
+            fix: rename the points after their needles, from entry to tip; remove points of no needle
+            where: {path}""")
     unknown = dict[str, None]()  # numbers in fields that no language knows
     for name, points in found.items():
         unit, system = ("mm", "LPS") if format_.in_scan else (_read_unit(name, points), None)
@@ -231,8 +237,10 @@ def _read_unit(name: str, points: Points) -> str:
     texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS}
     units = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
     if len(units) > 1:
-        what = f"the unit of {name} is {' and '.join(sorted(units))}"
-        raise DataError(what, where=points.path, expected="one unit", fix="correct the field of the unit")
+        raise refusal(f"""the unit of {name} is {" and ".join(sorted(units))}
+            expected: one unit
+            fix: correct the field of the unit
+            where: {points.path}""")
     return units.pop() if units else ""
 
 

@@ -28,7 +28,7 @@ from needlefit.datasets.layers import (
     select_layers,
 )
 from needlefit.datasets.points import MIN_POINTS
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.measured_curve import measure_curve
@@ -212,8 +212,10 @@ class Planner:
         if (longest := max(one.reach for one in self.curves)) and not low <= longest <= high:
             what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-            where, fix = self.curves[0].points.where(), f"state --units {' or '.join(likely)}".strip()
-            raise DataError(what, where=where, expected=f"{low:g} to {high:g} mm", fix=fix)
+            raise refusal(f"""{what}
+                expected: {low:g} to {high:g} mm
+                fix: {f"state --units {' or '.join(likely)}".strip()}
+                where: {self.curves[0].points.where()}""")
 
     @staticmethod
     def doubt_millimetres(unknown: Sequence[ImportedCurve]) -> Iterator[str]:
@@ -240,12 +242,10 @@ class Planner:
         place, is_table = one.points.where(int(back[one.name][0])), one.points.lines is not None
         if self.answers.prompt is None and "order" not in self.answers.stated:
             several = "; of several needles: --columns needle=HEADER" if is_table else ""
-            raise DataError(
-                f"curve {one.name} goes back: the centreline is unsorted or folded here",
-                where=place,
-                expected="points in order from the entry to the tip",
-                fix=f"if the points of one needle are unsorted: --setup order=nearest{several}",
-            )
+            raise refusal(f"""curve {one.name} goes back: the centreline is unsorted or folded here
+                expected: points in order from the entry to the tip
+                fix: if the points of one needle are unsorted: --setup order=nearest{several}
+                where: {place}""")
         reason = f"{join_names([*back], 5)}: points go back, first at {place}"
         if self.settle("order", "file", reason, choices=("file", "nearest")).text == "nearest":
             for one in self.curves:
@@ -485,7 +485,10 @@ class Planner:
         sides, turns = to_sides(angles or [0.0] * len(self.curves))
         if any(turns) or any(one.turns or (one.sensors and len(one.line) > 1) for one in self.curves):
             what, where = "bevels are at right angles, turned, or beside curvatures", self.curves[0].points
-            raise DataError(what, where=where.where(), expected="sides 1 and -1, without shapes", fix=fix)
+            raise refusal(f"""{what}
+                expected: sides 1 and -1, without shapes
+                fix: {fix}
+                where: {where.where()}""")
         return sides
 
     @property
@@ -582,12 +585,10 @@ def refuse_stray_points(curve: ImportedCurve) -> None:
         return
     first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
     place = ", ".join(f"{value:g}" for value in curve.line[first])
-    raise DataError(
-        f"a point of {curve.name} lies far from all others: {place}{more}",
-        where=curve.points.where(first),
-        expected="points along the needle",
-        fix="correct its number, or empty its coordinates where it was not measured",
-    )
+    raise refusal(f"""a point of {curve.name} lies far from all others: {place}{more}
+        expected: points along the needle
+        fix: correct its number, or empty its coordinates where it was not measured
+        where: {curve.points.where(first)}""")
 
 
 def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -> NeedleRecord:
@@ -649,10 +650,10 @@ def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
     points, along = curve.points, curve.points.curve.s
     after = np.flatnonzero(along > arc + 10 * SAME_POINT_MM)
     if len(after) < MIN_POINTS - 1:
-        what = f"curve {curve.name!r} has only {len(after)} points behind its entry"
-        expected = "points from the entry to the tip"
-        fix = f"state another --entry-point, or --entry {other_end} and the --pose that follows"
-        raise DataError(what, where=points.where(), expected=expected, fix=fix)
+        raise refusal(f"""curve {curve.name!r} has only {len(after)} points behind its entry
+            expected: points from the entry to the tip
+            fix: state another --entry-point, or --entry {other_end} and the --pose that follows
+            where: {points.where()}""")
     entry = [np.interp(arc, along, axis) for axis in points.values.T]
     values = np.vstack([entry, points.values[after]])
     curve.shaft = np.vstack([points.values[along < arc], values[:1]])

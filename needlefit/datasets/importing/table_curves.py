@@ -17,7 +17,7 @@ from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayou
 from needlefit.datasets.importing.tips import MIN_TRACK_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS, Points
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.frames import PatientSystem
 
 # What holds from its row above the points on, of all needles, until another row restates it.
@@ -160,13 +160,11 @@ class CurveReader:
             if not needles:
                 shown = ", ".join(list(texts.values())[:3])
                 column = groups[0].headers[m].text or m + 1
-                raise DataError(
-                    f"every row has a name of its own: {shown}, ...",
-                    where=self.cells.where(max(head, 0), m),
-                    expected="in each row the name of its needle",
-                    fix=f'if they are points of one needle: --columns "point number={column}"; '
-                    "if they are tips, name the columns depth and deflection",
-                )
+                raise refusal(f"""every row has a name of its own: {shown}, ...
+                    expected: in each row the name of its needle
+                    fix: if they are points of one needle: --columns "point number={column}"; if they
+                        are tips, name the columns depth and deflection
+                    where: {self.cells.where(max(head, 0), m)}""")
             found[m] = {rows[k]: name for name, own in needles.items() for k in own}
         return found
 
@@ -188,8 +186,10 @@ class CurveReader:
         row, width = self.cells.rows[n], len(self.cells.rows[head])
         is_longer = self.cells.separator == "," and any(row[width:])
         if head >= 0 and (is_longer or (self.cells.separator == " " and len(row) != width)):
-            what, fix = f"has {len(row)} cells under {width} columns", "save it with semicolons or tabs"
-            raise DataError(what, where=self.cells.where(n), expected="as many as the header", fix=fix)
+            raise refusal(f"""has {len(row)} cells under {width} columns
+                expected: as many as the header
+                fix: save it with semicolons or tabs
+                where: {self.cells.where(n)}""")
 
     def list_filled(self, one: CurveRows) -> list[int]:
         """Return the rows of a curve in which not all coordinates are missing.
@@ -272,9 +272,11 @@ class CurveReader:
             return None
         unit, own = (group.headers[m].unit for m in (group.columns[0], columns[0]))
         if own not in ("", unit):
-            what = f"the unit of {group.headers[columns[0]].text} is {own!r}, that of the points {unit!r}"
-            where = self.cells.where(max(group.row, 0), columns[0])
-            raise DataError(what, where=where, expected="one unit", fix="write both in one unit")
+            raise refusal(f"""the unit of {group.headers[columns[0]].text} is {own!r}, that of the
+                    points {unit!r}
+                expected: one unit
+                fix: write both in one unit
+                where: {self.cells.where(max(group.row, 0), columns[0])}""")
         return read_numbers(self.cells, rows, columns)[:, 0]
 
     def read_readings(self, group: ColumnGroup, rows: Sequence[int]) -> Readings | None:

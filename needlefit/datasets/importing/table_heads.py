@@ -8,7 +8,7 @@ from itertools import count
 from needlefit.datasets.importing.curves import ATTRIBUTES, ImportContent
 from needlefit.datasets.importing.synonyms import Header, find_meaning, load_axes, read_header, split_unit
 from needlefit.datasets.importing.tables import CellTable, is_number_like
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.frames import PatientSystem
 
 VECTORS = ("entry point", "pose")  # columns x, y, z that state something of each needle
@@ -84,16 +84,19 @@ def _read_head(cells: CellTable, content: ImportContent, n: int) -> list[ColumnG
     for (_, name), axes in found.items():
         columns = tuple(axes[one] for one in "xyz" if one in axes)
         if len({headers[m].unit for m in columns}) > 1:
-            what = f"the coordinates are {', '.join(headers[m].text for m in columns)}"
-            where = cells.where(max(n, 0), columns[0])
-            raise DataError(what, where=where, expected="one unit", fix=COLUMNS_FIX)
+            raise refusal(f"""the coordinates are {", ".join(headers[m].text for m in columns)}
+                expected: one unit
+                fix: {COLUMNS_FIX}
+                where: {cells.where(max(n, 0), columns[0])}""")
         end = next((m for m in starts if m > min(columns)), width)
         span = {*range(starts[0]), *range(min(columns), end)}  # what stands before the first is of all
         name = name if len(found) > 1 else own[min(columns)].group
         groups.append(group := ColumnGroup(n, headers, span, columns, name, system))
         if len(texts := [headers[m].text for m in group.find("needle")]) > 1:
-            what, fix = f"{' and '.join(texts)} may name needles", "state --columns needle=HEADER"
-            raise DataError(what, where=cells.where(max(n, 0)), expected="one column", fix=fix)
+            raise refusal(f"""{" and ".join(texts)} may name needles
+                expected: one column
+                fix: state --columns needle=HEADER
+                where: {cells.where(max(n, 0))}""")
     if found:
         cells.use(n, *range(width))
         cells.use(n + 1, *units)
@@ -144,8 +147,10 @@ def _group_axes(cells: CellTable, headers: Sequence[Header], n: int) -> dict[tup
     found = {key: axes for key, axes in found.items() if len(axes) > 1}
     named = [headers[m].text for axes in found.values() for m in axes.values()]
     if twice := [text for text in alone if text in named]:
-        what = f"two columns are called {twice[0]!r}, and only one of them has a partner"
-        raise DataError(what, where=cells.where(max(n, 0)), expected="each once", fix=COLUMNS_FIX)
+        raise refusal(f"""two columns are called {twice[0]!r}, and only one of them has a partner
+            expected: each once
+            fix: {COLUMNS_FIX}
+            where: {cells.where(max(n, 0))}""")
     return found
 
 

@@ -18,7 +18,7 @@ from needlefit.datasets.importing.table_heads import (
 )
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
 from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 
 SENSOR = ("sensor", "curvature y", "curvature z", "curvature sd")  # what a row of curvatures states
 MAX_LISTED_CHARS = 200  # of headers
@@ -111,8 +111,10 @@ def _read_lengths(cells: CellTable, group: ColumnGroup, n: int, columns: Sequenc
     for k, m in enumerate(columns):
         header = group.headers[m]
         if (unit := header.unit.removeprefix("1/").strip() or "mm") not in UNITS_MM:
-            what, where = f"the unit of {header.text} is {header.unit!r}", cells.where(group.row, m)
-            raise DataError(what, where=where, expected=", ".join(UNITS_MM), fix="correct the header")
+            raise refusal(f"""the unit of {header.text} is {header.unit!r}
+                expected: {", ".join(UNITS_MM)}
+                fix: correct the header
+                where: {cells.where(group.row, m)}""")
         is_place = header.meaning in ("sensor", "sensor from base", "depth", "turn depth")
         values[k] *= UNITS_MM[unit] ** (1 if is_place else -1)
     return values

@@ -11,7 +11,7 @@ from needlefit.datasets.importing.curves import ATTRIBUTES
 from needlefit.datasets.importing.synonyms import find_meaning
 from needlefit.datasets.importing.table_heads import COLUMNS_FIX, VECTORS, ColumnGroup
 from needlefit.datasets.importing.tables import CellTable
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 
 
 def read_numbers(cells: CellTable, rows: Sequence[int], columns: Sequence[int]) -> Floats:
@@ -19,10 +19,10 @@ def read_numbers(cells: CellTable, rows: Sequence[int], columns: Sequence[int]) 
     values = np.zeros((len(rows), len(columns)))
     for (k, n), (i, m) in product(enumerate(rows), enumerate(columns)):
         if (number := cells.number(text := cells.cell(n, m))) is None:
-            what = f"a number is {text[:40]!r}"
-            fix = "correct the cell; to leave the point out, empty all coordinates of its row"
-            expected = f"numbers with a decimal {'comma' if cells.decimal == ',' else 'point'}"
-            raise DataError(what, where=cells.where(n, m), expected=expected, fix=fix)
+            raise refusal(f"""a number is {text[:40]!r}
+                expected: numbers with a decimal {"comma" if cells.decimal == "," else "point"}
+                fix: correct the cell; to leave the point out, empty all coordinates of its row
+                where: {cells.where(n, m)}""")
         values[k, i] = number
         cells.use(n, m)
     return values
@@ -41,9 +41,10 @@ def read_attributes(cells: CellTable, group: ColumnGroup, rows: Sequence[int]) -
             first = next(iter(texts), 0)
             other = next((n for n, text in texts.items() if text != texts[first]), None)
             if other is not None and meaning not in ("depth", "point sd"):  # those of each reading
-                what = f"{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}"
-                fix = f"correct the cell; if other columns distinguish the needles, {COLUMNS_FIX}"
-                raise DataError(what, where=cells.where(other, m), expected="one value", fix=fix)
+                raise refusal(f"""{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}
+                    expected: one value
+                    fix: correct the cell; if other columns distinguish the needles, {COLUMNS_FIX}
+                    where: {cells.where(other, m)}""")
             if not texts or other is not None:
                 continue
             own, join = [m], ""

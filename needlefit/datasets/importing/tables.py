@@ -13,7 +13,7 @@ from typing import Any
 from needlefit.datasets.formats.csv import check_extent
 from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.points import MAX_COORDINATE
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.project.input_files import open_regular, read_bytes
 from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
 
@@ -138,8 +138,10 @@ def _decode(data: bytes, path: Path) -> str:
         texts = [data.decode(name, errors="replace") for name in ("cp1252", "gb18030")]
         text = max(texts, key=_count_known_headers)
     if "\0" in text:
-        expected, fix = "text in UTF-8, UTF-16 or Windows-1252", "save it again as CSV (UTF-8)"
-        raise DataError("cannot be read as text", where=path, expected=expected, fix=fix)
+        raise refusal(f"""cannot be read as text
+            expected: text in UTF-8, UTF-16 or Windows-1252
+            fix: save it again as CSV (UTF-8)
+            where: {path}""")
     return text
 
 

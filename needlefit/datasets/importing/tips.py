@@ -12,7 +12,7 @@ from needlefit.datasets.importing.answers import Stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.joining import make_unique
 from needlefit.datasets.points import Points
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 
 if TYPE_CHECKING:
     from needlefit.datasets.importing.planning import Planner
@@ -84,10 +84,8 @@ def find_depth(curve: ImportedCurve) -> float:
     if len(curve.line):
         return float(curve.line[0, 0])
     if "depth" not in curve.stated:
-        raise DataError(
-            f"the inserted length of needle {curve.name} is not stated",
-            where=curve.points.path,
-            expected="a column `depth` in a table with a row for each needle",
-            fix="name a table with the columns needle and depth, or the reconstructed shapes, too",
-        )
+        raise refusal(f"""the inserted length of needle {curve.name} is not stated
+            expected: a column `depth` in a table with a row for each needle
+            fix: name a table with the columns needle and depth, or the reconstructed shapes, too
+            where: {curve.points.path}""")
     return curve.stated["depth"].to_number("depth")

@@ -10,7 +10,7 @@ from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.curves import ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis
 from needlefit.datasets.importing.synonyms import UNITS_MM
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.frames import normalize
 from needlefit.project.locate import join_names
 
@@ -26,8 +26,10 @@ def make_tracks(planner: "Planner") -> list[InsertionRow]:
     for one in planner.curves:
         if len(one.track.depth):
             if (unit := one.track.unit or one.unit) not in UNITS_MM:
-                what, where = f"the unit of the depths is {unit!r}", one.points.where()
-                raise DataError(what, where=where, expected=", ".join(UNITS_MM), fix="correct the header")
+                raise refusal(f"""the unit of the depths is {unit!r}
+                    expected: {", ".join(UNITS_MM)}
+                    fix: correct the header
+                    where: {one.points.where()}""")
             one.readings = replace(one.track, depth=UNITS_MM[unit] * one.track.depth)
     if not all(len(one.track.depth) for one in planner.curves):
         measure_depths(planner)

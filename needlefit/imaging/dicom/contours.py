@@ -10,10 +10,9 @@ import pydicom
 from pydicom.uid import RTStructureSetStorage
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.meshes import fill_outline
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.segmentations import choose_segments
 from needlefit.imaging.volume import VoxelGrid, begins_as_dicom, check_grid, grid_to_json
 from needlefit.project.input_files import is_file, list_files, open_regular

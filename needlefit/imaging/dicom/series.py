@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydicom import dcmread
 from pydicom.pixels.utils import iter_pixels
 
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.imaging.dicom.stack import (
     LOCALIZER,
     XRAY_MODALITIES,
@@ -28,7 +28,6 @@ from needlefit.imaging.dicom.stack import (
     read_headers,
     stack_slices,
 )
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import begins_as_dicom, grid_to_json, is_dicomdir, list_series_files
 from needlefit.project.input_files import is_file, open_regular
 from needlefit.project.reader_process import Arrays, allow_memory

@@ -26,9 +26,8 @@ from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID, ImplicitVRLittleEndian
 
 from needlefit.arrays import Floats, are_bounded
-from needlefit.errors import DataError
+from needlefit.errors import DataError, located, refusal
 from needlefit.geometry.frames import normalize
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
     VoxelGrid,

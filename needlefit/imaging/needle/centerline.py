@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
@@ -31,7 +31,6 @@ from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, median_
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices
 from needlefit.imaging.needle.tip import MAX_DISAGREEMENT_MM, TipFit, TipSource, bevel_length, fit_tip
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats, Ints
+from needlefit.errors import located, refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.needle.axis_spline import (
     AxisSpline,
@@ -23,7 +24,6 @@ from needlefit.imaging.needle.segmentation import (
     measure_component,
     principal_axes,
 )
-from needlefit.imaging.refusals import located, refusal
 from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
 from needlefit.imaging.volume_files import read_mask
 from needlefit.schemas.reconstruction import ReconstructionRecord

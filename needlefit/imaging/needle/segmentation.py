@@ -10,9 +10,9 @@ from scipy.ndimage import distance_transform_edt, find_objects, label
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
+from needlefit.errors import refusal
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.axis_spline import AxisSpline
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 

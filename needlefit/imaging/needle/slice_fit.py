@@ -17,6 +17,7 @@ from scipy.sparse import csr_array
 from scipy.special import erf
 
 from needlefit.arrays import Bools, Floats
+from needlefit.errors import refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import DEGREE, make_knots
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_sd, correlation_factor, fit_axis
@@ -24,7 +25,6 @@ from needlefit.imaging.needle.hub import Hub, find_hub
 from needlefit.imaging.needle.rod_projection import COLUMN_MM, SENSITIVITY_AT, Rod
 from needlefit.imaging.needle.tip import MAX_BEVEL_DEG, MIN_BEVEL_PROBABILITY, TipFit
 from needlefit.imaging.point_spread import PointSpread, expected_spread
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.reconstruction import ReconstructionRecord, ScannedNeedleRecord
 

@@ -22,6 +22,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial import cKDTree
 
 from needlefit.arrays import Floats, Ints
+from needlefit.errors import refusal
 from needlefit.imaging.needle.axis_spline import AxisSpline, axis_frames, axis_sd, disc_points, sample_planes
 from needlefit.imaging.point_spread import (
     HIGHEST,
@@ -31,7 +32,6 @@ from needlefit.imaging.point_spread import (
     expected_spread,
     read_spread,
 )
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.schemas.reconstruction import ScannedNeedleRecord
 

@@ -23,8 +23,8 @@ from scipy.linalg import pinvh
 from scipy.special import chdtri
 
 from needlefit.arrays import Floats
+from needlefit.errors import refusal
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.refusals import refusal
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.

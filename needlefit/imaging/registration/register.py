@@ -15,9 +15,8 @@ from scipy.spatial import cKDTree
 from scipy.special import chdtrc, elliprg
 
 from needlefit.arrays import Floats
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.frames import AXIS_SIGNS, Frame
-from needlefit.imaging.refusals import refusal
 from needlefit.imaging.registration.pairing import (
     MAX_WRONG_PAIRING_PROBABILITY,
     MIN_CHI2_GAP,
