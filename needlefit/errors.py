@@ -56,6 +56,17 @@ class NeedlefitError(Exception):
         tail = [("expected", self.expected), ("fix", self.fix)]
         return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
+    @classmethod
+    def of(cls, text: str) -> Self:
+        """Return the error that is written as it is printed: what is wrong, then lines that begin with a key.
+
+        The keys are `expected:`, `fix:`, `key:`, and `where:`, a path or a place in words. Further lines that
+        are indented go on with what stands before them.
+        """
+        parts = re.split(r"\n +(expected|fix|key|where): ", text)
+        what, *more = (re.sub(r"\n +", " ", part) for part in parts)
+        return cls(what, **dict(zip(more[::2], more[1::2], strict=True)))
+
     def at(self, where: str | Path) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
         return type(self)(self.what, where=where, expected=self.expected, fix=self.fix, key=self.key)
@@ -119,13 +130,8 @@ class FitError(NeedlefitError):
 
 
 def refusal(text: str) -> DataError:
-    """Return the error that is written as it is printed: what is wrong, then lines that begin with a key.
-
-    The keys are `expected:`, `fix:` and `where:`, a path or a place in words; where it is left out, `located`
-    fills it in. Further lines that are indented go on with what stands before them.
-    """
-    what, *more = (re.sub(r"\n +", " ", part) for part in re.split(r"\n +(expected|fix|where): ", text))
-    return DataError(what, **dict(zip(more[::2], more[1::2], strict=True)))
+    """Return the error of data, as `NeedlefitError.of`; `located` fills in a place that is left out."""
+    return DataError.of(text)
 
 
 @contextmanager

@@ -39,9 +39,10 @@ def select_insertions(
         given = ", ".join(
             f"{name} = {value}" for name, value in selection.model_dump(exclude_none=True).items()
         )
-        what = f"no insertion of dataset {dataset.name} has {given}"
-        expected = f"a selection that leaves some of its {len(known)} insertions"
-        raise ConfigError(what, expected=expected, fix="widen or correct the selection", key=key)
+        raise ConfigError.of(f"""no insertion of dataset {dataset.name} has {given}
+            expected: a selection that leaves some of its {len(known)} insertions
+            fix: widen or correct the selection
+            key: {key}""")
     return chosen
 
 
@@ -83,9 +84,9 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
     names = set(known)
     unknown = [name for name in wanted if name not in names]
     if unknown:
-        what = f"{kind} {', '.join(unknown)} is not in the dataset"
-        expected = f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}"
-        raise ConfigError(what, expected=expected, fix="correct the selection")
+        raise ConfigError.of(f"""{kind} {", ".join(unknown)} is not in the dataset
+            expected: one of {join_names(sort_by_similarity(unknown[0], names)) or "(none)"}
+            fix: correct the selection""")
 
 
 MIN_GROUPS = 5  # least number of groups from which the scatter between groups is estimated

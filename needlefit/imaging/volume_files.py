@@ -69,8 +69,10 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
             place, series = _choose_member(place, series)
         if is_image_file(place):
             if series or acquisition:
-                expected, fix = "a DICOM series", "leave out series and acquisition"
-                raise DataError("it is one image", where=path, expected=expected, fix=fix)
+                raise refusal(f"""it is one image
+                    expected: a DICOM series
+                    fix: leave out series and acquisition
+                    where: {path}""")
             return _build_volume(*_read_arrays(place, labels=False), place)
         if not place.is_dir():
             with open_regular(place, sys.maxsize):  # a regular file
@@ -271,8 +273,6 @@ def explain_missing_packages(*needed: str) -> Iterator[None]:
                 raise ModuleNotFoundError(f"No module named {name!r}", name=name)
         yield
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"scans need the package {error.name}, which is not installed",
-            expected="the packages of the extra `ct`",
-            fix="pip install 'needlefit[ct]'",
-        ) from None
+        raise ConfigError.of(f"""scans need the package {error.name}, which is not installed
+            expected: the packages of the extra `ct`
+            fix: pip install 'needlefit[ct]'""") from None

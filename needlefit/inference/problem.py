@@ -48,11 +48,9 @@ class Problem:
             raise ConfigError("no insertion is selected to fit to", expected="at least one")
         held = any(one.guide is not None for one in self.insertions)
         if held and GUIDE_DISTANCE not in self.parameters.names:
-            raise ConfigError(
-                "the tissue model does not state the guide's distance",
-                key="parameters",
-                expected=f"{GUIDE_DISTANCE}: from the guide to the skin, free or fixed",
-            )
+            raise ConfigError.of(f"""the tissue model does not state the guide's distance
+                expected: {GUIDE_DISTANCE}: from the guide to the skin, free or fixed
+                key: parameters""")
 
     def __reduce__(self) -> tuple[type["Problem"], tuple[object, ...]]:
         # what is computed once is computed anew elsewhere: it refers to objects of this process

@@ -93,11 +93,9 @@ def predict_by_curve(
     """
     assert baseline.track_basis is not None
     if len(tuned) < MIN_TUNED_RUNS:
-        raise ConfigError(
-            f"{len(tuned)} runs determine too little of the slope of another one",
-            expected=f"at least {MIN_TUNED_RUNS} runs to fit to",
-            fix="tune on more runs",
-        )
+        raise ConfigError.of(f"""{len(tuned)} runs determine too little of the slope of another one
+            expected: at least {MIN_TUNED_RUNS} runs to fit to
+            fix: tune on more runs""")
     with BASELINES.plugin_error_context(baseline.name):
         *known, columns = (baseline.track_basis(one.insertion) for one in (*tuned, further))  # each (n, P)
     # least squares of the readings in frames of any shift and slope

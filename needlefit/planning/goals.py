@@ -13,7 +13,7 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.formats.markups import read_markups
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.geometry.frames import Placement
 from needlefit.schemas.names import name_fault
 from needlefit.schemas.planning import ObstacleRecord
@@ -181,12 +181,10 @@ def read_goal_points(
     if not aims and len(points) == 1:
         aims = [0]
     if len(aims) > 1:
-        raise DataError(
-            f"names {len(aims)} targets: {', '.join(labels[n] for n in aims)}",
-            where=path,
-            expected="one point whose label begins with `target`",
-            fix="rename the others",
-        )
+        raise refusal(f"""names {len(aims)} targets: {", ".join(labels[n] for n in aims)}
+            expected: one point whose label begins with `target`
+            fix: rename the others
+            where: {path}""")
     others = [n for n in range(len(points)) if n not in aims]
     names = name_obstacles(labels[n] for n in others)
     balls = tuple(Ball(name, points[n], obstacle_radius) for name, n in zip(names, others, strict=True))

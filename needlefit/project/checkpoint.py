@@ -161,12 +161,10 @@ def _prepare(folder: Path, work: str, resume: bool, note: Note) -> None:
     found = _work_of(folder)
     if resume and found is not None:
         if found != work:
-            raise ConfigError(
-                "the interrupted run was of other work",
-                where=folder,
-                expected="the same data, configuration, seed and versions",
-                fix="run again without --resume, which starts afresh",
-            )
+            raise ConfigError.of(f"""the interrupted run was of other work
+                expected: the same data, configuration, seed and versions
+                fix: run again without --resume, which starts afresh
+                where: {folder}""")
         return
     if found == work and any(one.name not in (LOCK_NAME, MANIFEST) for one in folder.iterdir()):
         raise UnfinishedWorkError(

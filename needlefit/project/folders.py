@@ -49,16 +49,16 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
         require_folder(path)
         place = Path(os.path.realpath(path))
         if place.is_dir():
-            raise ConfigError("is a folder", where=path, fix=f"name a file with {option}")
+            raise ConfigError.of(f"""is a folder
+                fix: name a file with {option}
+                where: {path}""")
         others = [os.path.realpath(other) for name, other in outputs.items() if name != option]
         is_read = place.exists() and any(place.is_relative_to(one) or place.samefile(one) for one in read)
         if is_read or str(place) in others:
-            raise ConfigError(
-                f"is an input of this run, or named twice: {option} would replace it",
-                where=path,
-                expected="a new file, or one that may be lost",
-                fix=f"choose another name with {option}",
-            )
+            raise ConfigError.of(f"""is an input of this run, or named twice: {option} would replace it
+                expected: a new file, or one that may be lost
+                fix: choose another name with {option}
+                where: {path}""")
         if place.is_file() or not place.exists():  # not a pipe or a terminal
             require_writable(path)
 
@@ -66,7 +66,9 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
 def require_folder(path: Path) -> None:
     """Raise ConfigError unless the folder of a file to write exists."""
     if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=path.parent, fix="make it first")
+        raise ConfigError.of(f"""there is no such folder
+            fix: make it first
+            where: {path.parent}""")
 
 
 def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
@@ -74,12 +76,10 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
     place = Path(os.path.realpath(folder))
     for path in inputs:
         if Path(os.path.realpath(path)).is_relative_to(place):
-            raise ConfigError(
-                f"holds an input of this run: {path}",
-                where=folder,
-                expected="a folder of results that is not read",
-                fix="choose another folder with --out",
-            )
+            raise ConfigError.of(f"""holds an input of this run: {path}
+                expected: a folder of results that is not read
+                fix: choose another folder with --out
+                where: {folder}""")
 
 
 def not_writable_error(place: Path, reason: str) -> ConfigError:
@@ -201,19 +201,16 @@ def require_replaceable(folder: Path, find: Callable[[Path], list[str]] | None =
     if (place := folder.resolve()).exists() or place.is_symlink():
         faults = (find or find_foreign)(place) if place.is_dir() else ["it is a file"]
         if faults:
-            raise ConfigError(
-                f"is not replaced: needlefit did not write all of it: {join_names(faults, MAX_LISTED_FILES)}",
-                where=folder,
-                expected=f"a new or empty folder, or one with only what its {MANIFEST} lists, unchanged",
-                fix="move those files away, or choose another folder with --out",
-            )
+            raise ConfigError.of(f"""is not replaced: needlefit did not write all of it:
+                    {join_names(faults, MAX_LISTED_FILES)}
+                expected: a new or empty folder, or one with only what its {MANIFEST} lists, unchanged
+                fix: move those files away, or choose another folder with --out
+                where: {folder}""")
         if Path.cwd().is_relative_to(place) and not _is_empty(place):
-            raise ConfigError(
-                "is not replaced: it is the working folder, or holds it",
-                where=folder,
-                expected="a folder of results in which you do not stand",
-                fix="run the command from another folder, or choose another folder with --out",
-            )
+            raise ConfigError.of(f"""is not replaced: it is the working folder, or holds it
+                expected: a folder of results in which you do not stand
+                fix: run the command from another folder, or choose another folder with --out
+                where: {folder}""")
 
 
 def remove_result(folder: Path, note: Note) -> None:
@@ -265,12 +262,10 @@ def take_lock(folder: Path) -> "BaseFileLock":
         folder.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout:
-        raise ConfigError(
-            "another run of needlefit is writing there",
-            where=folder,
-            expected="one run at a time for each folder of results",
-            fix="wait until it has ended, or choose another folder with --out",
-        ) from None
+        raise ConfigError.of(f"""another run of needlefit is writing there
+            expected: one run at a time for each folder of results
+            fix: wait until it has ended, or choose another folder with --out
+            where: {folder}""") from None
     except OSError as error:
         raise not_writable_error(folder, error.strerror or type(error).__name__) from None
     return lock
@@ -334,12 +329,10 @@ def _move_into(folder: Path, fresh: Path) -> None:
 def require_new(folder: Path) -> None:
     """Raise ConfigError if `folder` holds something, or is a file."""
     if not _is_empty(folder) and (folder.exists() or folder.is_symlink()):
-        raise ConfigError(
-            "exists already",
-            where=folder,
-            expected="a new or empty folder",
-            fix="choose another folder",
-        )
+        raise ConfigError.of(f"""exists already
+            expected: a new or empty folder
+            fix: choose another folder
+            where: {folder}""")
 
 
 @contextmanager

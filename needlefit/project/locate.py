@@ -152,7 +152,10 @@ def find_dataset_or_study(name: str) -> tuple[SourceKind, Path]:
         near = [folder / "dataset.toml" for folder in Path(name).parents[:2]]
         file = next(filter(is_file, near), None)
         command = f"import {shlex.quote(name)}" if file is None else f"check {shlex.quote(str(file))}"
-        raise ConfigError("is a table", where=name, expected="a dataset.toml", fix=f"needlefit {command}")
+        raise ConfigError.of(f"""is a table
+            expected: a dataset.toml
+            fix: needlefit {command}
+            where: {name}""")
     kinds: tuple[SourceKind, ...] = ("dataset", "study", "fit")
     found = _find_sources(name, kinds)
     if not found:
@@ -168,11 +171,9 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         return [(study, find_file("study", study)) for study in PAPER_STUDIES]
     kind, path = _find_studies("study", name, [*list_names("study"), EVERY_STUDY])[0]
     if kind == "fit":
-        raise ConfigError(
-            f"`{name}` is a fit, which has nothing to validate on",
-            expected="a study",
-            fix=f"use: {shlex.join(('needlefit', 'tune', name))}",
-        )
+        raise ConfigError.of(f"""`{name}` is a fit, which has nothing to validate on
+            expected: a study
+            fix: use: {shlex.join(("needlefit", "tune", name))}""")
     return [(path.stem, path)]
 
 

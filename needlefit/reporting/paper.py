@@ -77,11 +77,9 @@ def _find_file(name: str) -> Path:
         path = root / "data" / "paper" / f"{name}.csv"
         if path.is_file():
             return path
-    raise ConfigError(
-        f"the published table `{name}` is missing",
-        where=f"data/paper/{name}.csv",
-        fix="restore data/paper, or install needlefit again",
-    )
+    raise ConfigError.of(f"""the published table `{name}` is missing
+        fix: restore data/paper, or install needlefit again
+        where: data/paper/{name}.csv""")
 
 
 def select_rows(name: TableName, **match: object) -> list[Row]:

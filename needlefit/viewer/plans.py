@@ -106,11 +106,9 @@ def find_placement(viewed_scene: ViewedScene) -> Placement:
         return Placement.from_record(viewed_scene.placement)
     if viewed_scene.measured is None:
         return make_steered_scene(viewed_scene.record, viewed_scene.name).entry.placement
-    raise ConfigError(
-        f"where {viewed_scene.name} lies in its scan is not known",
-        expected="a target in the constraint frame",
-        fix="give it with --target X,Y,Z",
-    )
+    raise ConfigError.of(f"""where {viewed_scene.name} lies in its scan is not known
+        expected: a target in the constraint frame
+        fix: give it with --target X,Y,Z""")
 
 
 def write_plan(viewed_scene: ViewedScene, plan: SteeringPlan, path: Path) -> None:

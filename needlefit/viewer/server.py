@@ -98,12 +98,10 @@ async def serve(
     try:
         listening = create_server((LOOPBACK, port))
     except (OSError, OverflowError) as error:
-        raise ConfigError(
-            f"port {port} cannot be used: {getattr(error, 'strerror', error)}",
-            where="--port",
-            expected="a free port from 1024 to 65535",
-            fix="leave --port out: a free one is then taken",
-        ) from error
+        raise ConfigError.of(f"""port {port} cannot be used: {getattr(error, "strerror", error)}
+            expected: a free port from 1024 to 65535
+            fix: leave --port out: a free one is then taken
+            where: --port""") from error
     access = AccessControl(listening.getsockname()[1])
     app = _make_application(access, page)
     logging.getLogger("aiohttp.server").addFilter(_is_own_fault)

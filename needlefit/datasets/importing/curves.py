@@ -146,6 +146,7 @@ def parse_columns(text: str) -> dict[str, str]:
     stated = {name.strip(): meaning.strip() for meaning, name in pairs}
     known, once = ("x", "y", "z", *list_meanings()), [one for one in stated.values() if one != "unrelated"]
     if len(stated) < len(parts) or not {*once} <= {*known} or not all(stated) or len({*once}) < len(once):
-        what, fix = f"--columns is {text[:60]!r}", "write X,Y,Z or MEANING=HEADER, with commas between them"
-        raise ConfigError(what, expected=f"headers or numbers of {', '.join(known)}", fix=fix)
+        raise ConfigError.of(f"""--columns is {text[:60]!r}
+            expected: headers or numbers of {", ".join(known)}
+            fix: write X,Y,Z or MEANING=HEADER, with commas between them""")
     return stated

@@ -134,10 +134,9 @@ def read_asking(
         meaning = ask(question, "unrelated", f"{where}: numbers under a header that is not known")
         named[header] = meaning or "unrelated"
     if unknown := {*named.values()} - {"x", "y", "z", *list_meanings()}:
-        expected = ", ".join(list_meanings())
-        raise ConfigError(
-            f"a column is {min(unknown)[:60]!r}", expected=expected, fix="answer with one of these"
-        )
+        raise ConfigError.of(f"""a column is {min(unknown)[:60]!r}
+            expected: {", ".join(list_meanings())}
+            fix: answer with one of these""")
     return read_content(paths, named, layout)
 
 

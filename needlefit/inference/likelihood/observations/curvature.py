@@ -7,7 +7,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import MIN_SENSOR_MM
 from needlefit.datasets.insertion import Insertion, find_pose
-from needlefit.errors import DataError
+from needlefit.errors import refusal
 from needlefit.inference.likelihood.nodes import make_nodes
 from needlefit.inference.likelihood.observation import QUARTER_TURN, Observation, StatedErrors, whiten
 from needlefit.inference.likelihood.observations import ObservationType
@@ -27,11 +27,9 @@ def append_sensors(insertion: Insertion, s: Floats) -> Floats:
 def require_curvature(insertion: Insertion) -> None:
     """Raise DataError where an insertion that is fitted to by curvatures alone has none."""
     if insertion.curvature is None:
-        raise DataError(
-            f"insertion `{insertion.id}` has no curvature",
-            expected='those of every insertion fitted to (`measurement = "curvature"`)',
-            fix="name their table under insertions.curvature",
-        )
+        raise refusal(f"""insertion `{insertion.id}` has no curvature
+            expected: those of every insertion fitted to (`measurement = "curvature"`)
+            fix: name their table under insertions.curvature""")
 
 
 @dataclass(frozen=True)
