@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needlefit.datasets.comparison import OUTLIER_SD
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.layers import ListedInsertion, find_length_tolerance
@@ -18,9 +19,7 @@ from needlefit.datasets.planes import MAX_NAMED_INSERTIONS
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
-# Standard deviations by which the length of a curve and its depth differ at least to be named, and the same
-# in mm: depths are stated with a digit or two.
-LENGTH_SD, SAME_LENGTH_MM = 5.0, 0.1
+SAME_LENGTH_MM = 0.1  # mm, by which a curve's length and its depth may differ: depths have a digit or two
 # Part of a difference that a cause explains at least: of the place of the first point, or of another length.
 MIN_EXPLAINED_PART = 0.7
 SAME_SCALE = 0.02  # by which factors of one scale differ at most
@@ -93,7 +92,7 @@ def find_length_warnings(
     for one in (each for each in listed if each.insertion.pose_source != "none"):
         insertion, curve = one.insertion, one.insertion.smooth("space")
         sd = math.hypot(point_sd, curve.length_sd, insertion.depth_sd, insertion.pose_shift_sd)
-        every.append(_Difference(one, curve.length, max(LENGTH_SD * sd, SAME_LENGTH_MM)))
+        every.append(_Difference(one, curve.length, max(OUTLIER_SD * sd, SAME_LENGTH_MM)))
     found = sorted((one for one in every if one.is_beyond), key=lambda one: -abs(one.gap))
     if found:
         worst = found[0]

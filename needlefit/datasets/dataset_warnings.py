@@ -12,7 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import BOUNDARIES_COLUMN, NUMBER_COLUMNS, ROLL_COLUMNS
 from needlefit.datasets.curve_lengths import find_length_warnings
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import MISSED_FIX, ListedInsertion, name_small_unit
+from needlefit.datasets.layers import MISSED_FIX, SAME_POINT_MM, ListedInsertion, name_small_unit
 from needlefit.datasets.outlying_needles import find_needle_warnings
 from needlefit.datasets.outlying_points import (
     drop_outlying_points,
@@ -49,29 +49,31 @@ PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
 # Least plausible standard deviation of a centreline's points; a smaller one was written in another unit.
 MIN_POINT_SD_MM = 5e-4
-# Least and greatest plausible standard deviation of registration and entry pose: a smaller one was written in
-# another unit, with a greater one curves cannot be compared.
-MIN_POSE_SD_MM, MAX_POSE_SD_MM = 1e-3, 5.0
+# Least and greatest plausible standard deviation of registration and entry pose.
+MIN_POSE_SD_MM = 1e-3  # mm; a smaller one was written in another unit
+MAX_POSE_SD_MM = 5.0  # mm; with a greater one curves cannot be compared
 MAX_ROLL_SD_DEG = 45.0  # standard deviation of a roll beyond which nothing is known of it
 MAX_NOISE_FRACTION = 0.5  # fraction of the largest deflection above which noise hides the deflections
 
 # Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of a
 # single one is limited to this.
 REVERSED_SD = 4.0
-COPY_TOLERANCE_MM = 1e-6  # largest distance, per axis, of two points that count as the same
-# Scatters of a point by which two measurements of one curve differ at least, if they have as many points as
-# this; those of fewer points, or that were smoothed, by more than this.
-MIN_LIKENESS, MIN_LIKENESS_POINTS, MIN_LIKENESS_MM = 0.3, 15, 0.003
-# Least scatter of a measurement, mm; chance that two are rounded alike beyond which that explains a likeness.
-MIN_COPY_SD_MM, MAX_COPY_CHANCE = 0.02, 1e-6
+# By how much two measurements of one curve differ at least.
+MIN_LIKENESS = 0.3  # scatters of a point
+MIN_LIKENESS_POINTS = 15  # points of a curve from which its scatter is known
+MIN_LIKENESS_MM = 0.003  # mm, of curves of fewer points, or that were smoothed
+MIN_COPY_SD_MM = 0.02  # mm, least scatter of a measurement
+MAX_COPY_CHANCE = 1e-6  # that points are rounded alike: a greater one explains a likeness
 MIRRORS = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # of the coordinates across a needle
-SMOOTH_ORDER, BEND_ORDER = 3, 6  # of a polynomial across the plane of a needle, and of one in it
-# Scatter of points about it, over the stated errors of points: least and most that do not contradict them.
-MIN_SCATTER_RATIO, MAX_SCATTER_RATIO = 1 / 3, 2.0
+SMOOTH_ORDER = 3  # of a polynomial across the plane of a needle, where it does not bend
+BEND_ORDER = 6  # of one in its plane
+# Scatter of points about it, over the stated errors of points, that does not contradict them.
+MIN_SCATTER_RATIO = 1 / 3  # least
+MAX_SCATTER_RATIO = 2.0  # most
 
-# Curves of which the first points spread along the needles by more than this, mm, and the last ones by less
-# than this part of it, begin at the tips.
-MIN_LEVEL_MM, MAX_LEVEL_PART = 5.0, 0.1
+# Curves begin at the tips of which the first points spread along the needles, and the last ones do not.
+MIN_LEVEL_MM = 5.0  # mm, least spread of the first points
+MAX_LEVEL_PART = 0.1  # of that, most spread of the last ones
 
 # ---- the record
 
@@ -189,7 +191,7 @@ def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
 def is_copy(one: Insertion, other: Insertion) -> bool:
     """Whether two insertions have the same centreline, point by point."""
     a, b = one.centerline, other.centerline
-    return a.shape == b.shape and bool(np.abs(a - b).max() <= COPY_TOLERANCE_MM)
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME_POINT_MM)
 
 
 def measure_scatter(one: Insertion) -> float:
@@ -198,7 +200,7 @@ def measure_scatter(one: Insertion) -> float:
     No needle bends there, so that a cubic takes away all but the errors of single points. Points of a plane,
     and free shapes, are taken to scatter in their plane. NaN of few points.
     """
-    is_flat = one.pose_source == "none" or float(np.ptp(one.points[:, 2])) < COPY_TOLERANCE_MM
+    is_flat = one.pose_source == "none" or float(np.ptp(one.points[:, 2])) < SAME_POINT_MM
     order, values = (BEND_ORDER, one.points[:, 1]) if is_flat else (SMOOTH_ORDER, one.points[:, 2])
     if (free := len(values) - order - 1) <= order:
         return math.nan
@@ -252,7 +254,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             if abs(one.depth - later.depth) > max(gaps[k], gaps[n]) + noise.point_sd:
                 continue  # a copy of which a point is left out is shorter by a gap
             least = MIN_LIKENESS * min(scatters[k], scatters[n])
-            least = max(COPY_TOLERANCE_MM, least, min(MIN_LIKENESS_MM, noise.point_sd / 30))
+            least = max(SAME_POINT_MM, least, min(MIN_LIKENESS_MM, noise.point_sd / 30))
             away = measure_likeness(one, later)
             same, count = int(np.sum(away <= least)), len(away)
             axes = 1 + any(float(np.ptp(each.points[:, 2])) > 0 for each in (one, later))

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from needlefit.errors import DataError, NeedlefitError
 
-MAX_LIKE_FAULTS, MAX_LISTED_PLACES = 3, 5  # faults of one kind that are listed one by one; places of more
+MAX_LIKE_FAULTS = 3  # faults of one kind that are listed one by one
+MAX_LISTED_PLACES = 5  # places that are listed of more
 _PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
 
 

@@ -12,9 +12,11 @@ from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
 from needlefit.schemas.study import StudyRecord
 
-TISSUE_FILE, SCENE_FILE = "tissue.toml", "scene.toml"
-MODULUS_BOUNDS_PA = [1e3, 1e9]
-SCENE_MU_PA, SCENE_ALPHA = 2e5, 1.0  # of a scene before any fit
+TISSUE_FILE = "tissue.toml"
+SCENE_FILE = "scene.toml"
+MODULUS_BOUNDS_PA = [1e3, 1e9]  # Pa, of a first fit: beyond all soft tissues and gels
+SCENE_MU_PA = 2e5  # Pa, of a scene before any fit
+SCENE_ALPHA = 1.0  # of the same
 SCENE_BEVELS: Mapping[Advance, Mapping[str, float]] = {
     "tangent": {"offset_mm": 0.05},
     "path_angle": {"cut_angle_deg": 1.0},

@@ -26,8 +26,9 @@ from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
-# A surface whose greatest extent is less or more than this, mm, was written in another unit.
-MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
+# A surface was written in another unit whose greatest extent is
+MIN_SURFACE_MM = 1.0  # mm, less than this
+MAX_SURFACE_MM = 2000.0  # mm, or more than this
 RESTORE_FIX = "check its name, or restore it"
 EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
 MISSED_FIX = "export surfaces and centrelines in mm and in one frame: 3D Slicer asks, LPS or RAS"
@@ -214,9 +215,10 @@ def _turn_curvature(row: InsertionRow) -> Floats | None:
     return np.column_stack([s, cos * y + sin * z, cos * z - sin * y, sd])
 
 
-# A centreline may go back by this, mm, and by so many deviations of its noise, but by no greater part of its
-# span: noise does that where points are dense.
-MAX_BACKWARD_MM, MAX_BACKWARD_SD, MAX_BACKWARD_PART = 0.05, 8.0, 0.1
+# By how much a centreline may go back: noise does that where points are dense.
+MAX_BACKWARD_MM = 0.05  # mm, always
+MAX_BACKWARD_SD = 8.0  # deviations of its noise
+MAX_BACKWARD_PART = 0.1  # of its span, at most
 SAME_POINT_MM = 1e-6  # points closer than this, mm, are one point twice
 # Relative difference allowed between length and depth; a free shape need not begin at the entry.
 LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}

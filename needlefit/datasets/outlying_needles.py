@@ -25,16 +25,19 @@ from needlefit.grouping import group_values
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
-MIN_ORDER, MAX_ORDER = 2, 4  # of the polynomial through the points of a needle
-# How needles into one medium differ by nature, SD: of the logarithm of their bend, of the part of it that is
-# out of their plane, and of a slope.
-NATURAL_BEND, NATURAL_TWIST, NATURAL_SLOPE = 0.12, 0.05, 0.002
+# Of the polynomial through the points of a needle.
+MIN_ORDER = 2
+MAX_ORDER = 4
+# How needles into one medium differ by nature, as an SD.
+NATURAL_BEND = 0.12  # of the logarithm of their bend
+NATURAL_TWIST = 0.05  # of the part of it that is out of their plane
+NATURAL_SLOPE = 0.002  # of a slope
 NATURAL_TANGENT = 0.1  # SD of the slope at the entry, over that by which needles bend
 LOG_FACTORS = np.linspace(-4.0, 4.0, 1601)  # by which a needle may bend more than the others
 MIN_SCATTER_CHANCE = 1e-6  # least probability that a scatter counts with: alone it names no needle
-# At the entry tissue gives way toward the bevel, by a part of the bend that the others show: SD of this part
-# over itself, and of the part where there are no others.
-GIVE_SD, UNKNOWN_GIVE = 0.5, 0.3
+# At the entry tissue gives way toward the bevel, by a part of the bend that the others show.
+GIVE_SD = 0.5  # SD of this part over itself
+UNKNOWN_GIVE = 0.3  # SD of the part, where there are no others
 ALONG_SD_MM = 0.5  # of a first point along the needle: no point need lie exactly at the entry
 NATURAL_SPACING = 0.01  # SD of the logarithm of the spacing of points that are sampled alike
 MAX_SPACING_RATIO = 1.5  # of one needle's points over the others'; beyond, they are sampled otherwise

@@ -21,15 +21,17 @@ MEDIAN_TO_SD = 0.6745  # median size of a normal variable of unit standard devia
 MIN_SCATTER_MM = 0.01  # SD of points that is always allowed for
 MIN_CURVE_POINTS = 6  # of fewer points none has enough neighbours
 MAX_OUTLYING_PART = 0.2  # of a curve's points; if more are off, the curve is rough
-# By how much ends of sound needles differ from a parabola, SD: mm, and per mm of their bend.
-NATURAL_END_MM, NATURAL_END_PART = 0.02, 0.01
+# By how much ends of sound needles differ from a parabola.
+NATURAL_END_MM = 0.02  # SD, mm
+NATURAL_END_PART = 0.01  # SD, per mm of their bend
 MAX_END_CHANCE = 1e-5  # of a deviation of a sound end: there are few, so this is 4.4 SD
 MIN_EVEN_PART = 0.8  # of the steps between points that are alike, where these are evenly spaced
 MIN_AXIS_PART = 0.9  # of a displacement along one axis, from which this coordinate is named
 STEP_AXIS_PART = 0.3  # of a step along an axis, from which this is named
 MIN_AXIS_POINTS = 20  # of fewer points the scatter along an axis is not known
-# Scatter along an axis over the stated one: from which it is in another unit, up to which it is as stated.
-MIN_UNIT_RATIO, MAX_STATED_RATIO = 4.0, 2.0
+# Scatter along an axis over the stated one.
+MIN_UNIT_RATIO = 4.0  # from which it is in another unit
+MAX_STATED_RATIO = 2.0  # up to which it is as stated
 
 
 @dataclass(frozen=True)

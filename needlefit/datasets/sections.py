@@ -25,9 +25,9 @@ from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 SECTIONS_PATTERN = "sections/{id}.toml"
 
 MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, mm, from the inserted depth
-# How far the tip of the spline through the sections may be from that of the centreline: this many of its
-# standard deviations, plus this, mm, for points stored with few digits.
-MAX_TIP_SDS, MAX_TIP_MM = 5.0, 0.05
+# How far the tip of the spline through the sections may be from that of the centreline: the sum of
+MAX_TIP_SDS = 5.0  # its standard deviations
+MAX_TIP_MM = 0.05  # mm, for points stored with few digits
 # Largest SD of a Gaussian, as part of the length compared: four SDs then reach over the whole needle.
 MAX_WIDTH_FRACTION = 0.25
 # What was measured where it is no shape, by the name of its observation.
@@ -36,7 +36,8 @@ MEASURED = {
     "tip": "tips alone, across the line of insertion",
     "curvature": "curvatures alone; shapes that are shown are their integrals",
 }
-LENGTH_DIGITS, WEIGHT_DIGITS = 5, 6
+LENGTH_DIGITS = 5  # of mm, behind the point
+WEIGHT_DIGITS = 6  # of weights and deviations
 
 
 def find_sections(

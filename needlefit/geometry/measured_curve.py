@@ -17,8 +17,10 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.penalized_spline import PenalizedSpline, fit_penalized_spline
 
 MIN_SMOOTHED_POINTS = 5  # fewer are joined by chords: they cannot show their noise
-MAX_FITS, MAX_FOOT_SHIFT = 8, 1e-4  # of the curve while feet move by more than this part of its length
-SAMPLES_PER_POINT, MIN_SAMPLES = 4, 200  # at which a smooth curve is integrated
+MAX_FITS = 8  # of the curve, while feet move
+MAX_FOOT_SHIFT = 1e-4  # by more than this part of its length
+SAMPLES_PER_POINT = 4  # at which a smooth curve is integrated
+MIN_SAMPLES = 200  # of a whole curve
 # A step that differs from the usual one by no more than so many deviations of its noise is the usual one.
 EQUAL_STEP_SD = 4.0
 END_STEP_SD = 3.0  # the same of the first and the last step, by the foot of the end

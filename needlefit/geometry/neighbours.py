@@ -6,8 +6,9 @@ import numpy as np
 
 from needlefit.arrays import Floats
 
-#: neighbours on either side, at least and at most; between, those within the reach, mm
-MIN_NEIGHBOURS, MAX_NEIGHBOURS, REACH_MM = 4, 20, 8.0
+MIN_NEIGHBOURS = 4  #: on either side, at least
+MAX_NEIGHBOURS = 20  #: at most
+REACH_MM = 8.0  #: mm, within which those between are
 MAX_ORDER = 3  #: of the polynomial through neighbours
 END_ORDER = 2  #: of the one that leads on to an end
 

@@ -13,12 +13,14 @@ import scipy
 
 from needlefit.arrays import Floats
 
-DEGREE, PENALTY_ORDER = 3, 3
-# Cubics of a spline, and how many of them at most lie in the widest gap between places: in more of them
-# nothing but the penalty would decide.
-MAX_PIECES, MAX_GAP_PIECES = 40, 2
-# Ratio of variances, penalised part to noise, between which the most likely one is searched
-MIN_LOG_RATIO, MAX_LOG_RATIO, LOG_RATIOS = -30.0, 33.0, 85
+DEGREE = 3  # of the spline
+PENALTY_ORDER = 3  # of the differences that are penalised
+MAX_PIECES = 40  # cubics of a spline
+MAX_GAP_PIECES = 2  # of them in the widest gap between places: in more nothing but the penalty would decide
+# Logarithms of the ratio of variances, penalised part to noise, among which the most likely one is searched.
+MIN_LOG_RATIO = -30.0  # from
+MAX_LOG_RATIO = 33.0  # to
+LOG_RATIOS = 85  # so many of them
 MIN_RELATIVE_NOISE = 1e-9  # noise below this part of the values' range is rounding
 STATED_WEIGHT = (
     2.0  # residuals as many as which a stated noise counts: a few points may hide theirs by chance

@@ -5,11 +5,12 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats
 
-# Distance of a stray point from the middle of its curve: over the median of all (evenly spaced points
-# have at most 2), and in mm, for a tip may lie far from all other points that were measured.
-MIN_DISTANCE_RATIO, MIN_DISTANCE_MM = 10.0, 300.0
-# The way over a stray point over the way without it, and their difference over that median.
-MIN_DETOUR_RATIO, MIN_DETOUR = 5.0, 0.5
+# Distance of a stray point from the middle of its curve.
+MIN_DISTANCE_RATIO = 10.0  # over the median of all: evenly spaced points have at most 2
+MIN_DISTANCE_MM = 300.0  # mm: a tip may lie far from all other points that were measured
+# The way over a stray point against the way without it.
+MIN_DETOUR_RATIO = 5.0  # over it
+MIN_DETOUR = 0.5  # their difference over that median
 MAX_STRAY_FRACTION = 0.25  # of the points; more are no mistakes of single ones
 MIN_REGULAR_POINTS = 4
 

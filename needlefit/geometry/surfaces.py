@@ -30,8 +30,8 @@ _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
-# Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each.
-STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
+STL_HEADER_BYTES = 84  # of a binary STL file: 80 of any text, and the number of triangles
+STL_TRIANGLE_BYTES = 50  # of each triangle behind it
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 HEADER_BYTES = 4096  # bytes at the beginning of a mesh in which its coordinate system is looked for

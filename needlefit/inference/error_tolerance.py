@@ -31,8 +31,13 @@ PROBABILITY = 0.95  #: of the quantile of D
 STATIONS = 26  #: compared points of an insertion that a replicate has, of 101
 REPLICATE_EVALUATIONS = 100  #: most evaluations of a replicate's search
 REPLICATE_ACCURACY = 1e-4  #: relative tolerance of a replicate's search
-#: smallest tolerance, as a part of the least objective and in mm: what a search leaves open
-MIN_RELATIVE_TOLERANCE, MIN_TOLERANCE_MM = 0.01, 0.002
+MIN_RELATIVE_TOLERANCE = 0.01  #: smallest tolerance, as a part of the least objective
+MIN_TOLERANCE_MM = 0.002  #: mm, the same
+
+
+def find_search_tolerance(objective: float) -> float:
+    """Return within which difference of the metric objective, mm, two searches found the same minimum."""
+    return max(MIN_RELATIVE_TOLERANCE * abs(objective), MIN_TOLERANCE_MM)
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,7 @@ def estimate_tolerance(
         off, repeats = [one.off for one in parts], times * (len(group) / times.sum(axis=1, keepdims=True))
         found = [_find_excess(_join(parts, off, row), *bounds) for row in repeats]
         by_insertions = float(np.quantile(found, PROBABILITY))
-    smallest = max(MIN_RELATIVE_TOLERANCE * problem.objective(theta), MIN_TOLERANCE_MM)
+    smallest = find_search_tolerance(problem.objective(theta))
     return ErrorTolerance(by_noise, by_insertions, smallest)
 
 

@@ -81,8 +81,8 @@ APPROACH_EVALUATIONS = 60
 #: largest misfit (sum of squares) of an end of the approach that is continued, in units of the best one: far
 #: from all needles a start crawls for hundreds of evaluations, and ends there
 MAX_MISFIT_RATIO = 5.0
-#: differences of the easier goal, and of every parameter of theta, up to which two ends are one
-SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
+SAME_OBJECTIVE = 1e-3  #: difference of the easier goal up to which two ends are one
+SAME_THETA = 1e-2  #: and that of every parameter of theta
 
 
 def group_approaches(ends: Sequence[Start]) -> dict[int, int]:

@@ -32,8 +32,8 @@ from needlefit.schemas.medium import MediumRecord
 
 #: of each node of all insertions its points (B, K, 2), in space (B, K, 3), and their derivatives (..., P)
 NodePoints = list[tuple[Floats, Floats]]
-#: needles whose residuals are held at once, and those whose residuals are with derivatives
-NEEDLES_AT_ONCE, DERIVATIVES_AT_ONCE = 25_000, 40_000
+NEEDLES_AT_ONCE = 25_000  #: needles whose residuals are held at once
+DERIVATIVES_AT_ONCE = 40_000  #: the same with derivatives
 
 
 @dataclass(frozen=True)

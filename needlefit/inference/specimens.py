@@ -37,7 +37,8 @@ from needlefit.schemas.recipe import BetweenSpecimensRecord
 
 #: least and largest tau, in standard deviations of its half-normal prior
 TAU_RANGE = (1e-3, 5.0)
-MAX_ATANH_CORRELATION, MAX_LOGIT_SHARE = 6.0, 8.0  #: bounds of atanh rho and of logit w
+MAX_ATANH_CORRELATION = 6.0  #: bound of atanh rho
+MAX_LOGIT_SHARE = 8.0  #: bound of logit w
 PRIOR_DRAWS_AT_ONCE = 20_000  #: draws of the other priors, of which some are kept as the tip's has them
 MAX_REDRAWS = 100  #: times that a specimen outside the bounds is drawn again; then it is put on them
 

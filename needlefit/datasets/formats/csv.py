@@ -20,8 +20,11 @@ from needlefit.errors import refusal
 from needlefit.project.input_files import read_text
 
 MAX_TABLE_BYTES = 64 * 2**20
-MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000  # a table beyond these would take more than a gigabyte of memory
-MAX_SHOWN_CHARS, MAX_SHOWN_COLUMNS = 60, 30
+# A table beyond these would take more than a gigabyte of memory.
+MAX_COLUMNS = 1000
+MAX_CELLS = 4_000_000
+MAX_SHOWN_CHARS = 60  # of a cell in a message
+MAX_SHOWN_COLUMNS = 30  # names in a message
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")  # what may be the name of a column
 MAX_LISTED_CELLS = 5  # bad cells of one column that are listed one by one; the rest is counted
 MISSING_COLUMN_FIX = "add it, or rename a column; dataset.toml can name it under `columns`"

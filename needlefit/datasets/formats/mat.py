@@ -16,9 +16,8 @@ from needlefit.errors import refusal
 from needlefit.project.input_files import read_bytes
 from needlefit.project.reader_process import Arrays, read_in_process, stated_memory_bytes
 
-# Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
-# header.
-SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
+SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
+SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
 READ_BYTES_PER_SECOND = 2**20

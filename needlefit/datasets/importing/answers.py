@@ -15,7 +15,8 @@ from needlefit.errors import DataError, refusal
 from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import ImportDecisionRecord, ImportSource
 
-MAX_ANSWER_CHARS, MAX_NUMBER = 500, 1e6
+MAX_ANSWER_CHARS = 500  # of what is kept of an answer
+MAX_NUMBER = 1e6  # mm or GPa; greater ones are mistakes
 
 
 @dataclass(frozen=True)

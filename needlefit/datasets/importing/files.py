@@ -33,10 +33,11 @@ from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, r
 from needlefit.project.input_files import is_dir, is_file, path_exists
 from needlefit.project.locate import join_names
 
-# Sheets of the workbook to fill in: of examples (a beginning of names), answers, and an explanation.
-WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")
-EXAMPLE_SHEET, SETUP_SHEET, GUIDE_SHEET = "example", "setup", "read me"
-MAX_FILES, MAX_CURVES = 2000, 2000
+WORKBOOK_FILE = Path(__file__).with_name("workbook.xlsx")  # to fill in
+EXAMPLE_SHEET = "example"  # how names of its sheets of examples begin
+SETUP_SHEET = "setup"  # its sheet of answers
+GUIDE_SHEET = "read me"  # its explanation
+MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder
 LAYOUTS = ("rows", "columns")
 POINT_NAMES = ("entry", "target", "tip", "guide")  # what names points of needles, and no needle
 UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
@@ -73,13 +74,13 @@ def read_content(
             fix: correct {name_option("layout")}""")
     named = parse_columns(columns) if isinstance(columns, str) else columns
     content = ImportContent(named, layout)
-    for path in itertools.islice(_list_files(paths, content), MAX_FILES):
+    for path in itertools.islice(_list_files(paths, content), MAX_CURVES):
         _read_file(path, content)
     if not content.curves and content.unclear:
         raise content.unclear[0]
     if not content.curves:
         add_needles_without_points(content)
-    if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_FILES:
+    if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_CURVES:
         what = f"holds {len(content.curves)} curves of needles"
         expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
         raise DataError(what, where=paths[0], expected=expected, fix="name the files of their points, too")

@@ -41,11 +41,16 @@ from needlefit.schemas.dataset import ImportSource
 from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
-# Length of the longest needle, from and to, that may be assumed to be in mm, and that a stated unit may give.
-ASSUMED_MM, STATED_MM = (20.0, 300.0), (1.0, 2000.0)
-MIN_SHAFT_MM, MIN_SHAFT_POINTS = 10.0, 3  # of a needle up to its entry, from which its direction is taken
-MIN_CUT_MM, STEP_MM = 1.0, 0.01  # of a needle before the stated entry, from which on, and in steps of which
-MIN_NEEDLE_MM, BEYOND_DEPTH_MM = 150.0, 50.0  # length assumed of a needle, and how much more than the depth
+# Length of the longest needle, from and to.
+ASSUMED_MM = (20.0, 300.0)  # mm, that may be assumed to be in mm
+STATED_MM = (1.0, 2000.0)  # mm, that a stated unit may give
+# Of a needle up to its entry, from which its direction is taken.
+MIN_SHAFT_MM = 10.0  # mm, length
+MIN_SHAFT_POINTS = 3  # points
+MIN_CUT_MM = 1.0  # mm of a needle before the stated entry, from which on it is cut
+STEP_MM = 0.01  # mm, steps in which the entry is looked for along a needle
+MIN_NEEDLE_MM = 150.0  # mm, length assumed of a needle, or more
+BEYOND_DEPTH_MM = 50.0  # mm, by which it is longer than the greatest depth
 DIAMETERS = {"diameter", "inner diameter"}  # in mm, whatever the unit of the coordinates
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
 LENGTHS = {"depth", "boundaries", "needle length", "entry point"}  # stated in the unit of the coordinates

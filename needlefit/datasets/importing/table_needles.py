@@ -21,7 +21,7 @@ from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
 from needlefit.errors import DataError, refusal
 
 SENSOR = ("sensor", "curvature y", "curvature z", "curvature sd")  # what a row of curvatures states
-MAX_LISTED_CHARS = 200  # of headers
+MAX_LISTED_CHARS = 200  # of headers, or of a row, in a message
 
 
 def read_shared(cells: CellTable, content: ImportContent) -> bool:

@@ -10,10 +10,9 @@ from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.synonyms import Header
 from needlefit.datasets.importing.table_curves import CurveReader
 from needlefit.datasets.importing.table_heads import NO_POINTS, find_heads
-from needlefit.datasets.importing.table_needles import read_needles, read_shared
+from needlefit.datasets.importing.table_needles import MAX_LISTED_CHARS, read_needles, read_shared
 from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
 
-MAX_LISTED_CHARS = 200  # of an unused row
 _QUANTITY = re.compile(r"\D{0,3}[-+]?\d+([.,]\d+)?\s*\S{0,4}")  # a number with a unit: 22G, 0,7 mm
 MAX_LISTED_MARKS = 4  # of a column that marks rows
 UNKNOWN_DOUBT = "numbers, unknown header: --columns MEANING=HEADER, or unrelated=HEADER"

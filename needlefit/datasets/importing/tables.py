@@ -20,7 +20,8 @@ from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_proce
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
-MAX_TABLE_BYTES, MAX_TABLE_CELLS = 16 * 2**20, 1_000_000  # of a text table; empty cells count
+MAX_TABLE_BYTES = 16 * 2**20  # of a text table
+MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
 MAX_SHEET_BYTES = 64 * 2**20
 SHEET_BYTES_PER_SECOND = 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped

@@ -21,7 +21,9 @@ from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
 
-TRACKS_FILE, TURNS_FILE, CURVATURE_FILE = "tracks.csv", "turns.csv", "curvature.csv"
+TRACKS_FILE = "tracks.csv"
+TURNS_FILE = "turns.csv"
+CURVATURE_FILE = "curvature.csv"
 _NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
 
 

@@ -28,7 +28,8 @@ from needlefit.geometry.frames import Frame
 
 MIN_MARKERS = 3  # markers that fix a rigid motion
 # Location named in errors of a single set.
-FOUND_SET, KNOWN_SET = "markers found in the scan", "known markers"
+FOUND_SET = "markers found in the scan"
+KNOWN_SET = "known markers"
 # Fixes for a set with too few markers.
 TOO_FEW_FIXES = {
     FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.inference.error_tolerance import find_search_tolerance
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
@@ -47,8 +48,6 @@ from needlefit.project.tasks import TaskStop
 MAX_RANGE_SD = 4.0
 #: a start is within tolerance of the best if its log posterior is within this of the best one's
 LOG_POSTERIOR_TOLERANCE = 0.1
-#: the same for the metric objective: within 1 % or 0.002 mm of the best one's
-METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
 MIN_NAMED_WEIGHT = 0.1  #: weight from which on a direction is named in the note of a parameter
 
 
@@ -164,7 +163,7 @@ def objective_excess(start: Start, fit: Fit) -> float:
     """Return the objective of a start minus the best one, in units of the tolerance."""
     tolerance = LOG_POSTERIOR_TOLERANCE
     if fit.minimized != "posterior":
-        tolerance = max(METRIC_RELATIVE_TOLERANCE * abs(fit.objective), METRIC_TOLERANCE_MM)
+        tolerance = find_search_tolerance(fit.objective)
     return (start.objective - fit.objective) / tolerance if math.isfinite(fit.objective) else math.inf
 
 

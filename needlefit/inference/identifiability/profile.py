@@ -121,9 +121,9 @@ class ProfileSteps:
 INTERVAL_STEPS = ProfileSteps(
     stop_deviance=1.5 * float(2 * gammaincinv(0.5, 0.95)), root_rise=0.8, min_gain=0.01
 )
-#: a step is at most this times the one before, and this part of the parameter's range
-MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
-MIN_STEP_FRACTION = 1e-4  #: and at least this part of the range
+MAX_STEP_GROWTH = 3.0  #: a step is at most this times the one before
+MAX_STEP_FRACTION = 0.34  #: and at most this part of the parameter's range
+MIN_STEP_FRACTION = 1e-4  #: and at least this part of it
 MAX_SIDE_POINTS = 24  #: most points of one side
 #: largest jump of the root of the deviance beyond the expected one; above it other starts are tried too
 MAX_ROOT_JUMP = 1.0

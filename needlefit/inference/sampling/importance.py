@@ -58,8 +58,8 @@ from needlefit.project.tasks import TaskStop
 
 MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
 MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
-#: the estimated k is shrunk to this shape, with the weight of so many further weights
-PRIOR_SHAPE, PRIOR_WEIGHTS = 0.5, 10.0
+PRIOR_SHAPE = 0.5  #: the estimated k is shrunk to this shape
+PRIOR_WEIGHTS = 10.0  #: with the weight of so many further weights
 GRID_COARSENESS = 3.0  #: the grid of the profile likelihood is that of a first quartile divided by this
 
 
@@ -390,18 +390,19 @@ def _weigh(
 
 EM_STEPS = 6  #: steps of expectation and maximisation between rounds
 MIN_ESS_PER_COMPONENT = 12.0  #: independent draws per component that a flatter density is chosen by
-MIN_COMPONENTS, DRAWS_PER_COMPONENT = 2, 125  #: of the fitted mixture; draws of one round
+MIN_COMPONENTS = 2  #: of the fitted mixture
+DRAWS_PER_COMPONENT = 125  #: draws of one round for each
 MIN_ROUNDS = 3  #: no proposal has adapted before
 ADAPTED_ESS = 250.0  #: independent draws that those of all rounds are worth once one has
 MAX_TRIES = 50  #: tries for a draw within the bounds
-#: of the last proposal: independent draws for each component, and share of its fitted part
-LAST_ESS_PER_COMPONENT, LAST_SHARE = 30.0, 0.7
+LAST_ESS_PER_COMPONENT = 30.0  #: independent draws for each component of the last proposal
+LAST_SHARE = 0.7  #: of its fitted part
 LAST_DRAWS = 4.0  #: the most draws of it, in parts of the independent ones wanted
 LAST_PROPOSALS = 3  #: the most
 DRAWS_AT_ONCE = 1000  #: draws of it between two looks at their weights
 WIDENING = 1.4  #: factor on the fitted scales, so that tails are reached
-#: part of the first mixture that is so many times wider, for ridges that bend away from where they begin
-WIDE_SHARE, WIDE_SCALE = 0.3, 3.0
+WIDE_SHARE = 0.3  #: part of the first mixture that is wider, for ridges that bend away where they begin
+WIDE_SCALE = 3.0  #: how many times wider
 MIN_COVARIANCE_FRACTION = 1e-4  #: part of the draws' whole covariance that every component has at least
 
 

@@ -21,8 +21,8 @@ from needlefit.inference.problem import Problem
 
 FIRST_POINTS = 100  #: thetas at which all nodes are simulated first
 SIMULATED_POINTS = 800  #: thetas at which the needles as measured are simulated first
-#: between which is interpolated (the system of 3 000 takes half a second), and of all of them the values
-MAX_POINTS, MAX_VALUES = 1000, 2**24
+MAX_POINTS = 1000  #: between which is interpolated: the system of 3 000 takes half a second
+MAX_VALUES = 2**24  #: of all of them
 THETAS_PER_CHECK = 32  #: of a call, one in so many is evaluated exactly too
 MAX_RMS_ERROR = 0.02  #: largest rms error of the log density of these
 MAX_REFINEMENTS = 4  #: times that checked thetas of one call may join the points
