@@ -36,7 +36,8 @@ SEED, LEVELS, TARGET_RADIUS_MM = 7800, (50, 95), 1.0
 MEDIA = {"study2": ["phantom2"], "study3": ["phantom1", "phantom2"], "study5": ["chicken"]}
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 #: quantities of the stored calibrations, and what they are called
-STORED = {"tip": "held-out tip", "points": "shape, pointwise band", "shape": "shape, simultaneous band"}
+STORED = {"tip": "held-out tip", "shape": "shape, simultaneous band", "points": "shape, pointwise band"}
+PLAN = "target reached by `plan`"
 
 
 def read_calibration(study: str) -> pd.DataFrame:
@@ -67,7 +68,7 @@ def test_study(study: str, seed: int, folder: str) -> list[dict]:
     tip, y = needlefit.predict(run, scene, where).frames["forecast"].iloc[-1], insertion.points[-1, 1]
     for level in LEVELS:
         low, high = tip[f"needle_{level}_low_mm"], tip[f"needle_{level}_high_mm"]
-        about = {"interval": "tip by `predict`", "level": level, "width_mm": high - low}
+        about = {"interval": "planned tip, by `predict`", "level": level, "width_mm": high - low}
         rows.append({**about, "covered": low <= y <= high})
     run.save(f"{folder}/run")
     rows += try_plan(row, f"{folder}/run/{row['insertion']}", seed)
@@ -85,7 +86,7 @@ def try_plan(row: pd.Series, target: str, seed: int) -> list[dict]:
     batch = true.make_batch(started.needle, started.tissue, (*started.path, *steps), started.rules)
     tips = compute_batch_positions(simulate_batches([batch], threads=1)[0], np.array([steps[-1].depth]))
     hit = float(find_hits(tips[:, :, :2], plan.goal)[0])
-    return [{"interval": "`plan`: target reached", "level": 100 * plan.probability, "covered": hit}]
+    return [{"interval": PLAN, "level": 100 * plan.probability, "covered": hit}]
 
 
 def add_tip(study: str, row: pd.Series, run: Run, settings: dict) -> list[dict]:
@@ -99,22 +100,29 @@ def add_tip(study: str, row: pd.Series, run: Run, settings: dict) -> list[dict]:
     again = needlefit.validate(keys | parts, **settings).frames["predictive"]
     width = row["tip_95_width_after_one_mm"]
     inside = (again["tip_measured_mm"] - again["tip_median_mm"]).abs() <= width / 2
-    about = {"interval": "tip after one more insertion", "level": 95, "width_mm": width}
+    about = {"interval": "tip, one more tip measured", "level": 95, "width_mm": width}
     return [{**about, "covered": inside.mean()}]
 
 
+def write_share(covered: pd.Series) -> str:
+    """Return a mean over trials with Student's 95 % interval, in percent."""
+    share, n = 100 * covered.astype(float), len(covered)
+    half = student.ppf(0.975, n - 1) * share.std() / np.sqrt(n) if n > 1 else np.nan
+    return f"{share.mean():.0f} ± {half:.0f} %" if n else "–"
+
+
 def tabulate(rows: pd.DataFrame) -> str:
-    """Return the table as Markdown: the mean share over trials, with Student's 95 % interval, in percent."""
-    lines = ["| interval | study | stated | contained | trials | width, mm |", "|---|---|---|---|---|---|"]
-    rows = rows.assign(group=rows["level"].where(~rows["interval"].str.contains("plan"), -1))
-    for (name, study, _), some in rows.groupby(["interval", "study", "group"], sort=False):
-        share, n = 100 * some["covered"].astype(float), len(some)
-        half = student.ppf(0.975, n - 1) * share.std() / np.sqrt(n)
-        cells = [f"{some['level'].mean():.0f} %", f"{share.mean():.0f} ± {half:.0f} %", str(n)]
-        width = some["width_mm"].median()
-        lines.append(
-            f"| {name} | {study} | {' | '.join(cells)} | {'' if np.isnan(width) else f'{width:.1f}'} |"
-        )
+    """Return the table as Markdown, a row for each interval and study, and a line for each study's plans."""
+    lines = ["| interval of | study | in 50 % | in 95 % | width of 95 %, mm | trials |", f"|{'---|' * 6}"]
+    planned = rows["interval"] == PLAN
+    for (name, study), some in rows[~planned].groupby(["interval", "study"], sort=False):
+        own = [some[some["level"] == level] for level in LEVELS]
+        shares, width = [write_share(one["covered"]) for one in own], own[-1]["width_mm"].median()
+        cells = [*shares, "" if np.isnan(width) else f"{width:.1f}", str(len(own[-1]))]
+        lines.append(f"| {name} | {study.removeprefix('study')} | {' | '.join(cells)} |")
+    for study, some in rows[planned].groupby("study", sort=False):
+        reached = f"{write_share(some['covered'])} of {len(some)} reached"
+        lines.append(f"{PLAN}, {study}: {some['level'].mean():.0f} % stated on average, {reached}")
     return "\n".join(lines)
 
 
@@ -138,8 +146,10 @@ def main() -> None:
             done[study] = rows.loc[rows["study"] == study, "seed"].nunique()
         seed += 1
         print(f"datasets: {done}", flush=True)
-    stored = [read_calibration(f"study{n}") for n in range(1, 6)]
-    print(tabulate(pd.concat([*stored, rows], ignore_index=True)))
+    stored = pd.concat([read_calibration(f"study{n}") for n in range(1, 6)])
+    order = {name: place for place, name in enumerate((*STORED.values(), "parameter"))}
+    stored = stored.sort_values("interval", key=lambda names: names.map(order), kind="stable")
+    print(tabulate(pd.concat([stored, rows], ignore_index=True)))
 
 
 if __name__ == "__main__":
