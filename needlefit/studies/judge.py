@@ -55,6 +55,7 @@ Outcome = (
     Literal["closer than both", "as close", "worse than one", "undecided"]
     | Literal["generalises", "not shown", "does not generalise"]
 )
+TESTED: tuple[Outcome, ...] = ("generalises", "not shown", "does not generalise")
 STATUS: Mapping[Outcome, Status] = {
     **{"closer than both": "pass", "as close": "warn", "worse than one": "fail", "undecided": "warn"},
     **{"generalises": "pass", "not shown": "warn", "does not generalise": "fail"},
