@@ -17,13 +17,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-from scipy.stats import t as student
 
 import needlefit
 from needlefit import Run, api
 from needlefit.datasets.first_study import describe_scene
 from needlefit.errors import NeedlefitError
 from needlefit.inference.forward_model import ParameterDraws
+from needlefit.inference.predict import wilson_interval
 from needlefit.mechanics.batch import compute_batch_positions, simulate_batches
 from needlefit.planning.goals import Goal, find_hits
 from needlefit.planning.steering import plan_steering
@@ -105,10 +105,11 @@ def add_tip(study: str, row: pd.Series, run: Run, settings: dict) -> list[dict]:
 
 
 def write_share(covered: pd.Series) -> str:
-    """Return a mean over trials with Student's 95 % interval, in percent."""
-    share, n = 100 * covered.astype(float), len(covered)
-    half = student.ppf(0.975, n - 1) * share.std() / np.sqrt(n) if n > 1 else np.nan
-    return f"{share.mean():.0f} ± {half:.0f} %" if n else "–"
+    """Return a mean over trials with Wilson's 95 % interval, in percent."""
+    if covered.empty:
+        return "–"
+    low, high = wilson_interval(float(covered.mean()), len(covered))
+    return f"{100 * covered.mean():.0f} % ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def tabulate(rows: pd.DataFrame) -> str:
