@@ -1,4 +1,4 @@
-"""Name the types of arrays that stand in signatures, and check numbers from outside before they are used."""
+"""Types of arrays that stand in signatures, checks of numbers from outside, and axes filled up with zeros."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,3 +17,14 @@ def are_bounded(values: ArrayLike, most: float = MAX_NUMBER) -> bool:
     """
     # NaN compares as false
     return bool(np.all(np.abs(np.asarray(values, dtype=np.float64)) <= most))
+
+
+def pad_axis(array: Floats, size: int, axis: int = -1) -> Floats:
+    """Return an array with zeros behind the values of an axis, up to `size`: in space, one of a plane."""
+    if array.shape[axis] == size:
+        return array
+    shape, filled = list(array.shape), [slice(None)] * array.ndim
+    filled[axis], shape[axis] = slice(shape[axis]), size
+    found = np.zeros(shape)
+    found[tuple(filled)] = array
+    return found

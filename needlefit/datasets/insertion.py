@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, PoseSource
 from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import refusal
@@ -234,7 +234,7 @@ class Insertion:
 
     def with_points(self, points: Floats) -> Self:
         """Return the insertion as if its measured points were `points` in C: (N, 3), or (N, 2) at z = 0."""
-        points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+        points = pad_axis(points, 3)
         return replace(self, points=points, centerline=self.frame.to_world(points), sections=None)
 
     def measure_arc(self, compared: Compared) -> Floats:

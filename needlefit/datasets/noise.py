@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_free_reach, find_pose
 from needlefit.geometry.curves import COMPARISON_POINTS, compare_curves
 from needlefit.geometry.frames import align_lateral, align_rigid
@@ -32,7 +32,7 @@ def estimate_noise_floor(
     if displaced is None:
         return dict.fromkeys((metric.name for metric in metrics), math.nan)
     whole = insertion.points
-    again = whole + np.pad(displaced, ((0, 0), (0, 0), (0, 3 - displaced.shape[-1])))
+    again = whole + pad_axis(displaced, 3)
     free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     tracker = dataset.pose == "tracker"
     is_tip = tracker or len(whole) == 2

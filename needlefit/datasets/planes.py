@@ -66,15 +66,27 @@ def leaves_plane(insertion: Insertion, noise: Noise) -> bool:
     return away > max(SIGNIFICANT_SD * sd, MIN_BEND_SLOPE * insertion.depth)
 
 
-def set_compared(dataset: Dataset, insertions: Sequence[Insertion], stated: Compared | None) -> Dataset:
+def set_compared(
+    dataset: Dataset,
+    insertions: Sequence[Insertion],
+    stated: Compared | None,
+    torsional_friction: float | None = None,
+) -> Dataset:
     """Return the dataset with where its needles are simulated and compared: in their planes or in space.
 
-    It is what is `stated`; where that is None, space if any of the `insertions` leaves its plane. In the
-    plane a turn counts as the half turn, or none, that is nearest to it, and what a tracker read along z does
-    not.
+    It is what is `stated`; where that is None, space if any of the `insertions` leaves its plane, or was
+    turned against `torsional_friction`: while the tip follows the hub, even a half turn bends the needle to
+    the side. In the plane a turn counts as the half turn, or none, that is nearest to it, and what a tracker
+    read along z does not.
 
-    Raises ConfigError if space is stated for shapes of unknown pose, or tips that were tracked along y alone.
+    Raises ConfigError if space is stated for shapes of unknown pose, or tips that were tracked along y alone,
+    or the plane for needles that are turned against friction.
     """
+    if torsional_friction and any(one.turns for one in insertions):
+        if stated == "plane":
+            why = "torsional friction leads needles that were turned out of their planes"
+            raise ConfigError(why, expected='"space", or no torsional_friction_n of the medium')
+        stated = "space"
     flat = any(one.directions == 1 for one in insertions)
     if stated == "space" and (flat or dataset.pose == "free"):
         raise ConfigError(
@@ -93,6 +105,35 @@ def set_compared(dataset: Dataset, insertions: Sequence[Insertion], stated: Comp
         return replace(dataset, insertions=tuple(rolled), compared="space")
     kept = (_project_turns(one) if one.turns else one for one in dataset.insertions)
     return replace(dataset, insertions=tuple(map(_flatten_guide, kept)))
+
+
+def describe_compared(dataset: Dataset) -> str:
+    """Return where needles are compared and why, where that was not stated; empty without any doubt."""
+    if dataset.compared == "space":
+        return (
+            'needles are fitted in space, since some leave their planes (`compared = "plane"`: in one plane)'
+        )
+    if dataset.pose == "known" and "bevel_plane" in {one.kind for one in dataset.warnings}:
+        return (
+            "needles are fitted in one plane: errors explain what is out of it "
+            '(`compared = "space"`: in space)'
+        )
+    return ""
+
+
+def find_left_planes(
+    dataset: Dataset, insertions: Sequence[Insertion], stated: Compared | None, where: str
+) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions that leave the planes in which they are to be compared."""
+    known = stated == "plane" and dataset.pose == "known"
+    left = sorted({one.id for one in insertions if known and leaves_plane(one, dataset.noise)})
+    if left:
+        named = join_names(left, MAX_NAMED_INSERTIONS)
+        what = f"compared in the plane of their bevels, which they leave: {named}"
+        if any(one.curvature is not None for one in insertions):
+            what += ", and by their curvatures along y alone"
+        fix = 'leave `compared` out, or write "space": needles are then simulated and compared in space'
+        yield ResultWarning("bevel_plane", what, where, fix)
 
 
 def find_curve_roll(insertion: Insertion) -> float:

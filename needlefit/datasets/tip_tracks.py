@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.columns import NEEDLE_COLUMN
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
@@ -58,7 +58,7 @@ def make_track(
     """
     boundaries, sequence = layers
     directions = readings.tip.shape[1]
-    tip, guide = (np.pad(one, ((0, 0), (0, 2 - directions))) for one in (readings.tip, readings.guide))
+    tip, guide = (pad_axis(one, 2) for one in (readings.tip, readings.guide))
     points = np.column_stack([readings.depth, tip])
     return Insertion(
         id=name, medium=medium, specimen=specimen, needle=needle, layers=len(sequence),

@@ -6,7 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.errors import refusal
 from needlefit.schemas.recording import PlacementRecord
 
@@ -172,10 +172,7 @@ class Placement:
 
     def to_world(self, points: ArrayLike) -> Floats:
         """Return points (K, 2), in C's plane, or (K, 3), in C, in world coordinates, (K, 3) mm."""
-        given = np.asarray(points, dtype=np.float64)
-        if given.shape[1] == 2:
-            given = np.column_stack([given, np.zeros(len(given))])
-        return self.frame.to_world(given)
+        return self.frame.to_world(pad_axis(np.asarray(points, dtype=np.float64), 3))
 
     def to_patient(self, points: ArrayLike) -> Floats:
         """Return points (K, 2) or (K, 3), given in C, in patient coordinates, (K, 3) LPS, mm."""

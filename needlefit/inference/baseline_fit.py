@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Insertion, Pose
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES, Baseline, list_baselines
@@ -33,7 +33,7 @@ class FittedBaseline:
 
 def _in_space(curve: Curve) -> Curve:
     """Return the curve in space, with points (K, 3), of one in the plane z = 0, with points (K, 2)."""
-    return lambda s: np.pad(curve(s), ((0, 0), (0, 1)))
+    return lambda s: pad_axis(curve(s), 3)
 
 
 def _turn_back(insertion: Insertion) -> Insertion:

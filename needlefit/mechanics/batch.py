@@ -13,7 +13,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
-from needlefit.arrays import Bools, Floats, Ints
+from needlefit.arrays import Bools, Floats, Ints, pad_axis
 from needlefit.errors import ModelError
 from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
@@ -371,7 +371,7 @@ def read_jacobians(evaluation: Evaluation, converged: Bools) -> Jacobians:
     if not evaluation.all_valid:
         for array in arrays:
             array[:, ~evaluation.valid] = np.nan
-    u, slope, points, track = (native.pad_axis(array, 2, axis=0) for array in arrays)
+    u, slope, points, track = (pad_axis(array, 2, axis=0) for array in arrays)
     return Jacobians(insertion.columns.names, by_x, u, slope, points, track, converged)
 
 

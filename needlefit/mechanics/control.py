@@ -176,8 +176,8 @@ class Controls:
     def act_along_z(self) -> bool:
         """Whether one of them moves or turns the needle along z."""
         held: tuple[Guide | TrackedTip, ...] = (*self.guides, self.tip) if self.tip else self.guides
-        moved = any(one.z or (one.slope is not None and one.slope_z) for one in held)
-        return moved or any(self.base[3:])
+        moved = self.base_z or self.base_slope_z or self.stage_slope_z
+        return bool(moved) or any(one.z or (one.slope is not None and one.slope_z) for one in held)
 
 
 @dataclass(frozen=True)

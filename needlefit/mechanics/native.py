@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from needlefit.arrays import Floats, Ints
+from needlefit.arrays import Floats, Ints, pad_axis
 from needlefit.errors import NeedlefitError
 
 FOLDER = Path(__file__).parent / "native"
@@ -400,9 +400,8 @@ def to_space(x: Floats, u: Floats, slope: Floats, constraints: Floats, track: Fl
 
     Along z everything is 0 of needles that the kernel solved for in one plane.
     """
-    flat = make_flat(x.shape)
-    (y, w, *_), (slope_y, slope_z, *_) = ((*part, flat) for part in (u, slope))
-    return x, y, slope_y, w, slope_z, pad_axis(constraints, 3), pad_axis(track, 4)
+    w, slope_z = (u[1], slope[1]) if len(u) == 2 else (make_flat(x.shape),) * 2
+    return x, u[0], slope[0], w, slope_z, pad_axis(constraints, 3), pad_axis(track, 4)
 
 
 @lru_cache(maxsize=64)
@@ -415,17 +414,6 @@ def stack_planes(along_y: Floats, along_z: Floats) -> Floats:
     """Return values on a leading axis of the planes for which the kernel solves: y alone where z is flat."""
     is_flat = not any(along_z.strides) and not along_z.any()
     return along_y[None] if is_flat else np.stack((along_y, along_z))
-
-
-def pad_axis(array: Floats, size: int, axis: int = -1) -> Floats:
-    """Return an array with zeros behind the values of an axis, up to `size`: what is not solved for is 0."""
-    if array.shape[axis] == size:
-        return array
-    shape, filled = list(array.shape), [slice(None)] * array.ndim
-    filled[axis], shape[axis] = slice(shape[axis]), size
-    found = np.zeros(shape)
-    found[tuple(filled)] = array
-    return found
 
 
 class SessionMemory:

@@ -1,13 +1,13 @@
 """Divide the insertions of a loaded study into folds; refuse, before hours of work, what cannot be fitted."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.planes import leaves_plane, set_compared
+from needlefit.datasets.planes import describe_compared, find_left_planes, set_compared
 from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.forward_model import make_options as mesh
@@ -18,11 +18,10 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import add_key_context, locate_key
 from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
-from needlefit.schemas.study import Compared, FitRecord, FoldsRecord, StudyRecord
+from needlefit.schemas.study import FitRecord, FoldsRecord, StudyRecord
 from needlefit.studies.job import Fold, Job, Settings, load_study
 
 MAX_NAMED_SPECIMENS = 8  #: specimens that a warning names
-MAX_NAMED_INSERTIONS = 8  #: insertions that a warning names
 #: kinds of warnings that are also printed before the work, which takes long and is of no use then
 DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "common_pose", "data_changed")
 _GUIDE_PARAMETER = "guide_distance_mm"
@@ -43,12 +42,10 @@ def plan_folds(job: Job) -> Job:
     folds = make_folds(job.record, job.dataset, job.name)
     chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
     with add_key_context("compared"):
-        stated = _choose_compared(job, chosen)
-        dataset = set_compared(job.dataset, chosen, stated)
+        dataset = set_compared(job.dataset, chosen, job.record.compared, job.medium.torsional_friction_n)
     folds = tuple(fold.of_dataset(dataset) for fold in folds)
     warnings = [*job.warnings]
-    if stated == "plane" and dataset.pose == "known":
-        warnings += _warn_left_planes(job, chosen)
+    warnings += find_left_planes(job.dataset, chosen, job.record.compared, job.place("compared"))
     if isinstance(job.record, StudyRecord) and not job.record.same_specimen:
         key = next(one for one in ("leave_out", "folds", "validate") if getattr(job.record, one, True))
         warnings += warn_shared_specimens(job.name, folds, job.place(key))
@@ -65,15 +62,8 @@ def plan_folds(job: Job) -> Job:
 
 def print_notes(job: Job, settings: Settings) -> None:
     """Print what a user wants to know of the data before the work, which takes long."""
-    in_space = job.dataset.compared == "space"
-    doubtful = job.dataset.pose == "known" and "bevel_plane" in {one.kind for one in job.dataset.warnings}
-    if job.record.compared is None and (doubtful or in_space):
-        settings.note(
-            'needles are fitted in space, since some leave their planes (`compared = "plane"`: in one plane)'
-            if in_space
-            else "needles are fitted in one plane: errors explain what is out of it "
-            '(`compared = "space"`: in space)'
-        )
+    if job.record.compared is None and (note := describe_compared(job.dataset)):
+        settings.note(note)
     for one in dict.fromkeys(job.warnings):
         if one.kind in DATA_WARNINGS:
             settings.note(f"warning: {one} ({one.help_command})")
@@ -192,29 +182,6 @@ def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, 
 
 
 # ---- what is refused or doubted before the work
-
-
-def _choose_compared(job: Job, chosen: Iterable[Insertion]) -> Compared | None:
-    """Return where a study asks to compare needles, or its tissue model needs to; None: either will do."""
-    if not (job.medium.torsional_friction_n and any(one.turns for one in chosen)):
-        return job.record.compared
-    if job.record.compared == "plane":
-        why = "torsional friction leads needles that were turned out of their planes"
-        raise ConfigError(why, expected='"space", or no torsional_friction_n of the medium')
-    return "space"  # while the tip follows the hub even a half turn bends it to the side
-
-
-def _warn_left_planes(job: Job, chosen: Sequence[Insertion]) -> list[ResultWarning]:
-    """Return a warning that names the insertions that leave the planes in which they are compared."""
-    left = sorted({one.id for one in chosen if leaves_plane(one, job.dataset.noise)})
-    if not left:
-        return []
-    named = join_names(left, MAX_NAMED_INSERTIONS)
-    what = f"compared in the plane of their bevels, which they leave: {named}"
-    if any(one.curvature is not None for one in chosen):
-        what += ", and by their curvatures along y alone"
-    fix = 'leave `compared` out, or write "space": needles are then simulated and compared in space'
-    return [ResultWarning("bevel_plane", what, job.place("compared"), fix)]
 
 
 MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored

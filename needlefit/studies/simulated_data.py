@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
@@ -152,8 +152,7 @@ def _measure_sections(
     size = across.size
     root = np.linalg.cholesky(known.shared[:size, :size] + MIN_WEIGHT * np.eye(size))
     noise = np.resize(sds, size) * rng.standard_normal(size) + root @ rng.standard_normal(size)
-    seen = np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T])
-    seen = np.pad(seen, ((0, 0), (0, 3 - seen.shape[1])))  # what is not compared is 0
+    seen = pad_axis(np.column_stack([x, across + scale * noise.reshape(-1, len(x)).T]), 3)
     q = np.interp(np.linspace(0.0, insertion.depth, len(insertion.points)), known.s, stored.q)
     points = design_matrix(q, stored.knots)[:, known.reached] @ known.operator @ seen
     measured = insertion.with_points(points)

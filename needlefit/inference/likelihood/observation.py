@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cholesky, qr, solve_triangular
 
-from needlefit.arrays import Floats
+from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, Noise, find_pose
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
 from needlefit.errors import DataError
@@ -83,18 +83,13 @@ def pose_modes(measured: Floats, slopes: Floats | None = None) -> Floats:
     The needle's `slopes` (K, 1) or (K, 2) are by default those of cubics through the points.
     """
     count, directions = len(measured), measured.shape[1] - 1
-    x, y, z = _pad(measured, 3).T
-    slope_y, slope_z = [_fit_slope(x, one) for one in (y, z)] if slopes is None else _pad(slopes, 2).T
+    x, y, z = pad_axis(measured, 3).T
+    slope_y, slope_z = [_fit_slope(x, one) for one in (y, z)] if slopes is None else pad_axis(slopes, 2).T
     one, nothing = np.ones(count), np.zeros(count)
     along_y = [one, x, -slope_y, nothing, nothing, -z]
     along_z = [nothing, nothing, -slope_z, one, x, y]
     modes = np.concatenate([np.column_stack(along_y), np.column_stack(along_z)])
     return modes[: directions * count, : 3 * directions]
-
-
-def _pad(columns: Floats, count: int) -> Floats:
-    """Return columns (K, c), and zeros behind them, (K, count)."""
-    return np.pad(columns, ((0, 0), (0, count - columns.shape[1])))
 
 
 def _fit_slope(x: Floats, y: Floats) -> Floats:
