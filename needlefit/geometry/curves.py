@@ -111,7 +111,7 @@ def integrate_curvature(depth: float, coefficients: Sequence[ArrayLike], s: Arra
 
 def select_compared(points: Floats, compared: Compared, axis: int = -1) -> Floats:
     """Return the coordinates of points that are compared: x and y of those in the plane, in space z too."""
-    return np.take(points, range(1 + DIRECTIONS[compared]), axis)
+    return np.take(points, range(points.shape[axis])[: 1 + DIRECTIONS[compared]], axis)
 
 
 COMPARISON_POINTS = 101  # points at which two curves are compared, from entry (j = 1) to tip (j = K)
