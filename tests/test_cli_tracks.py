@@ -91,6 +91,7 @@ def test_runs_tracked_in_space_are_predicted_along_both(project, compared):
     found = pd.read_csv(project / "reports/mine/runs.csv").drop_duplicates(["run", "direction", "method"])
     assert set(found["direction"]) == {"y", "z"} and len(found) == 2 * 2 * 4
     assert set(found["readings"]) == {np.sum(DEPTH > 15)}
+    assert found.filter(like="low_mm").isna().all(axis=None)  # no fitted run has a moved guide
     error = found.groupby(["direction", "method"])["rms_mm"].mean()
     assert error["z", "fitted"] < 0.6 * error["z", "straight"]
     methods = pd.read_csv(project / "reports/mine/methods.csv")
