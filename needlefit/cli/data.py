@@ -5,7 +5,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +14,7 @@ import typer
 from needlefit.cli import screen
 from needlefit.cli.execution import show_next_steps
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import Json, Out, Plugins, Strict, argument, option, split_pair
+from needlefit.cli.options import CheckOptions, Out, argument, fill_records, option, split_pair
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
@@ -66,6 +66,42 @@ def _ask_by_option(what: str) -> Any:  # noqa: ANN401 - typer's
     return option(f"{QUESTIONS[what].text}.")
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """What is stated of files beforehand: of each question in `OPTIONS` the answer, others by `setup`."""
+
+    columns: Annotated[
+        str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
+    ] = ""
+    observable: Annotated[str, _ask_by_option("observable")] = ""
+    units: Annotated[str, _ask_by_option("units")] = ""
+    entry: Annotated[str, _ask_by_option("entry")] = ""
+    pose: Annotated[str, _ask_by_option("pose")] = ""
+    entry_point: Annotated[str, _ask_by_option("entry point")] = ""
+    bevel: Annotated[str, _ask_by_option("bevel")] = ""
+    bevel_side: Annotated[str, _ask_by_option("bevel side")] = ""
+    boundaries: Annotated[str, _ask_by_option("boundaries")] = ""
+    point_sd: Annotated[str, _ask_by_option("point sd")] = ""
+    setup: Annotated[
+        tuple[str, ...],
+        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
+    ] = ()
+    yes: Annotated[
+        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
+    ] = False
+
+    def list_answers(self) -> dict[str, str]:
+        """Return what is stated by names of questions; BadParameter for a name that is none."""
+        stated = dict(split_pair(text, "--setup") for text in self.setup)
+        if unknown := [name for name in stated if name not in QUESTIONS]:
+            raise typer.BadParameter(
+                f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup"
+            )
+        answers = {what: getattr(self, what.replace(" ", "_")) for what in OPTIONS} | stated
+        return {what: text for what, text in answers.items() if text}
+
+
+@fill_records
 def import_data(
     context: typer.Context,
     files: Annotated[
@@ -77,28 +113,9 @@ def import_data(
         ),
     ],
     out: Out = None,
-    columns: Annotated[
-        str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
-    ] = "",
-    observable: Annotated[str, _ask_by_option("observable")] = "",
-    units: Annotated[str, _ask_by_option("units")] = "",
-    entry: Annotated[str, _ask_by_option("entry")] = "",
-    pose: Annotated[str, _ask_by_option("pose")] = "",
-    entry_point: Annotated[str, _ask_by_option("entry point")] = "",
-    bevel: Annotated[str, _ask_by_option("bevel")] = "",
-    bevel_side: Annotated[str, _ask_by_option("bevel side")] = "",
-    boundaries: Annotated[str, _ask_by_option("boundaries")] = "",
-    point_sd: Annotated[str, _ask_by_option("point sd")] = "",
-    setup: Annotated[
-        list[str] | None,
-        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
-    ] = None,
-    yes: Annotated[
-        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
-    ] = False,
-    strict: Strict = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    *,
+    stated: ImportOptions,
+    common: CheckOptions,  # read where they are needed
 ) -> None:
     """Make a dataset from files of other programs.
 
@@ -126,13 +143,10 @@ def import_data(
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
-    options = {what: context.params[what.replace(" ", "_")] for what in OPTIONS}
-    options |= (stated := dict(split_pair(text, "--setup") for text in setup or ()))
-    if unknown := [name for name in stated if name not in QUESTIONS]:
-        raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup")
-    asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
-    content = read_asking(files, columns, options.get("layout", ""), _ask if asks else None)
-    answers = Answers({what: text for what, text in options.items() if text}, _ask if asks else None)
+    given = stated.list_answers()
+    asks = not stated.yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
+    content = read_asking(files, stated.columns, given.get("layout", ""), _ask if asks else None)
+    answers = Answers(given, _ask if asks else None)
     plan = Planner(content, answers).make_plan()
     dataset = write_import(out, content, plan, answers)
     decisions, needles = tabulate_decisions(answers), tabulate_needles(dataset)
@@ -166,6 +180,7 @@ def _ask(what: str, guess: str, reason: str) -> str:
 # ---- check
 
 
+@fill_records
 def check(
     context: typer.Context,
     name: Annotated[
@@ -175,9 +190,8 @@ def check(
             "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
         ),
     ],
-    strict: Strict = False,
-    json: Json = False,
-    plugins: Plugins = None,
+    *,
+    common: CheckOptions,  # read where they are needed
 ) -> None:
     """Check a dataset or study: list faults, fixes and warnings.
 

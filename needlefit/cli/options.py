@@ -152,6 +152,15 @@ class RunOptions:
     plugins: Plugins = None
 
 
+@dataclass(frozen=True)
+class CheckOptions:
+    """What a command that makes or checks data prints, and when it fails."""
+
+    strict: Strict = False
+    json: Json = False
+    plugins: Plugins = None
+
+
 # ---- other parameters of several commands
 
 Target = Annotated[str, argument("TARGET", "A study, a fit in configs/fits, a path, or the folder of a run.")]
