@@ -106,7 +106,8 @@ def draw_fold_parameters(
     `step` are the ensemble's.
     """
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
-    key, problem = fold.draw_key, job.problem(fold)
+    # no job's name is in it: the same fit has the same draws, whichever command runs it
+    key, problem = (fold.name, "draws"), job.problem(fold)
     rng = random_stream(job.recipe.seed, *key)
     if not problem.holding(fit.held).searched.names:
         priors = (draw_held(job.parameters, np.empty((count, 0)), rng) for count in counts)

@@ -39,7 +39,7 @@ def plan_folds(job: Job) -> Job:
 
     Raises ConfigError if the folds cannot be made, or an insertion cannot be fitted as the study states.
     """
-    folds = make_folds(job.record, job.dataset, job.name)
+    folds = make_folds(job.record, job.dataset)
     chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
     with add_key_context("compared"):
         dataset = set_compared(job.dataset, chosen, job.record.compared, job.medium.torsional_friction_n)
@@ -72,8 +72,8 @@ def print_notes(job: Job, settings: Settings) -> None:
 # ---- the folds
 
 
-def make_folds(record: FitRecord | StudyRecord, dataset: Dataset, study: str = "") -> tuple[Fold, ...]:
-    """Return the folds of a record, that of a `study`, or the single fold of a fit, which scores nothing.
+def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
+    """Return the folds of a study, or the single fold of a fit, which scores nothing.
 
     Raises ConfigError if a selection matches nothing, an insertion or a copy of it stands on both sides, or
     there is nothing to leave out.
@@ -84,7 +84,7 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset, study: str = "
     if record.leave_out is not None:
         return tuple(map(_require_no_copies, leave_out(tune, record.leave_out)))
     if record.folds:
-        divided = (_divide(study, n, one, record, dataset) for n, one in enumerate(record.folds, start=1))
+        divided = (_divide(n, one, record, dataset) for n, one in enumerate(record.folds, start=1))
         return tuple(_require_no_copies(fold) for folds in divided for fold in folds)
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
@@ -101,9 +101,7 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset, study: str = "
     return (_require_no_copies(Fold("all", tune, tuple(validate.values()))),)
 
 
-def _divide(
-    study: str, number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset
-) -> Iterator[Fold]:
+def _divide(number: int, one: FoldsRecord, record: StudyRecord, dataset: Dataset) -> Iterator[Fold]:
     """Yield the folds of one of [[folds]], by its number; insertions that are predicted are not fitted to."""
     rule, key = record.layer_count_rule, f"folds.{number}"
     held = select_insertions(dataset, one.validate_, rule, f"{key}.validate")
@@ -115,7 +113,7 @@ def _divide(
         if not kept:
             raise ConfigError("all insertions are predicted, and none is fitted to", key=f"{key}.tune")
         name = one.name if one.parts is None else f"{one.name}-{k + 1}"
-        yield Fold(name, kept, left, (study, name))
+        yield Fold(name, kept, left)
 
 
 def _require_no_copies(fold: Fold) -> Fold:

@@ -38,22 +38,6 @@ class Fold:
     name: str
     tune: tuple[Insertion, ...]
     validate: tuple[Insertion, ...]
-    #: study and fold, of those of [[folds]], whose random numbers have always been keyed by both
-    place: tuple[str, ...] = ()
-
-    @property
-    def draw_key(self) -> tuple[str, ...]:
-        """What the random numbers of its draws are keyed by.
-
-        No job's name is in it: the same fit has the same draws, whichever command runs it.
-        """
-        return (*self.place, "weighed") if self.place else (self.name, "draws")
-
-    def key_starts(self, search: str) -> tuple[str, ...]:
-        """Return what the random numbers of the starts of a search are keyed by."""
-        if self.place and search == "fitted":
-            return (*self.place, "starts")
-        return (self.name, search, "starts")
 
     def of_dataset(self, dataset: Dataset) -> "Fold":
         """Return the fold with the insertions of these ids as a dataset has them."""

@@ -253,7 +253,7 @@ def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
         report(starts)
 
     report(0)
-    rng = random_stream(job.recipe.seed, *fold.key_starts(search))
+    rng = random_stream(job.recipe.seed, fold.name, search, "starts")
     callbacks = Callbacks(kept, keep, settings.stop, report, settings.jobs)
     return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
