@@ -84,28 +84,6 @@ def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
     return titles
 
 
-def are_tips(run: Run) -> bool:
-    """Return whether tips alone were compared, and no curves."""
-    places = run.frames["shapes"]["j"]
-    return len(places) > 0 and int(places.max()) == 1
-
-
-def draw_tips(run: Run, role: str) -> Drawing:
-    """Return the deflections of tips over depth, toward their bevels, and what was predicted of them."""
-    errors = select_fitted(run.frames["errors"], role, choose_method(run))
-    sides = errors["insertion"].map(scores.find_bevel_sides(run)).to_numpy(dtype=float)
-    known = run.frames["predictive"].set_index("insertion").reindex(errors["insertion"])
-    ends = known[["tip_95_low_mm", "tip_95_high_mm"]].to_numpy(dtype=float)
-    low, high = np.sort(sides[:, None] * ends, axis=1).T
-    frame = errors[["insertion", "medium", "depth_mm"]].assign(
-        measured_mm=errors["deflection_mm"],
-        predicted_mm=errors["predicted_deflection_mm"],
-        low_mm=low,
-        high_mm=high,
-    )
-    return Drawing("tip", frame.assign(origin=run.origin))
-
-
 def draw_first_page(run: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
     method = choose_method(run)

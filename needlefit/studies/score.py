@@ -18,7 +18,7 @@ from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, align_points
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
-from needlefit.inference.likelihood.observations import SimulatedCurve, select_points
+from needlefit.inference.likelihood.observations import OBSERVATIONS, SimulatedCurve, select_points
 from needlefit.inference.planned_layers import planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
@@ -107,7 +107,8 @@ def _fit_curves(problem: Problem) -> dict[str, Predictor]:
     def make(name: str) -> Predictor:
         return curve_predictor(lambda insertion: fit(insertion.needle)[name].curve(insertion))
 
-    return {one.name: make(one.name) for one in list_baselines()}
+    curved = all(OBSERVATIONS[one.observed].is_curve for one in problem.insertions)
+    return {one.name: make(one.name) for one in list_baselines() if curved or not one.of_curve}
 
 
 #: how curves are compared, by what is known of their poses

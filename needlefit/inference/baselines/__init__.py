@@ -43,6 +43,7 @@ class Baseline:
     #: alone whose guide moved, or rested, as in it
     track_slope: Literal["run", "alike"] = "run"
     tracks_only: bool = False  #: whether it predicts no shapes
+    of_curve: bool = False  #: whether it needs measured curves: of tips alone there is none
     order: int = 100  #: its place in tables, from the top
 
 

@@ -70,5 +70,6 @@ MEAN_SHAPE = Baseline(
     "#6A3D9A",
     curve=make_mean_curve,
     fit=lambda pose, drop, insertions: average_turns(pose, drop, insertions).tolist(),
+    of_curve=True,
     order=5,
 )

@@ -40,6 +40,8 @@ class ObservationType:
     name: str
     #: whether it is read while the needle is inserted: insertions alike are then simulated once
     on_the_way: bool = False
+    #: whether a curve is measured: without one some metrics and baselines mean nothing
+    is_curve: bool = True
 
     def select_points(
         self, pose: Pose, drop: float, insertion: Insertion, stations: int, compared: Compared

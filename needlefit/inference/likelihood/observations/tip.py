@@ -66,4 +66,4 @@ class _Tip(ObservationType):
         return complete_observation(insertion, errors, s, measured, cov, pose, free)
 
 
-TIP = _Tip("tip")
+TIP = _Tip("tip", is_curve=False)

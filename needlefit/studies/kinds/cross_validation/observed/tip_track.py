@@ -1,4 +1,4 @@
-"""The part of a report that is about tip tracks which were held out: answer, table and figure."""
+"""Tip tracks that were held out: the verdict is on their readings, which are drawn over depth."""
 
 import math
 from collections.abc import Mapping
@@ -15,16 +15,9 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
 from needlefit.studies.fit_frames import MEDIAN_METHOD
 from needlefit.studies.fit_tables import TEXT
-from needlefit.studies.judge import (
-    CLOSER,
-    REFERENCES,
-    STATUS,
-    TESTED,
-    Outcome,
-    check_data,
-    check_intervals,
-    judge_tracks,
-)
+from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
+from needlefit.studies.kinds.cross_validation.observed import ObservationReport
+from needlefit.studies.kinds.cross_validation.observed.points import draw_overlays
 from needlefit.studies.run import Run
 
 # mean error over the runs into a medium; the method's error minus the fitted model's, and its 95 % interval
@@ -71,7 +64,7 @@ class TrackErrors:
     closer: int | None  #: of these, on which the model is closer than the curve; None where it is tested
 
 
-def judge_errors(run: Run) -> TrackErrors:
+def judge_readings(run: Run) -> TrackErrors:
     """Judge the predicted tracks by their errors and those of curves."""
     runs = run.frames["runs"]
     outcome = judge_tracks(runs, run.record.margin_mm)
@@ -89,9 +82,9 @@ def judge_errors(run: Run) -> TrackErrors:
     )
 
 
-def find_track_answer(run: Run, values: Mapping[str, object]) -> Answer:
+def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
-    known, runs = judge_errors(run), run.frames["runs"]
+    known, runs = judge_readings(run), run.frames["runs"]
     status, closer = STATUS[known.outcome], CLOSER[known.outcome]
     compared = (known.rms_mm, known.curve_mm, known.curve)
     needles = None if known.closer is None else known.tracks
@@ -133,6 +126,19 @@ def lay_out_tracks(run: Run) -> TableLayout:
     return TEXT.lay_out(table, {})
 
 
-def draw_tracks(run: Run) -> Drawing:
-    """Return every predicted run: the tip at each reading, and the guide below it."""
-    return Drawing("tip_track", run.frames["readings"].assign(origin=run.origin))
+def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
+    """Return every predicted run, the tip at each reading and the guide below it; then those fitted to."""
+    readings = Drawing("tip_track", run.frames["readings"].assign(origin=run.origin))
+    return {"readings": readings, **draw_overlays(run, role)}
+
+
+TIP_TRACK = ObservationReport(
+    "tip_track",
+    holds_tracks,
+    answer_by_readings,
+    draw_tracks,
+    lambda run: [lay_out_tracks(run)],
+    lambda run: {"methods": compare_methods_by_run(run.frames["runs"])},
+    lambda run: {"tracks": judge_readings(run)},
+    "tracks_opening",
+)

@@ -1,0 +1,164 @@
+"""Points along the needle: the verdict is on the errors of tips, and every needle is drawn."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from needlefit.grouping import group_values
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.identifiability.directions import find_least_determined
+from needlefit.inference.parameter_names import HYPERPARAMETERS
+from needlefit.reporting.figures import Drawing
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
+from needlefit.reporting.table_files import to_records
+from needlefit.studies import fit_figures, fit_tables
+from needlefit.studies import scored_groups as scores
+from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
+from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
+from needlefit.studies.fit_frames import find_scored_role, select_free
+from needlefit.studies.fit_tables import TEXT
+from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
+from needlefit.studies.kinds.cross_validation.observed import ObservationReport
+from needlefit.studies.run import Run
+
+
+def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
+    """Return the parts of the first page: the verdict is on the errors of tips."""
+    role = find_scored_role(run.frames["errors"])
+    checks, group = list_checks(run, role), scores.pool_insertions(run, role)
+    judged = None if group is None else judge(run, group)
+    if group is None or judged is None:
+        return Answer([Verdict(TEXT.sentence("nothing_scored", values), "fail")], checks=checks)
+    determined, intervals = _list_determined(run)
+    words = {
+        **values,
+        "judged": judged,
+        "insertions": group.head["insertions"],
+        "determined": determined,
+        "intervals": intervals,
+        "bevel": _name_free_bevel(run),
+        "opening": "",
+    }
+    numbers: dict[str, float | str | None] = {
+        "outcome": judged.outcome,
+        scores.TE: judged.error_mm,
+        f"floor_{scores.TE}": group.get(scores.TE, "floor"),
+        "te_over_floor": judged.noise_ratio,
+        "baseline": judged.curve or None,
+        "baseline_te_mm": judged.curve_mm,
+        "trials": judged.trials,
+        "insertions": group.head["insertions"],
+    }
+    if role == "tune":
+        words["opening"], status = _open_fit(run, [word for word, _ in determined])
+        status = limit_status(run, status)
+        rest = (name for word, names in determined if word != "yes" for name in names)
+        numbers["not_determined"] = ", ".join(rest)
+        sentence, table = TEXT.sentence("fitted", words), fit_tables.lay_out_parameters(run)
+    else:
+        groups = scores.list_held_out_groups(run)
+        # where there is one group, all insertions are those of the paper's row
+        crps = run.frames["predictive"][CRPS].mean()
+        numbers[CRPS] = None if pd.isna(crps) else float(crps)
+        numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
+        sentence, status = TEXT.sentence("predicted", words), judged.status
+        table = fit_tables.lay_out_summary(run)
+    about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
+    advice = find_advice(run, checks, [word for word, _ in determined], values["media"])
+    return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
+
+
+def find_advice(
+    run: Run, checks: Sequence[Finding], determined: Sequence[str], media: Mapping[str, Sequence[str]]
+) -> Advice | None:
+    """Return what to do: it follows from faults, checks and what the fit determined.
+
+    `media`: by role, into which insertions went.
+    """
+    role = find_scored_role(run.frames["errors"])
+    by_check = {one.check: one for one in checks}
+    other = [name for name in media["validate"] if name not in media["tune"]]
+    gain = run.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
+    intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
+    doubts = list_doubts(run.warnings)[:1]
+    found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
+    if role == "tune" and "curve_as_good" in found:
+        found.remove("curve_as_good")  # curves were fitted to the same needles
+    if run.faults or run.interrupted:
+        found.append("not_converged")
+    found += map(classify_doubt, doubts)
+    if role == "tune" and set(determined) - {"yes"}:
+        found.append("parameters_undetermined")
+    values = {
+        "dataset": str(run.record.dataset),
+        "doubt": "".join(one.help_key for one in doubts),
+        "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
+        "other_medium": other[0] if other else "",
+        "curve": BASELINES[curves.named].description if curves and curves.named else "",
+        "width": None if intervals is None else intervals.width_mm,
+        "gain": None if pd.isna(gain) or intervals is None else float(gain),
+    }
+    return advise(found, values, run.name)
+
+
+def _open_fit(run: Run, determined: Sequence[str]) -> tuple[str, Status]:
+    """Return how the verdict on a fit begins, and its status."""
+    checks = {one.check: one for one in list_checks(run, "tune")}
+    if Check.CURVES in checks and checks[Check.CURVES].passed is False:
+        return "Does not fit", "fail"
+    if "parameter_at_bound" in checks[Check.DATA].named.split(", "):
+        return "Fitted, but at a bound", "warn"
+    if not run.reliable:
+        return "Fitted, but not reliable", "warn"
+    return (
+        ("Fitted, but not all parameters are determined", "warn")
+        if set(determined) - {"yes"}
+        else ("Fitted", "pass")
+    )
+
+
+MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals
+
+
+def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
+    """Return the free parameters by whether the data determine them, and whether those have intervals."""
+    rows = run.frames["parameters"]
+    rows = rows[(rows["method"] == "fitted") & rows["status"].isin(["free", "tied"])]
+    rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
+    words = {
+        str(name): find_least_determined(map(str, some["determined"]))
+        for name, some in rows.groupby("parameter", sort=False)
+    }
+    names = {name: format_bare_symbol(name) for name in words}
+    known = rows[rows["parameter"].map(words) == "yes"].dropna(subset=["interval_low", "interval_high"])
+    if shown := rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
+        for row in to_records(known):
+            interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
+            names[row["parameter"]] += f" {interval}"
+    return list(group_values((words[name], label) for name, label in names.items()).items()), shown
+
+
+def _name_free_bevel(run: Run) -> str:
+    """Return the symbol of the bevel's parameter where it is free, else ""."""
+    free = set(select_free(run.frames["parameters"])["parameter"])
+    return next((format_bare_symbol(one) for one in ("bevel_mm", "cut_angle_deg") if one in free), "")
+
+
+def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
+    """Return the insertions with the smallest, middle and largest tip error, and all of them."""
+    both = [run.frames[name] for name in ("errors", "shapes")]
+    if not all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
+        return {}
+    return {"insertions": fit_figures.draw_first_page(run, role), **draw_overlays(run, role)}
+
+
+def draw_overlays(run: Run, role: str) -> dict[str, Drawing]:
+    """Return all insertions of a role, in space also from above."""
+    found = {"overlays": fit_figures.draw_overlays(run, role)}
+    if scores.is_in_space(run):
+        found["overlays_above"] = fit_figures.draw_overlays(run, role, from_above=True)
+    return found
+
+
+POINTS = ObservationReport("points", lambda run: True, answer_by_tips, draw_needles)
