@@ -37,6 +37,15 @@ def to_records(frame: pd.DataFrame) -> list[Row]:
     return [{str(k): _to_plain_value(v) for k, v in row.items()} for row in frame.to_dict("records")]
 
 
+def select_rows(frame: pd.DataFrame, **place: object) -> pd.DataFrame:
+    """Return the rows whose columns of these names have these values."""
+    chosen = np.ones(len(frame), dtype=np.bool_)
+    for name, value in place.items():
+        chosen &= (frame[name] == value).to_numpy(dtype=np.bool_)
+    found: pd.DataFrame = frame[chosen]
+    return found
+
+
 def _to_plain_value(value: object) -> object:
     """Return a value that JSON can store: NaN and infinity become None, numpy scalars become Python's."""
     value = value.item() if hasattr(value, "item") else value

@@ -36,7 +36,7 @@ from needlefit.project.locate import unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting import labels
 from needlefit.reporting.needle_page import PageData, encode_metrics, encode_scene, kernel_exists
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
 from needlefit.studies.fit_frames import (
@@ -44,10 +44,9 @@ from needlefit.studies.fit_frames import (
     MEDIAN_METHOD,
     NEW_SPECIMEN,
     TUNED_SPECIMENS,
-    find_scored_role,
+    FitFrames,
     list_methods,
     select_draws,
-    select_fitted,
 )
 from needlefit.studies.run import Run
 
@@ -174,22 +173,21 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
         return _collect_prediction(run, data)
     if run.kind not in FIT_KINDS:
         return None
-    errors = run.frames["errors"]
-    scored = select_fitted(errors, find_scored_role(errors))
+    frames = FitFrames.of(run)
+    scored = frames.select_errors(frames.role, method="fitted")
     metadata = run.knows(FitMetadata)
     stored = metadata.insertions
     rows = [row for row in to_records(scored) if row["converged"] and row["insertion"] in stored]
     if not rows:
         return None
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
-    shapes = run.frames["shapes"]
-    shapes = shapes[shapes["boundaries"] == "measured"]
+    shapes = select_rows(frames.shapes, boundaries="measured")
     points = [f"{kind}_{axis}_mm" for kind in ("measured", "simulated") for axis in "xyz"]
     curves: dict[Any, Floats] = {  # stations are in order
         key: some.to_numpy().reshape(-1, 2, 3)
         for key, some in shapes.groupby(["fold", "role", "insertion", "method"], sort=False)[points]
     }
-    errors = errors[(errors["boundaries"] == "measured") & errors["converged"].astype(bool)]
+    errors = select_rows(frames.errors, boundaries="measured", converged=True)
     order = {name: n for n, name in enumerate(list_methods())}
     errors = errors.sort_values("method", key=lambda names: names.map(order), kind="stable")
     scores = dict(iter(errors.groupby(["fold", "role", "insertion"], sort=False)))
@@ -272,16 +270,9 @@ def find_median(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any
 
     None of an insertion that was not held out.
     """
-    place = {
-        "fold": fold,
-        "role": role,
-        "insertion": insertion,
-        "method": MEDIAN_METHOD,
-        "boundaries": "measured",
-    }
-    shapes, errors = run.frames["shapes"], run.frames["errors"]
-    for name, value in place.items():
-        shapes, errors = shapes[shapes[name] == value], errors[errors[name] == value]
+    place = {"fold": fold, "role": role, "insertion": insertion}
+    place |= {"method": MEDIAN_METHOD, "boundaries": "measured"}
+    shapes, errors = (select_rows(run.frames[name], **place) for name in ("shapes", "errors"))
     if shapes.empty or errors.empty:
         return None
     (row,) = to_records(errors)
@@ -293,8 +284,7 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
     metadata, name = run.knows(FitMetadata), row["insertion"]
     medium, stored = metadata.medium, StoredInsertion.read(metadata, name)
-    known = run.frames["parameters"]
-    known = known[(known["fold"] == row["fold"]) & (known["method"] == "fitted")]
+    known = select_rows(run.frames["parameters"], fold=row["fold"], method="fitted")
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
     title = f"{name} · {run.dataset_title}"
     # as the fit has simulated it, to its tolerance: the needle is that of the run to the bit

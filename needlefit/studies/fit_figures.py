@@ -9,11 +9,11 @@ from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_mm
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import join_trials
-from needlefit.studies.fit_frames import select_fitted
-from needlefit.studies.judge import choose_method, find_closest_curve
+from needlefit.studies.fit_frames import FitFrames
+from needlefit.studies.judge import find_closest_curve
 from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
 
@@ -33,9 +33,9 @@ def collect_curves(
     `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
-    shapes, bands = run.frames["shapes"], run.frames["bands"]
-    here = (shapes["role"] == role) & (shapes["boundaries"] == "measured")
-    shapes = shapes[here & shapes["method"].isin(list(shown))]
+    frames = FitFrames.of(run)
+    shapes, bands = select_rows(frames.shapes, role=role, boundaries="measured"), frames.bands
+    shapes = shapes[shapes["method"].isin(list(shown))]
     if from_above:
         along_z = {f"{name}_y_mm": shapes[f"{name}_z_mm"] for name in ("measured", "simulated")}
         shapes = shapes.assign(**along_z)
@@ -68,7 +68,7 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
     parts = []
     ends = [name for name in bands.columns if name.startswith(("low_", "high_"))]
     for key, band in bands.groupby(forms.INSERTION_KEYS, sort=False):
-        needle = shapes[(shapes["fold"] == key[0]) & (shapes["insertion"] == key[1])]
+        needle = select_rows(shapes, fold=key[0], insertion=key[1])
         if len(needle):
             height = np.interp(band["x_mm"], needle["measured_x_mm"], needle["measured_y_mm"])
             parts.append(band.assign(**{name: band[name] - band["measured_mm"] + height for name in ends}))
@@ -86,8 +86,9 @@ def _title_panels(errors: pd.DataFrame) -> dict[forms.InsertionKey, str]:
 
 def draw_first_page(run: Run, role: str) -> Drawing:
     """Return the figure of the first page: the smallest, middle and largest tip error, and all tip errors."""
-    method = choose_method(run)
-    fitted = select_fitted(run.frames["errors"], role, method)
+    frames = FitFrames.of(run)
+    method = frames.method
+    fitted = frames.select_errors(role, method=method)
     ranked = fitted[fitted["converged"].astype(bool)].sort_values(scores.TE, kind="stable")
     chosen = ranked.iloc[list(dict.fromkeys([0, (len(ranked) - 1) // 2, len(ranked) - 1]))]
     curves = collect_curves(run, role, (method,), _OVERLAY_POINT_STEP)
@@ -99,14 +100,13 @@ def draw_first_page(run: Run, role: str) -> Drawing:
 
 def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
     """Yield the tip errors of our method, the closest curve and the paper's parameters; the paper's means."""
-    group, method = scores.pool_insertions(run, role), choose_method(run)
+    group, frames = scores.pool_insertions(run, role), FitFrames.of(run)
     assert group is not None
-    curve, errors = find_closest_curve(group), run.frames["errors"]
-    here = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
+    curve, method = find_closest_curve(group), frames.method
     names = {method: "our prediction" if role == "validate" else "our fit"}
     names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
     for key, name in names.items():
-        rows = here[(here["method"] == key) & here["converged"].astype(bool)]
+        rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
             yield {**row, "curve": forms.TIP_ERROR, "method": key, "name": name}
     for one in scores.list_held_out_groups(run):
@@ -123,8 +123,9 @@ def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
 
 def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     """Return all insertions, seen from the side or from above."""
-    ours = choose_method(run)
-    titles = _title_panels(select_fitted(run.frames["errors"], role, ours))
+    frames = FitFrames.of(run)
+    ours = frames.method
+    titles = _title_panels(frames.select_errors(role, method=ours))
     names = {method: labels.method_name(method) for method in (ours, "hand_tuned")}
     every = _OVERLAY_POINT_STEP if len(titles) <= MAX_LARGE_PANELS else 2 * _OVERLAY_POINT_STEP
     curves = collect_curves(run, role, names, every, from_above=from_above)
@@ -145,10 +146,12 @@ def draw_groups(runs: Sequence[Run]) -> Drawing:
 
 def _list_group_errors(run: Run) -> Iterator[Row]:
     """Yield every tip error of a group, the mean of the closest curve and of the paper, and the noise."""
-    method = choose_method(run)
-    errors = select_fitted(run.frames["errors"], "validate", method)
+    frames = FitFrames.of(run)
+    errors = frames.select_errors("validate", method=frames.method)
     for group in scores.list_held_out_groups(run):
-        layers, study = labels.group_name(group.head["medium"], group.head["layers"]), group.head["study"]
+        head, study = group.head, group.head.study
+        assert head.medium is not None and head.layers is not None
+        layers = labels.group_name(head.medium, head.layers)
         name = f"study {study}" if isinstance(study, int) else study  # of the paper's five the number
         about = {"group": f"{name}, {layers}", "origin": run.origin}
         for tip in to_records(scores.select_group(errors, group)[["insertion", scores.TE]]):
@@ -174,7 +177,7 @@ def draw_predictive_check(run: Run) -> Drawing:
     between two counts: the band is half a count wider, and is left by chance in about 5 % of cases at most,
     however alike insertions of a trial are. One such trial has no band.
     """
-    predictions, rows = run.frames["predictive"], list[Row]()
+    predictions, rows = FitFrames.of(run).predictive, list[Row]()
     groups = pd.Series(join_trials(predictions))
     trials = groups.nunique()
     size = groups.map(groups.value_counts()).to_numpy(dtype=np.float64)
@@ -200,3 +203,14 @@ def draw_predictive_check(run: Run) -> Drawing:
         ]
     counts = {"insertions": len(predictions), "replicates": trials, "origin": run.origin}
     return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))
+
+
+def _orient_pits(run: Run) -> dict[str, Floats]:
+    """Return the levels of tips and shapes; those of tips are stored toward +y."""
+    predictions = FitFrames.of(run).predictive
+    sides = predictions["insertion"].map(scores.find_bevel_sides(run)).to_numpy(dtype=np.float64)
+    tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
+    if scores.is_in_space(run):  # those of tips are by the distance from the predicted one
+        return {"tip": tips, "shape": shapes}
+    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
+    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}

@@ -1,8 +1,13 @@
 """Select rows of the tables of a fit or cross-validation; names that stand in their cells."""
 
+from dataclasses import dataclass, fields
+from typing import Self
+
 import pandas as pd
 
 from needlefit.inference.baselines import list_baselines
+from needlefit.reporting.table_files import select_rows
+from needlefit.studies.run import Run
 
 FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have these tables
 
@@ -15,31 +20,58 @@ MEDIAN_METHOD = "predictive_median"
 MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
 
 
+@dataclass(frozen=True)
+class FitFrames:
+    """The tables of a fit or cross-validation, by their names in `Run.frames`."""
+
+    errors: pd.DataFrame
+    shapes: pd.DataFrame
+    starts: pd.DataFrame
+    parameters: pd.DataFrame
+    error_fit: pd.DataFrame
+    directions: pd.DataFrame
+    identification: pd.DataFrame
+    profiles: pd.DataFrame
+    predictive: pd.DataFrame
+    bands: pd.DataFrame
+    curvature: pd.DataFrame
+    runs: pd.DataFrame
+    readings: pd.DataFrame
+    draws: pd.DataFrame
+    population: pd.DataFrame
+    needles: pd.DataFrame
+
+    @classmethod
+    def of(cls, run: Run) -> Self:
+        return cls(**{one.name: run.frames[one.name] for one in fields(cls)})
+
+    @property
+    def role(self) -> str:
+        """The role that is scored: "validate", or "tune" for a fit without held-out insertions."""
+        return "validate" if (self.errors["role"] == "validate").any() else "tune"
+
+    @property
+    def method(self) -> str:
+        """The method whose errors are judged: the predictive median, of a run without any the fit."""
+        return MEDIAN_METHOD if (self.errors["method"] == MEDIAN_METHOD).any() else "fitted"
+
+    @property
+    def free_parameters(self) -> pd.DataFrame:
+        """The rows of the parameters that the fit estimated, of all folds."""
+        return select_rows(self.parameters, method="fitted", status="free")
+
+    def select_errors(self, role: str, **place: object) -> pd.DataFrame:
+        """Return errors on the insertions of a role, with layers where they were measured."""
+        return select_rows(self.errors, role=role, boundaries="measured", **place)
+
+
 def select_draws(
     draws: pd.DataFrame, fold: str | None = None, specimen: str = TUNED_SPECIMENS
 ) -> pd.DataFrame:
     """Return the draws of one fold, by default the first, in one specimen, by default those tuned on."""
     if draws.empty:
         return draws
-    name = draws["fold"].iloc[0] if fold is None else fold
-    found: pd.DataFrame = draws[(draws["fold"] == name) & (draws["specimen"] == specimen)]
-    return found
-
-
-def find_scored_role(errors: pd.DataFrame) -> str:
-    """Return the role that is scored: "validate", or "tune" for a fit without held-out insertions."""
-    return "validate" if (errors["role"] == "validate").any() else "tune"
-
-
-def select_fitted(frame: pd.DataFrame, role: str = "validate", method: str = "fitted") -> pd.DataFrame:
-    """Return the rows of a method on the insertions of a role, with layers where they were measured."""
-    boundaries = frame["boundaries"] == "measured"
-    return frame[(frame["role"] == role) & (frame["method"] == method) & boundaries]
-
-
-def select_free(parameters: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of the parameters that the fit estimated, of all folds."""
-    return parameters[(parameters["method"] == "fitted") & (parameters["status"] == "free")]
+    return select_rows(draws, fold=draws["fold"].iloc[0] if fold is None else fold, specimen=specimen)
 
 
 def list_methods() -> tuple[str, ...]:

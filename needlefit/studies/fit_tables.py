@@ -29,21 +29,14 @@ from needlefit.reporting.number_format import (
     typeset,
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
-from needlefit.studies.fit_frames import (
-    MEDIAN_METHOD,
-    NEW_SPECIMEN,
-    TUNED_SPECIMENS,
-    find_scored_role,
-    select_fitted,
-    select_free,
-)
+from needlefit.studies.fit_frames import MEDIAN_METHOD, NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.identification_tables import describe_prior
-from needlefit.studies.judge import REFERENCES, choose_method, find_closest_curve, judge
+from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
 from needlefit.studies.run import Run
 
 TEXT = KindText("cross_validation")
@@ -97,11 +90,12 @@ def lay_out_summary(run: Run) -> TableLayout:
     which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
     """
     groups = scores.list_held_out_groups(run) or scores.list_groups(scores.tabulate_tuning(run))
-    method, several = choose_method(run), len(groups) > 1
+    frames, several = FitFrames.of(run), len(groups) > 1
+    method = frames.method
     ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
-    fitted_to, media = str(run.record.medium), {str(one.head["medium"]) for one in groups}
+    fitted_to, media = str(run.record.medium), {one.head.medium for one in groups}
     of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
-    together = scores.pool_insertions(run, find_scored_role(run.frames["errors"]))
+    together = scores.pool_insertions(run, frames.role)
     judged = together and judge(run, together)
     hindsight = ", in hindsight" if judged and judged.compared else ""  # several trials are tested against it
     if several and together is not None:
@@ -121,8 +115,8 @@ def lay_out_summary(run: Run) -> TableLayout:
     if several or not groups:
         return found
     head = groups[0].head
-    which = "held-out" if head["grouping"] == scores.HELD_OUT else "fitted"
-    words = f"Mean over {head['insertions']} {which} insertion{'s' * (head['insertions'] != 1)}"
+    which = "held-out" if head.role == "validate" else "fitted"
+    words = f"Mean over {head.insertions} {which} insertion{'s' * (head.insertions != 1)}"
     first, *others = found.columns
     return replace(found, columns=(replace(first, label=words), *others))
 
@@ -168,10 +162,10 @@ def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator
 
 def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -> Row:
     where = {"column": kind.column, "method": kind.method, "boundaries": kind.boundaries}
-    digits = 3 if group.head["comparison"] == "aligned" and kind.column != "paper" else 2
+    digits = 3 if group.head.comparison == "aligned" and kind.column != "paper" else 2
     value = group.get(metric.name, **where)
     spread = next((one for one in list_metrics() if one.spread_of == metric.name), None)
-    flagged = metric.relative and group.head["edp_flagged"] and kind.column != "paper" and value is not None
+    flagged = metric.relative and group.head.edp_flagged and kind.column != "paper" and value is not None
     known = kind.column == "value"
     return {
         **{"row": kind.name, "metric": metric.name, "value": value, "mark": "†" if flagged else ""},
@@ -182,10 +176,10 @@ def _describe_score(group: scores.ScoredGroup, kind: _RowKind, metric: Metric) -
 
 
 def _head(group: scores.ScoredGroup) -> Row:
-    about = {"layers": str(group.head["layers"] or "all")}
-    if group.head["medium"] is None:  # all insertions together
+    about = {"layers": str(group.head.layers or "all")}
+    if group.head.medium is None:  # all insertions together
         about = {"medium": "all", "layers": ""}
-    return {**group.head, **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
+    return {**vars(group.head), **about, "unflagged_edp": group.get("edp_percent", "unflagged")}
 
 
 def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
@@ -225,7 +219,8 @@ BATCH_RECIPES = {"default": "one_batch"}
 
 def lay_out_coverage(run: Run) -> TableLayout:
     """Return one row per medium, number of layers and specimen, over all folds."""
-    predicted, keys = run.frames["predictive"], ["medium", "layers", "specimen_treatment"]
+    frames, keys = FitFrames.of(run), ["medium", "layers", "specimen_treatment"]
+    predicted = frames.predictive
     rows = [
         {
             **{"medium": medium, "layers": layers, "specimen_treatment": SPECIMEN_NAMES[str(treatment)]},
@@ -233,7 +228,7 @@ def lay_out_coverage(run: Run) -> TableLayout:
         }
         for (medium, layers, treatment), group in predicted.groupby(keys, sort=False)
     ]
-    other = predicted[predicted["specimen_treatment"] == "others"]
+    other = select_rows(predicted, specimen_treatment="others")
     spread = {
         **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
         "specimens": int(other["other_specimens"].min()) if len(other) else 0,
@@ -241,13 +236,13 @@ def lay_out_coverage(run: Run) -> TableLayout:
     }
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
-    read = run.frames["curvature"]["kappa_in_95"].astype(float)
+    read = frames.curvature["kappa_in_95"].astype(float)
     return _lay_out(table, sources=sources, spread=spread if len(other) else None, readings=read)
 
 
 def lay_out_baselines(run: Run, role: str) -> TableLayout:
     """Return every method's errors and its paired difference from the fit on the same insertions."""
-    digits = 3 if (run.frames["errors"]["comparison"] == "aligned").any() else 2
+    digits = 3 if (FitFrames.of(run).errors["comparison"] == "aligned").any() else 2
     compared = scores.compare_methods(run, role)
     rows = [
         {
@@ -263,8 +258,9 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
 
 def lay_out_insertions(run: Run, role: str) -> TableLayout:
     """Return our errors on single insertions: of held-out ones those of the predictive median."""
-    method = choose_method(run) if role == "validate" else "fitted"
-    chosen = select_fitted(run.frames["errors"], role, method)
+    frames = FitFrames.of(run)
+    method = frames.method if role == "validate" else "fitted"
+    chosen = frames.select_errors(role, method=method)
     # a metric that was added since the run has no column
     known = [one for one in list_metrics() if not one.spread_of and one.name in chosen]
     metrics = [one for one in known if chosen[one.name].notna().any()]
@@ -381,9 +377,9 @@ def lay_out_parameters(run: Run) -> TableLayout:
 
     Parameters with the same cells have one row.
     """
-    frames, truth = run.frames, run.knows(FitMetadata).truth
+    frames, truth = FitFrames.of(run), run.knows(FitMetadata).truth
     merged: dict[tuple[object, ...], Row] = {}
-    for name, members in frames["parameters"].groupby("parameter", sort=False):
+    for name, members in frames.parameters.groupby("parameter", sort=False):
         if "fitted" not in set(members["method"]):
             continue
         row = _describe_parameter(str(name), members, truth.get(str(name)))
@@ -391,9 +387,9 @@ def lay_out_parameters(run: Run) -> TableLayout:
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
     columns = ("parameter", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
-    used = set(frames["parameters"]["draw_source"])
+    used = set(frames.parameters["draw_source"])
     values = {
-        "folds": int(frames["parameters"]["fold"].nunique()),
+        "folds": int(frames.parameters["fold"].nunique()),
         "bounds": any(AT_BOUND in row["posterior"] for row in rows),
         "together": find_known_combination(run),
         "population": list_spreads(run),
@@ -401,7 +397,7 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "metric": any(row["error_minimising"] for row in rows),
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
-        "of_mean": bool(set(frames["draws"]["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
+        "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),
         "leaning": [one for one in run.knows(FitMetadata).stated_depths if one.sd_mm > one.stated_sd_mm],
     }
     return _lay_out(Table("parameters", rows, columns), drop_empty=True, **values)
@@ -409,7 +405,7 @@ def lay_out_parameters(run: Run) -> TableLayout:
 
 def list_spreads(run: Run) -> list[tuple[str, float, int]]:
     """Return the factor between specimens that is one SD, by parameter, and the number of specimens."""
-    rows = to_records(run.frames["population"].drop_duplicates("parameter"))
+    rows = to_records(FitFrames.of(run).population.drop_duplicates("parameter"))
     return [(row["parameter"], math.exp(row["between_sd"]), int(row["other_specimens"])) for row in rows]
 
 
@@ -418,10 +414,11 @@ def find_known_combination(run: Run) -> str:
 
     "" if none is known, or if every parameter is determined by itself.
     """
-    free = select_free(run.frames["parameters"])
+    frames = FitFrames.of(run)
+    free = frames.free_parameters
     if (free["determined"][~free["parameter"].isin(HYPERPARAMETERS)] == "yes").all():
         return ""
-    rows = to_records(run.frames["directions"])
+    rows = to_records(frames.directions)
     known = (row for row in rows if row["sd"] < MAX_LOG_SD and row["sd_ratio"] < UNINFORMED_SD_RATIO)
     return next((str(row["note"]) for row in known if row["parameters"] > 1), "")
 

@@ -19,10 +19,10 @@ from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic, is
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata
-from needlefit.studies.fit_frames import select_fitted, select_free
+from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
 from needlefit.studies.validity import list_outside
@@ -60,8 +60,9 @@ def _find_bounds(run: Run) -> list[Row]:
     A shape parameter to which the data add nothing lies anywhere within its bounds, which are its prior.
     """
     keys = ["fold", "parameter"]
-    known = run.frames["identification"].reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
-    fits = select_free(run.frames["parameters"]).merge(known, on=keys, how="left")
+    frames = FitFrames.of(run)
+    known = frames.identification.reindex(columns=[*keys, "sd_ratio", "end_low", "end_high"])
+    fits = frames.free_parameters.merge(known, on=keys, how="left")
     shape = fits["parameter"].map(is_shape_parameter).to_numpy(dtype=bool)
     fits = fits[~(shape & (fits["sd_ratio"] >= UNINFORMED_SD_RATIO).to_numpy(dtype=bool))]
     for side in ("low", "high"):  # one whose profile is open reaches the bound
@@ -121,7 +122,7 @@ def _find_wrong_noise(run: Run, too_large: bool) -> Iterator[Row]:
     errors would be half-normal, e = f sqrt(pi / 2) |z|, and the sum of 2/pi (e / f)^2 over n insertions
     chi-square with n degrees of freedom. Noise of the points varies less, so that the test is conservative.
     """
-    errors = select_fitted(run.frames["errors"], "tune")
+    errors = FitFrames.of(run).select_errors("tune", method="fitted")
     errors = errors[errors["floor_ipe_mean_mm"] > 0]
     squares = (errors["ipe_mean_mm"] / errors["floor_ipe_mean_mm"]) ** 2
     means = errors.assign(square=squares).groupby(["medium", "insertion"])["square"].mean()
@@ -138,7 +139,9 @@ def _find_shared_residual(run: Run) -> Iterator[Row]:
     The mean square of n independent residual curves would fall to 1/n in their mean; what part is left of it
     gives a t of n - 1 degrees of freedom. Depths of one hole are one curve.
     """
-    errors, shapes = (select_fitted(run.frames[name], "tune") for name in ("errors", "shapes"))
+    frames = FitFrames.of(run)
+    place = {"role": "tune", "method": "fitted", "boundaries": "measured"}
+    errors, shapes = (select_rows(one, **place) for one in (frames.errors, frames.shapes))
     residuals = shapes["measured_y_mm"] - shapes["simulated_y_mm"]
     holes = shapes["insertion"].map(errors.drop_duplicates("insertion").set_index("insertion")["hole"])
     sides = shapes["insertion"].map(find_bevel_sides(run))
@@ -163,7 +166,7 @@ def _find_shifted_boundaries(run: Run) -> Iterator[Row]:
 
 def _find_implausible_moduli(run: Run) -> Iterator[Row]:
     """Yield the moduli that no tissue has."""
-    fits = select_free(run.frames["parameters"])
+    fits = FitFrames.of(run).free_parameters
     for name, values in fits[fits["parameter"].str.startswith("mu")].groupby("parameter")["value"]:
         if not MU_PA[0] <= (value := float(values.median())) <= MU_PA[1]:
             yield {"parameter": str(name), "value": value, "text": "modulus"}

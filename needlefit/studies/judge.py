@@ -32,9 +32,9 @@ from needlefit.studies.coverage import (
     measure_tips,
     median_width,
 )
-from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import HELD_OUT, TE, ScoredGroup, pool_insertions, select_group
+from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
 REFERENCES = ("straight", "constant_curvature")  #: the curves that one fit is compared with
 #: independent trials from which on differences are tested
@@ -108,20 +108,14 @@ class Judgement:
         return "warn" if self.outcome == "closer than both" and far else STATUS[self.outcome]
 
 
-def choose_method(run: Run) -> str:
-    """Return the method whose errors are judged: the predictive median, of a run without any the fit."""
-    return MEDIAN_METHOD if (run.frames["errors"]["method"] == MEDIAN_METHOD).any() else "fitted"
-
-
 def judge(run: Run, group: ScoredGroup) -> Judgement | None:
     """Judge the predictions of a group of insertions; None if no simulation of it converged."""
-    method = choose_method(run)
+    frames = FitFrames.of(run)
+    method = frames.method
     error = group.get(TE, method=method)
     if error is None:
         return None
-    role = "validate" if group.head["grouping"] == HELD_OUT else "tune"
-    errors = select_group(run.frames["errors"], group)
-    errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
+    errors = select_group(frames.select_errors(group.head.role), group)
     trials = len(set(join_trials(errors)))
     ratio, specimens = group.over_floor(TE, method=method), errors["specimen"].nunique()
     if trials < MIN_TRIALS:
@@ -130,7 +124,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         outcome, curve, nearest = found.outcome, found.reference, found.reference_mm
     else:
         if method == MEDIAN_METHOD:
-            scores = run.frames["predictive"][["fold", "insertion", CRPS]]
+            scores = frames.predictive[["fold", "insertion", CRPS]]
             errors = errors.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
         found, outcome = None, judge_fits(errors, method)
         curve = find_closest_curve(group) or ""
@@ -270,10 +264,9 @@ def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
         found.append(Finding(Check.HELD_OUT, None))
     if judged is not None:
         found += (check_curves(judged), check_noise(judged))
-    predictive = run.frames["predictive"]
+    predictive = FitFrames.of(run).predictive
     if len(predictive) and role == "validate":
-        held_out = int(group.head["insertions"]) if group else 0
-        found += check_intervals(predictive, run.metadata.recipe, held_out)
+        found += check_intervals(predictive, run.metadata.recipe, group.head.insertions if group else 0)
     return (*found, check_data(run))
 
 

@@ -1,8 +1,9 @@
 """Our errors beside the paper's, one row per group, method and metric: the CSV files, and what is printed."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,10 +12,9 @@ from needlefit.arrays import Floats
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting import paper
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import JobMetadata
-from needlefit.schemas.study import DIRECTIONS
-from needlefit.studies.fit_frames import list_methods
+from needlefit.studies.fit_frames import FitFrames, list_methods
 from needlefit.studies.run import Run
 
 AGGREGATE_COLUMNS = ("metric", "value", "floor", "unflagged", "insertions", "edp_flagged", "not_converged")
@@ -74,8 +74,7 @@ def compare_methods(run: Run, role: str) -> pd.DataFrame:
         (mean over them of the method's tip error minus the fit's; positive: the method is worse),
         `difference_se_mm` (its standard error) and `better` (insertions on which the fit's is smaller).
     """
-    errors = run.frames["errors"]
-    errors = errors[(errors["role"] == role) & (errors["boundaries"] == "measured")]
+    errors = FitFrames.of(run).select_errors(role)
     names = [metric.name for metric in headline_metrics()]
     values = errors.reindex(columns=names).astype(float)
     keys = [errors["method"], errors["fold"], list(group_rows(errors))]
@@ -97,9 +96,10 @@ def find_bevel_sides(run: Run) -> dict[str, int]:
 
     A needle that did not bend at all is taken to face +1.
     """
-    shapes = run.frames["shapes"].sort_values("j").groupby("insertion", sort=False)["measured_y_mm"]
+    frames = FitFrames.of(run)
+    shapes = frames.shapes.sort_values("j").groupby("insertion", sort=False)["measured_y_mm"]
     across = shapes.last() - shapes.first()
-    toward = run.frames["errors"].drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
+    toward = frames.errors.drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
@@ -131,11 +131,30 @@ TE = "te_mm"
 HELD_OUT, BY_LAYERS = "held_out", "layers"
 
 
+@dataclass(frozen=True)
+class GroupHead:
+    """What all rows of a group have in common, and the counts of the fit with measured boundaries."""
+
+    grouping: str
+    medium: str | None  #: None: all insertions of a role together, as for `layers`
+    layers: int | None
+    insertions: int
+    edp_flagged: int
+    not_converged: int
+    comparison: str
+    study: str | int | None = None
+
+    @property
+    def role(self) -> str:
+        """The role of the insertions: "validate" if they are held out, else "tune"."""
+        return "validate" if self.grouping == HELD_OUT else "tune"
+
+
 @dataclass(frozen=True, eq=False)
 class ScoredGroup:
     """The rows of one group: all methods and metrics."""
 
-    head: Row  #: the first row of the fit with measured boundaries: what all have in common, and its counts
+    head: GroupHead
     rows: Mapping[tuple[str, str, str], Row]  #: by method, boundaries and metric
 
     def get(
@@ -174,18 +193,25 @@ def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
     """Return the groups of a table of errors, in its order."""
     found = []
     for _, group in groupby(to_records(table), key=lambda row: [row[name] for name in _GROUP_COLUMNS]):
-        rows = {(row["method"], row["boundaries"], row["metric"]): row for row in group}
-        fitted = (row for key, row in rows.items() if key[:2] == ("fitted", "measured"))
-        found.append(ScoredGroup(next(fitted), rows))
+        if (one := _make_group(group)) is not None:
+            found.append(one)
     return found
 
 
+def _make_group(rows: Iterable[Row], **head: Any) -> ScoredGroup | None:  # noqa: ANN401 - any of its values
+    """Return the group of some rows, with what else is known of all; None without rows of the fit."""
+    by_place = {(row["method"], row["boundaries"], row["metric"]): row for row in rows}
+    fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
+    if fitted is None:
+        return None
+    known = {**fitted, **head}
+    return ScoredGroup(
+        GroupHead(**{one.name: known[one.name] for one in fields(GroupHead) if one.name in known}), by_place
+    )
+
+
 def list_held_out_groups(*runs: Run) -> list[ScoredGroup]:
-    return [group for run in runs for group in _held_out_groups(run)]
-
-
-def _held_out_groups(run: Run) -> list[ScoredGroup]:
-    return list_groups(tabulate_validation(run))
+    return list_groups(tabulate_validation(*runs))
 
 
 def study_label(run: Run) -> str | int:
@@ -196,27 +222,17 @@ def study_label(run: Run) -> str | int:
 
 def select_group(frame: pd.DataFrame, group: ScoredGroup) -> pd.DataFrame:
     """Return the rows of a frame of a group: of its medium and number of layers, where it has them."""
-    if group.head["medium"] is None:
-        return frame
-    inside = frame["medium"] == group.head["medium"]
-    if group.head["layers"] is not None:
-        inside &= frame["layers"] == group.head["layers"]
-    members: pd.DataFrame = frame[inside]
-    return members
+    head = group.head
+    return frame if head.medium is None else select_rows(frame, medium=head.medium, layers=head.layers)
 
 
 def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
     """Return all insertions of a role as one group; None without a fit to them."""
-    errors = run.frames["errors"]
-    here = errors[errors["role"] == role]
+    here = select_rows(run.frames["errors"], role=role)
     rows = [{**row, "paper": None} for row in to_records(aggregate(here, ("method", "boundaries")))]
-    by_place = {(row["method"], row["boundaries"], row["metric"]): row for row in rows}
-    fitted = next((row for key, row in by_place.items() if key[:2] == ("fitted", "measured")), None)
-    if fitted is None:
-        return None
+    comparison = next(iter(here["comparison"]), None)
     grouping = HELD_OUT if role == "validate" else BY_LAYERS
-    head = {"grouping": grouping, "medium": None, "layers": None, "comparison": here["comparison"].iloc[0]}
-    return ScoredGroup({**fitted, **head, "compared": run.knows(JobMetadata).compared}, by_place)
+    return _make_group(rows, grouping=grouping, medium=None, layers=None, comparison=comparison)
 
 
 def _make_frame(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
@@ -226,8 +242,7 @@ def _make_frame(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
 
 
 def _list_rows(run: Run, grouping: str) -> list[Row]:
-    errors = run.frames["errors"]
-    errors = errors[errors["role"] == ("validate" if grouping == HELD_OUT else "tune")]
+    errors = select_rows(run.frames["errors"], role="validate" if grouping == HELD_OUT else "tune")
     table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
     for _, group in table.groupby(["medium", "layers"], sort=False):
         rows = to_records(group)

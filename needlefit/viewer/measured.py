@@ -23,6 +23,7 @@ from needlefit.planning.steered_needle import make_steered_scene
 from needlefit.project.locate import ViewTarget, find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
+from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
@@ -169,8 +170,7 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     members = tuple(by_id[id_] for id_ in roles)
     insertion = _choose_insertion(members, view_target, f"insertion of run {view_target.name}")
     fold, role = roles[insertion.id]
-    rows = run.frames["parameters"]
-    rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
+    rows = select_rows(run.frames["parameters"], fold=fold, method=SHOWN_METHOD)
     if rows.empty:
         raise refusal(f"""its fit found no parameters with which every needle can be solved
             expected: a run whose fit ended

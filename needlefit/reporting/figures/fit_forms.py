@@ -34,7 +34,7 @@ from needlefit.reporting.figures.style import (
 )
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, method_colour
 from needlefit.reporting.number_format import choose_interval_unit, format_number, typeset, typeset_interval
-from needlefit.reporting.table_files import Row, to_records
+from needlefit.reporting.table_files import Row, select_rows, to_records
 
 _OURS = METHOD_COLOURS["fitted"]
 
@@ -97,15 +97,15 @@ def insertions(
 def _draw_panel(axes: Axes, points: pd.DataFrame, methods: Sequence[str]) -> None:
     """Draw one insertion: bands, the methods as lines, the first in front, and the measured points."""
     for order, (level, colour) in enumerate(BANDS.items()):
-        band = points[points["curve"] == level]
+        band = select_rows(points, curve=level)
         axes.fill_between(
             band["x_mm"], band["low_mm"], band["high_mm"], color=colour, lw=0, zorder=1 + 0.1 * order
         )
     for order, method in enumerate(reversed(methods)):
-        curve, first = points[points["curve"] == method], method == methods[0]
+        curve, first = select_rows(points, curve=method), method == methods[0]
         look: dict[str, Any] = {"color": method_colour(method), "lw": 1.1 if first else 0.8}
         axes.plot(curve["x_mm"], curve["y_mm"], zorder=2 + order, **look)
-    dots = points[points["curve"] == "measured"]
+    dots = select_rows(points, curve="measured")
     axes.plot(dots["x_mm"], dots["y_mm"], "o", mfc=INK, mec="white", ms=2.2, mew=0.3, zorder=9)
 
 
@@ -118,7 +118,7 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     `points` as of `insertions`; rows whose `curve` is `TIP_ERROR` have `name`, `method` and `te_mm`: of every
     insertion, the mean of the paper's, and the measurement noise, which is a grey bar.
     """
-    tips = points[points["curve"] == TIP_ERROR]
+    tips = select_rows(points, curve=TIP_ERROR)
     width = choose_width()
     figure = Figure(figsize=(width, 2.0))
     grid = figure.subplots(1, len(heads) + 1, width_ratios=[*[1.0] * len(heads), 1.15])
@@ -127,7 +127,7 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
     y = _find_limits(curves, curves["curve"].isin(["measured", method]))
     for axes, which in zip(grid, heads, strict=False):
         fold, insertion = which
-        _draw_panel(axes, curves[(curves["fold"] == fold) & (curves["insertion"] == insertion)], [method])
+        _draw_panel(axes, select_rows(curves, fold=fold, insertion=insertion), [method])
         axes.set_title(f"{insertion}: {heads[which]}", loc="left", pad=3)
         axes.set(xlim=_find_range(curves[["x_mm"]]), ylim=y, xlabel="depth (mm)")
         axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
@@ -139,13 +139,13 @@ def first_page(points: pd.DataFrame, heads: Mapping[InsertionKey, str], method: 
 
 def _draw_tip_errors(axes: Axes, tips: pd.DataFrame) -> None:
     """Draw a line of dots for each method, and the measurement noise as a bar from 0."""
-    noise = tips.loc[tips["method"] == "noise", "te_mm"]
+    noise = select_rows(tips, method="noise")["te_mm"]
     if len(noise):
         axes.axvspan(0, float(noise.iloc[0]), color=lighten(GREY, 0.7), lw=0, zorder=0)
     shown = tips[tips["method"] != "noise"]
     names = list(dict.fromkeys(shown["name"]))
     for place, name in enumerate(names):
-        some = shown[shown["name"] == name]
+        some = select_rows(shown, name=name)
         of_paper = some["method"].iloc[0] == "paper"
         look: dict[str, Any] = {"marker": "D" if of_paper else "o", "ms": 3.2, "lw": 0}
         colour = PAPER_COLOUR if of_paper else method_colour(some["method"].iloc[0])
@@ -168,7 +168,7 @@ def _iterate_panels(
             grid[-2, -i].tick_params(labelbottom=True)  # the panel above has the lowest x axis of its column
     for axes, (fold, insertion) in zip(grid.flat, wanted, strict=False):
         axes.set_title(insertion, loc="left", pad=3)
-        yield axes, (fold, insertion), points[(points["fold"] == fold) & (points["insertion"] == insertion)]
+        yield axes, (fold, insertion), select_rows(points, fold=fold, insertion=insertion)
 
 
 def _name_curves(figure: Figure, present: set[str], names: Mapping[str, str]) -> float:
@@ -217,7 +217,7 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
         "tip": ("our predictions", {"mfc": _OURS, "marker": "o", "ms": 3.4, "mec": "white", "lw": 0}),
     }
     for order, (mark, (_, look)) in enumerate(looks.items()):
-        for row in to_records(marks[marks["mark"] == mark]):
+        for row in to_records(select_rows(marks, mark=mark)):
             ends = [0, row["te_mm"]] if mark == "noise" else [row["te_mm"]]
             axes.plot(ends, [groups.index(row["group"])] * len(ends), zorder=2 + order, **look)
     axes.set_yticks(range(len(groups)), groups)
@@ -242,12 +242,13 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
-    chance = rows[rows["mark"] == "band"]
-    independent = f", {trials} independent" if len(chance) else " of one fit: no band"
-    axes.set_title(f"{count} insertions" + ("" if trials == count else independent), loc="left")
+    axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
+    chance = select_rows(rows, mark="band")
+    low, high = (chance[side].astype(float) for side in ("low", "high"))
+    axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0)
     axes.plot([0, 1], [0, 1], color=GREY, lw=0.5)
     for quantity, (_, colour) in PREDICTED_QUANTITIES.items():
-        steps = rows[(rows["mark"] == "ECDF") & (rows["quantity"] == quantity)]
+        steps = select_rows(rows, mark="ECDF", quantity=quantity)
         axes.step(steps["probability"], steps["share"], where="post", color=colour, lw=1.2)
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.04, 1.04), xlabel="PIT", ylabel="empirical CDF")
     axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
@@ -309,7 +310,7 @@ def profiles(frame: pd.DataFrame) -> Figure:
             axes.axis("off")
             continue
         row = rows[n]
-        points = frame[(frame["fold"] == row["fold"]) & (frame["parameter"] == row["parameter"])]
+        points = select_rows(frame, fold=row["fold"], parameter=row["parameter"])
         label, unit = choose_interval_unit(row, row["low"], row["high"])
         if len(points) > 1:
             axes.set_title(label, loc="left", color=INK, pad=14)

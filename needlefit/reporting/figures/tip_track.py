@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from needlefit.reporting.figures.forms import lighten
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
 from needlefit.reporting.labels import GREY, INK, medium_name, method_colour
+from needlefit.reporting.table_files import select_rows
 
 
 def draw(readings: pd.DataFrame) -> Figure:
@@ -27,15 +28,15 @@ def draw(readings: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(TEXT_WIDTH_IN, 1.75 * down))
     grid = figure.add_gridspec(2 * down, across, height_ratios=[3, 1] * down)
     for n, (medium, names) in enumerate(media.items()):
-        group = readings[readings["panels"] == medium]
+        group = select_rows(readings, panels=medium)
         values = np.concatenate([group["measured_mm"], group["median_mm"].dropna()])
         room = 0.25 * (values.max() - values.min())  # bands may leave it
         for k, name in enumerate(names):
             tip = figure.add_subplot(grid[2 * n, k])
             guide = figure.add_subplot(grid[2 * n + 1, k], sharex=tip)
-            run = group[group["run"] == name]
+            run = select_rows(group, run=name)
             _draw_readings(tip, run)
-            known = run[run["method"] == run["method"].iloc[0]]
+            known = select_rows(run, method=run["method"].iloc[0])
             guide.step(known["depth_mm"], known["guide_mm"], where="pre", color=GREY, lw=0.9)
             tip.set_ylim(values.min() - room, values.max() + room)
             guide.set_ylim(group["guide_mm"].min() - 1, group["guide_mm"].max() + 1)
@@ -59,7 +60,7 @@ def _draw_readings(axes: Axes, run: pd.DataFrame) -> None:
             ends = some[f"low_{level}_mm"], some[f"high_{level}_mm"]
             axes.fill_between(some["depth_mm"], *ends, color=lighten(colour, share), lw=0)
         axes.plot(some["depth_mm"], some["median_mm"], color=colour, lw=1.2 if fitted else 0.9)
-    measured = run[run["method"] == run["method"].iloc[0]]
+    measured = select_rows(run, method=run["method"].iloc[0])
     for scored, face in ((True, INK), (False, "none")):
-        some = measured[measured["scored"] == scored]
+        some = select_rows(measured, scored=scored)
         axes.plot(some["depth_mm"], some["measured_mm"], "o", ms=2, mfc=face, mec=INK, mew=0.5)

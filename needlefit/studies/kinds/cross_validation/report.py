@@ -13,13 +13,13 @@ from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
 from needlefit.reporting.number_format import format_metric
 from needlefit.reporting.table import TableLayout
-from needlefit.reporting.table_files import to_records, to_tidy
+from needlefit.reporting.table_files import select_rows, to_records, to_tidy
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import list_contradictions, name_doubt
 from needlefit.studies.answer import Answer
-from needlefit.studies.fit_frames import find_scored_role
+from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
@@ -35,9 +35,8 @@ __all__ = ["FRAMES", "REPORT"]
 
 def collect_values(run: Run) -> dict[str, Any]:
     """Return what the text prints."""
-    frames, stated = run.frames, run.knows(FitMetadata)
-    role = find_scored_role(frames["errors"])
-    folds, starts, errors = stated.folds, frames["starts"], frames["errors"]
+    frames, stated = FitFrames.of(run), run.knows(FitMetadata)
+    role, folds, starts, errors = frames.role, stated.folds, frames.starts, frames.errors
     observed = find_observation_report(run)
     counts = sorted(len(fold.tune) for fold in folds)
     group = scores.pool_insertions(run, role)
@@ -49,11 +48,9 @@ def collect_values(run: Run) -> dict[str, Any]:
         "compared_in": {1: "one plane", 2: "space"}[scores.count_directions(run)],
         "dataset": stated.dataset.name,
         "media": {
-            "tune": list(dict.fromkeys(errors.loc[errors["role"] == "tune", "medium"])),
+            "tune": list(dict.fromkeys(select_rows(errors, role="tune")["medium"])),
             "validate": list(
-                dict.fromkeys(
-                    [*errors.loc[errors["role"] == "validate", "medium"], *frames["runs"]["medium"]]
-                )
+                dict.fromkeys([*select_rows(errors, role="validate")["medium"], *frames.runs["medium"]])
             ),
         },
         "folds": len(folds),
@@ -61,7 +58,7 @@ def collect_values(run: Run) -> dict[str, Any]:
         "depths": {
             # the least and the greatest, one if they are printed alike
             str(name): list(dict.fromkeys(f"{one:.0f}" for one in (found.min(), found.max())))
-            for name, found in errors[errors["method"] == "fitted"].groupby("role")["depth_mm"]
+            for name, found in select_rows(errors, method="fitted").groupby("role")["depth_mm"]
         },
         # the least and the greatest, one if they are equal
         "fitted_counts": list(dict.fromkeys(map(str, (*counts[:1], *counts[-1:])))),
@@ -72,7 +69,7 @@ def collect_values(run: Run) -> dict[str, Any]:
             for one, floor in floors.items()
             if floor is not None and one.has_floor
         ],
-        "no_bands": role == "validate" and not frames["draws"]["certified"].astype(bool).all(),
+        "no_bands": role == "validate" and not frames.draws["certified"].astype(bool).all(),
         "starts": len(starts),
         "agreeing": int(starts["within_tolerance"].astype(bool).sum()),
         "evaluations": int(starts["evaluations"].sum()),
@@ -88,7 +85,8 @@ def collect_values(run: Run) -> dict[str, Any]:
 
 def describe_computation(run: Run) -> dict[str, Any]:
     """Return by what the parameters were found: searches of nlopt, and draws of the posterior."""
-    starts, draws = run.frames["starts"], run.frames["draws"]
+    frames = FitFrames.of(run)
+    starts, draws = frames.starts, frames.draws
     recipe = run.knows(FitMetadata).recipe
     searched = starts[starts["fit"].isin(FITTED_METHODS)]
     weights = [(recipe.weights.ipe, "IPE"), (recipe.weights.te, "TE"), (recipe.weights.edp, "EDP")]
@@ -110,15 +108,15 @@ def describe_computation(run: Run) -> dict[str, Any]:
 
 def lay_out_tables(run: Run) -> list[TableLayout]:
     """Return every table of a report, each once."""
-    role, frames = find_scored_role(run.frames["errors"]), run.frames
+    frames = FitFrames.of(run)
     # the parameters of which more is to say than their interval
-    known = frames["identification"]
+    known, role = frames.identification, frames.role
     explained = known[(known["note"] != "") | known["tip_shift_mm"].notna()]
     found = [
         *find_observation_report(run).tables(run),
         fit_tables.lay_out_summary(run),
         fit_tables.lay_out_validation(run),
-        *([fit_tables.lay_out_coverage(run)] if len(frames["predictive"]) else []),
+        *([fit_tables.lay_out_coverage(run)] if len(frames.predictive) else []),
         fit_tables.lay_out_baselines(run, role),
         fit_tables.lay_out_insertions(run, role),
         fit_tables.lay_out_parameters(run),
@@ -131,12 +129,12 @@ def lay_out_tables(run: Run) -> list[TableLayout]:
 
 def list_figures(run: Run) -> dict[str, Drawing]:
     """Return what the tables allow to be drawn."""
-    role, frames = find_scored_role(run.frames["errors"]), run.frames
-    found = dict(find_observation_report(run).figures(run, role))
-    if len(frames["predictive"]):
+    frames = FitFrames.of(run)
+    found = dict(find_observation_report(run).figures(run, frames.role))
+    if len(frames.predictive):
         found["predicted"] = fit_figures.draw_predictive_check(run)
-    if len(frames["profiles"]):
-        found["profiles"] = forms.draw_profiles(frames["identification"], frames["profiles"], run.origin)
+    if len(frames.profiles):
+        found["profiles"] = forms.draw_profiles(frames.identification, frames.profiles, run.origin)
     return found
 
 

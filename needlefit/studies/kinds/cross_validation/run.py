@@ -13,6 +13,7 @@ from needlefit.grouping import group_values
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
+from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import AdvanceMetadata, FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
@@ -135,7 +136,7 @@ def find_faults(
     errors: pd.DataFrame, search_faults: Mapping[str, Sequence[str]], not_converged: Sequence[str]
 ) -> tuple[RunFault, ...]:
     """Return what did not converge: scored simulations of the fit, its search (by fold), posteriors."""
-    fitted = errors[errors["method"] == "fitted"]
+    fitted = select_rows(errors, method="fitted")
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
     folds = group_values((fault, fold) for fold, reasons in search_faults.items() for fault in reasons)

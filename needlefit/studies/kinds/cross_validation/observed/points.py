@@ -11,12 +11,12 @@ from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import select_rows, to_records
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
-from needlefit.studies.fit_frames import find_scored_role, select_free
+from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
@@ -25,7 +25,7 @@ from needlefit.studies.run import Run
 
 def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
     """Return the parts of the first page: the verdict is on the errors of tips."""
-    role = find_scored_role(run.frames["errors"])
+    role = FitFrames.of(run).role
     checks, group = list_checks(run, role), scores.pool_insertions(run, role)
     judged = None if group is None else judge(run, group)
     if group is None or judged is None:
@@ -34,7 +34,7 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
     words = {
         **values,
         "judged": judged,
-        "insertions": group.head["insertions"],
+        "insertions": group.head.insertions,
         "determined": determined,
         "intervals": intervals,
         "bevel": _name_free_bevel(run),
@@ -48,7 +48,7 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
         "baseline": judged.curve or None,
         "baseline_te_mm": judged.curve_mm,
         "trials": judged.trials,
-        "insertions": group.head["insertions"],
+        "insertions": group.head.insertions,
     }
     if role == "tune":
         words["opening"], status = _open_fit(run, [word for word, _ in determined])
@@ -76,10 +76,11 @@ def find_advice(
 
     `media`: by role, into which insertions went.
     """
-    role = find_scored_role(run.frames["errors"])
+    frames = FitFrames.of(run)
+    role = frames.role
     by_check = {one.check: one for one in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
-    gain = run.frames["predictive"]["tip_95_width_after_one_mm"].astype(float).median()
+    gain = frames.predictive["tip_95_width_after_one_mm"].astype(float).median()
     intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
     doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
@@ -123,8 +124,8 @@ MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand withou
 
 def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     """Return the free parameters by whether the data determine them, and whether those have intervals."""
-    rows = run.frames["parameters"]
-    rows = rows[(rows["method"] == "fitted") & rows["status"].isin(["free", "tied"])]
+    rows = select_rows(run.frames["parameters"], method="fitted")
+    rows = rows[rows["status"].isin(["free", "tied"])]
     rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
     words = {
         str(name): find_least_determined(map(str, some["determined"]))
@@ -141,14 +142,14 @@ def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
 
 def _name_free_bevel(run: Run) -> str:
     """Return the symbol of the bevel's parameter where it is free, else ""."""
-    free = set(select_free(run.frames["parameters"])["parameter"])
+    free = set(FitFrames.of(run).free_parameters["parameter"])
     return next((format_bare_symbol(one) for one in ("bevel_mm", "cut_angle_deg") if one in free), "")
 
 
 def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
     """Return the insertions with the smallest, middle and largest tip error, and all of them."""
-    both = [run.frames[name] for name in ("errors", "shapes")]
-    if not all(((one["role"] == role) & (one["method"] == "fitted")).any() for one in both):
+    frames = FitFrames.of(run)
+    if any(select_rows(one, role=role, method="fitted").empty for one in (frames.errors, frames.shapes)):
         return {}
     return {"insertions": fit_figures.draw_first_page(run, role), **draw_overlays(run, role)}
 

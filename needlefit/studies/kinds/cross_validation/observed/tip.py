@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.reporting.figures import Drawing
-from needlefit.studies.fit_frames import select_fitted
-from needlefit.studies.judge import choose_method
+from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.kinds.cross_validation.observed.points import POINTS
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import find_bevel_sides
@@ -14,15 +13,16 @@ from needlefit.studies.scored_groups import find_bevel_sides
 
 def are_tips(run: Run) -> bool:
     """Return whether tips alone were compared, and no curves."""
-    places = run.frames["shapes"]["j"]
+    places = FitFrames.of(run).shapes["j"]
     return len(places) > 0 and int(places.max()) == 1
 
 
 def draw_tips(run: Run, role: str) -> dict[str, Drawing]:
     """Return the deflections of tips over depth, toward their bevels, and what was predicted of them."""
-    errors = select_fitted(run.frames["errors"], role, choose_method(run))
+    frames = FitFrames.of(run)
+    errors = frames.select_errors(role, method=frames.method)
     sides = errors["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=float)
-    known = run.frames["predictive"].set_index("insertion").reindex(errors["insertion"])
+    known = frames.predictive.set_index("insertion").reindex(errors["insertion"])
     ends = known[["tip_95_low_mm", "tip_95_high_mm"]].to_numpy(dtype=float)
     low, high = np.sort(sides[:, None] * ends, axis=1).T
     frame = errors[["insertion", "medium", "depth_mm"]].assign(

@@ -10,10 +10,10 @@ from scipy.special import stdtrit  # scipy.stats takes 0.4 s to load
 
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.table import Table, TableLayout
-from needlefit.reporting.table_files import to_records
+from needlefit.reporting.table_files import select_rows, to_records
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
-from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
 from needlefit.studies.fit_tables import TEXT
 from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
@@ -29,7 +29,7 @@ METHODS_COLUMNS = (
 
 def holds_tracks(run: Run) -> bool:
     """Return whether tip tracks were held out."""
-    return len(run.frames["runs"]) > 0
+    return len(FitFrames.of(run).runs) > 0
 
 
 def compare_methods_by_run(runs: pd.DataFrame) -> pd.DataFrame:
@@ -66,11 +66,9 @@ class TrackErrors:
 
 def judge_readings(run: Run) -> TrackErrors:
     """Judge the predicted tracks by their errors and those of curves."""
-    runs = run.frames["runs"]
-    outcome = judge_tracks(runs, run.record.margin_mm)
-    each = runs.pivot_table(index=["run", "direction"], columns="method", values="rms_mm")
-    tested, errors = outcome in TESTED, each.mean()
-    curve = str(errors[errors.index.drop("fitted") if tested else list(REFERENCES)].idxmin())
+    runs = FitFrames.of(run).runs
+    errors = runs.groupby("method")["rms_mm"].mean()
+    curve = str(errors.drop("fitted").idxmin())
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
     without = runs[runs["method"] == "fitted"]["tip_95_low_mm"].isna().any()
@@ -84,22 +82,10 @@ def judge_readings(run: Run) -> TrackErrors:
 
 def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
-    known, runs = judge_readings(run), run.frames["runs"]
+    known, runs = judge_readings(run), FitFrames.of(run).runs
     status, closer = STATUS[known.outcome], CLOSER[known.outcome]
-    compared = (known.rms_mm, known.curve_mm, known.curve)
-    needles = None if known.closer is None else known.tracks
-    checks = [
-        Finding(
-            Check.CURVES,
-            closer,
-            *compared,
-            margin_mm=run.record.margin_mm,
-            needles=needles,
-            closer=known.closer,
-        )
-    ]
-    predicted = runs.query("method == 'fitted'").rename(columns={"run": "hole"})
-    ends = predicted.dropna(subset="tip_95_low_mm")
+    checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve)]
+    ends = select_rows(runs, method="fitted").dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends, run.metadata.recipe, len(predicted))
     elif known.untested:
@@ -118,7 +104,7 @@ def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
 
 def lay_out_tracks(run: Run) -> TableLayout:
     """Return the errors of every method on the same runs."""
-    methods = compare_methods_by_run(run.frames["runs"])
+    methods = compare_methods_by_run(FitFrames.of(run).runs)
     rows = to_records(methods.replace({"method": {"fitted": MEDIAN_METHOD}}))  # it predicts by all its draws
     keys = ["medium", "direction"] if methods["direction"].nunique() > 1 else ["medium"]
     columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
@@ -128,7 +114,7 @@ def lay_out_tracks(run: Run) -> TableLayout:
 
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
     """Return every predicted run, the tip at each reading and the guide below it; then those fitted to."""
-    readings = Drawing("tip_track", run.frames["readings"].assign(origin=run.origin))
+    readings = Drawing("tip_track", FitFrames.of(run).readings.assign(origin=run.origin))
     return {"readings": readings, **draw_overlays(run, role)}
 
 
@@ -138,7 +124,7 @@ TIP_TRACK = ObservationReport(
     answer_by_readings,
     draw_tracks,
     lambda run: [lay_out_tracks(run)],
-    lambda run: {"methods": compare_methods_by_run(run.frames["runs"])},
+    lambda run: {"methods": compare_methods_by_run(FitFrames.of(run).runs)},
     lambda run: {"tracks": judge_readings(run)},
     "tracks_opening",
 )
