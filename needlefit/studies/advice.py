@@ -12,7 +12,9 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.reporting.text import KindText
 from needlefit.studies.answer import RESULTS, Advice, Check, Finding
 
-TEXT = KindText("advice")
+TEXT = KindText(
+    "advice", rules=dict.fromkeys(("narrowed", "if_right"), lambda values: values.gain is not None)
+)
 
 COMMANDS: Mapping[str, str] = {
     # of every run

@@ -105,12 +105,12 @@ class Finding:
 
     @property
     def pattern(self) -> str:
-        """How predicted tips lie about their intervals: a key of the words in `checks.md.j2`."""
+        """How predicted tips lie about their intervals: a block of `checks.md.j2`."""
         if self.passed is False and not self.is_below:
             return "too_wide"
         if self.tips and self.tips > 1 and self.beyond in (0, self.tips):
             return "all_more" if self.beyond else "all_less"
-        return "too_narrow" if self.passed is False else ""
+        return "too_narrow" if self.passed is False else "as_predicted"
 
 
 def is_printed_as_one(ratio: float) -> bool:

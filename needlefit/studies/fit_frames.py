@@ -6,6 +6,7 @@ from typing import Self
 import pandas as pd
 
 from needlefit.inference.baselines import list_baselines
+from needlefit.metrics import IPE
 from needlefit.reporting.table_files import select_rows
 from needlefit.studies.run import Run
 
@@ -54,6 +55,11 @@ class FitFrames:
     def method(self) -> str:
         """The method whose errors are judged: the predictive median, of a run without any the fit."""
         return MEDIAN_METHOD if (self.errors["method"] == MEDIAN_METHOD).any() else "fitted"
+
+    @property
+    def curved(self) -> bool:
+        """Whether curves are compared, not tips alone: without one IPE means nothing."""
+        return bool(self.errors[IPE.name].notna().any())
 
     @property
     def free_parameters(self) -> pd.DataFrame:

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from needlefit.inference.identifiability.directions import (
 )
 from needlefit.inference.parameter_names import HYPERPARAMETERS, is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES
-from needlefit.metrics import Metric, headline_metrics, list_metrics
+from needlefit.metrics import IPE, Metric, headline_metrics, list_metrics
 from needlefit.reporting.columns import DIGITS
 from needlefit.reporting.labels import SPECIMEN_NAMES, medium_name, method_name
 from needlefit.reporting.number_format import (
@@ -30,16 +31,14 @@ from needlefit.reporting.number_format import (
 )
 from needlefit.reporting.table import Table, TableLayout, part, pivot
 from needlefit.reporting.table_files import Row, select_rows, to_records
-from needlefit.reporting.text import KindText
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import MEDIAN_METHOD, NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
+from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
 from needlefit.studies.run import Run
-
-TEXT = KindText("cross_validation")
 
 
 def _lay_out(table: Table, drop_empty: bool = False, **values: object) -> TableLayout:
@@ -148,8 +147,9 @@ def _lay_out_groups(
     columns = (*heads, "row", *(part("metric_value", metric=one.name) for one in metrics), *last)
     lines = pivot(rows, ["number", "row"], ["metric"])
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
-    values = {"rows": {row["row"] for row in rows}, "groups": [_head(group) for group, _ in blocks]}
-    return _lay_out(table, drop_empty=short, **values)
+    heads_of_groups = [SimpleNamespace(**_head(group)) for group, _ in blocks]
+    names = {row["row"] for row in rows}
+    return _lay_out(table, short, rows=names, groups=heads_of_groups, curved=IPE.name in shown)
 
 
 def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
@@ -217,6 +217,15 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
 BATCH_RECIPES = {"default": "one_batch"}
 
 
+class SpecimenSpread(NamedTuple):
+    """One standard deviation between specimens, as factors, and the number of those that it is known from."""
+
+    mu: float
+    b: float
+    specimens: int
+    batch_recipe: str  #: that of the same fit whose specimens are of one batch; "" if there is none
+
+
 def lay_out_coverage(run: Run) -> TableLayout:
     """Return one row per medium, number of layers and specimen, over all folds."""
     frames, keys = FitFrames.of(run), ["medium", "layers", "specimen_treatment"]
@@ -229,15 +238,15 @@ def lay_out_coverage(run: Run) -> TableLayout:
         for (medium, layers, treatment), group in predicted.groupby(keys, sort=False)
     ]
     other = select_rows(predicted, specimen_treatment="others")
-    spread = {
-        **{name: math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b")},
-        "specimens": int(other["other_specimens"].min()) if len(other) else 0,
-        "batch_recipe": BATCH_RECIPES.get(run.record.recipe, ""),
-    }
+    spread = None
+    if len(other):
+        mu, b = (math.exp(other[f"between_sd_ln_{name}"].mean()) for name in ("mu", "b"))
+        count, recipe = int(other["other_specimens"].min()), BATCH_RECIPES.get(run.record.recipe, "")
+        spread = SpecimenSpread(mu, b, count, recipe)
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
     table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
     read = frames.curvature["kappa_in_95"].astype(float)
-    return _lay_out(table, sources=sources, spread=spread if len(other) else None, readings=read)
+    return _lay_out(table, sources=sources, spread=spread, readings=read)
 
 
 def lay_out_baselines(run: Run, role: str) -> TableLayout:
@@ -395,6 +404,7 @@ def lay_out_parameters(run: Run) -> TableLayout:
         "population": list_spreads(run),
         "printed": any(row["hand_tuned"] for row in rows),
         "metric": any(row["error_minimising"] for row in rows),
+        "curved": frames.curved,
         "truth": any(row["true_value"] for row in rows),
         "sources": [words for source, words in SOURCES.items() if source in used],
         "of_mean": bool(set(frames.draws["specimen"]) - {TUNED_SPECIMENS, NEW_SPECIMEN}),

@@ -30,7 +30,7 @@ from needlefit.studies.validity import list_outside
 if TYPE_CHECKING:
     from needlefit.studies.job import Job
 
-TEXT = KindText("warnings")
+TEXT = KindText("warnings", rules={"of_many": lambda v: v.many, "of_fits": lambda v: v.total > 1})
 
 
 def add_warnings(run: Run, job: "Job") -> Run:

@@ -98,6 +98,11 @@ class Judgement:
         return self.noise_ratio is not None and is_printed_as_one(self.noise_ratio)
 
     @property
+    def has_reference(self) -> bool:
+        """Whether it was compared with a reference that was scored; nothing was tested then."""
+        return self.compared is not None and bool(self.compared.reference)
+
+    @property
     def curve_is_closer(self) -> bool:
         return self.curve_mm is not None and self.curve_mm < self.error_mm
 

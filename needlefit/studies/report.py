@@ -42,7 +42,29 @@ from needlefit.studies.run import Run, mark_faults
 from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
-CHECKS = KindText("checks")
+#: of a `Finding`: which words about a check are printed
+_CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
+    "curves_tested": lambda v: v.needles is None,
+    "references_compared": lambda v: v.needles is not None,
+    "closer_on": lambda v: v.needles,
+    "no_curve": lambda v: not v.named,
+    "below_curves": lambda v: v.named and v.needles is None,
+    "below_references": lambda v: v.named and v.needles is not None,
+    "by_noise": lambda v: v.margin_mm is None,
+    "by_margin": lambda v: v.margin_mm is not None,
+    "no_noise": lambda v: v.value is None,
+    "equals_noise": lambda v: v.equals_noise,
+    "times_noise": lambda v: v.value is not None and not v.equals_noise,
+    "missing_tips": lambda v: v.missing,
+    "one_trial": lambda v: v.trials == 1,
+    "some_covered": lambda v: v.trials == 1,
+    "share_95": lambda v: v.trials != 1,
+    "none_required": lambda v: v.trials == 1,
+    "share_50": lambda v: v.trials != 1,
+    "no_doubts": lambda v: v.passed,
+    "doubts": lambda v: not v.passed,
+}
+CHECKS = KindText("checks", rules=_CHECK_RULES)
 
 
 def run_to_json(run: Run) -> dict[str, Any]:

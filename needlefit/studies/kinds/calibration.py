@@ -8,7 +8,7 @@ The other model is that of the synthetic dataset (`needlefit.synthetic.design`),
 anew. It fits the insertions of the study, and ranks true values and measured held-out tips.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -435,7 +435,16 @@ def list_faults(outcome: Mapping[str, Any]) -> Iterator[RunFault]:
 
 # ---- the report
 
-TEXT = KindText("calibration")
+#: which sentences are printed, by what was found
+RULES: Mapping[str, Callable[[Any], object]] = {
+    "fails": lambda v: v.failing,
+    "tips_covered": lambda v: v.tips and not v.failing,
+    "undecided": lambda v: not (v.failing or v.tips or v.conclusive),
+    "calibrated": lambda v: v.conclusive and not (v.failing or v.tips),
+    **dict.fromkeys(("shared_by_tips", "by_pit", "tests_model"), lambda v: v.synthetic),
+    **dict.fromkeys(("stiffest", "tests_computation"), lambda v: not v.synthetic),
+}
+TEXT = KindText("calibration", rules=RULES)
 
 
 def describe_calibration(run: Run) -> dict[str, Any]:

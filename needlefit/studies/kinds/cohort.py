@@ -263,7 +263,7 @@ def _conclude(frames: Frames) -> tuple[RunFault, ...]:
 
 # ---- the report
 
-TEXT = KindText("cohort")
+TEXT = KindText("cohort", rules={"failures_named": lambda v: v.failures})
 MAX_LISTED = 20  #: failures that the report lists; `failures.csv` has all
 MAX_NAMED = 3  #: failures that the first sentence names
 MAX_BINS = 40  #: bins of a histogram

@@ -114,7 +114,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
 
 # ---- the report
 
-TEXT = KindText("identification")
+TEXT = KindText("identification", rules={"sd_now": lambda v: v.best})
 
 
 def describe_identification(run: Run) -> dict[str, Any]:

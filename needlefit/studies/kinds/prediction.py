@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -426,7 +426,23 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 
 # ---- the report
 
-TEXT = KindText("prediction")
+_SPECIMENS = {"training only": "without_spread", "others": "new_specimen", "same": "fitted_specimen"}
+#: which sentences are printed, by what was found
+RULES: Mapping[str, Callable[[Any], object]] = {
+    **{block: lambda v, name=name: v.specimen == name for name, block in _SPECIMENS.items()},
+    "named_specimen": lambda v: v.specimen not in _SPECIMENS,
+    "fit_judged": lambda v: v.fit_verdict,
+    "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
+    "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),
+    **dict.fromkeys(("unreliable", "unreliable_median", "faults", "median_alone"), lambda v: v.faults),
+    **dict.fromkeys(("predicted", "bands"), lambda v: not v.faults),
+    "predicted_z": lambda v: not v.faults and hasattr(v, "needle_z_median_mm"),
+    "roll": lambda v: hasattr(v, "needle_z_median_mm"),
+    "sampled": lambda v: v.draw_source == "posterior",
+    "weighted": lambda v: v.draw_source != "posterior",
+    "failed_draws": lambda v: v.failed_solves,
+}
+TEXT = KindText("prediction", rules=RULES)
 
 
 def describe_prediction(run: Run) -> dict[str, Any]:

@@ -4,7 +4,7 @@ Tables are those of `studies/fit_tables.py`, figures of `studies/fit_figures.py`
 `reporting/text/cross_validation.md.j2`.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -20,7 +20,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import list_contradictions, name_doubt
 from needlefit.studies.answer import Answer
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.fit_tables import TEXT
+from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.observed import find_observation_report
@@ -76,6 +76,9 @@ def collect_values(run: Run) -> dict[str, Any]:
         "failed": int(starts["failed_solves"].sum()),
         "computation": describe_computation(run),
         "population": fit_tables.list_spreads(run),
+        "metric": len(frames.error_fit) > 0,
+        "printed": (frames.parameters["method"] == "hand_tuned").any(),
+        "curved": frames.curved,
         "chains": fit_tables.tabulate_percentiles(run),
         "notes": list_data_notes(run),
         "rigidity": stated.dataset.rigidity,
@@ -83,7 +86,18 @@ def collect_values(run: Run) -> dict[str, Any]:
     }
 
 
-def describe_computation(run: Run) -> dict[str, Any]:
+class Computation(NamedTuple):
+    """By what parameters were found: searches of nlopt, and draws of the posterior."""
+
+    starts: int
+    evaluations: int
+    goals: list[str]  #: what was minimised
+    source: str  #: of the draws; "" without any
+    walkers: int | None  #: of emcee
+    draws: int | None  #: independent ones
+
+
+def describe_computation(run: Run) -> Computation:
     """Return by what the parameters were found: searches of nlopt, and draws of the posterior."""
     frames = FitFrames.of(run)
     starts, draws = frames.starts, frames.draws
@@ -93,14 +107,14 @@ def describe_computation(run: Run) -> dict[str, Any]:
     errors = (f"{weight:g} {name}" if weight != 1 else name for weight, name in weights if weight)
     goals = {"posterior": "the posterior", "metric": " + ".join(errors)}
     source = "" if draws.empty else str(draws["draw_source"].iloc[0])
-    return {
-        "starts": int((searched["fit"] == "fitted").sum()),
-        "evaluations": int(searched["evaluations"].sum()),
-        "goals": [goals[name] for name in dict.fromkeys(searched["minimized"])],
-        "source": source,
-        "walkers": recipe.sample.walkers if source == "posterior" else None,
-        "draws": None if draws.empty else int(draws["ess"].min()),
-    }
+    return Computation(
+        int((searched["fit"] == "fitted").sum()),
+        int(searched["evaluations"].sum()),
+        [goals[name] for name in dict.fromkeys(searched["minimized"])],
+        source,
+        recipe.sample.walkers if source == "posterior" else None,
+        None if draws.empty else int(draws["ess"].min()),
+    )
 
 
 # ---- tables and figures

@@ -48,7 +48,14 @@ _COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
-_TEXT = KindText("reconstruction")
+_TEXT = KindText(
+    "reconstruction",
+    rules={
+        "poor_lengths": lambda v: v.poor,
+        "more_poor": lambda v: len(v.poor) > v.named,
+        "world_unknown": lambda v: v.unregistered,
+    },
+)
 _SCAN_COLUMNS = (
     *("id", "origin", "medium", "specimen", "scan", "voxel_i_mm", "voxel_j_mm", "voxel_k_mm"),
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),

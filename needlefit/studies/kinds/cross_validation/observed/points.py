@@ -17,7 +17,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.fit_tables import TEXT
+from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.run import Run
@@ -35,10 +35,9 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
         **values,
         "judged": judged,
         "insertions": group.head.insertions,
-        "determined": determined,
+        "listed": determined,
         "intervals": intervals,
         "bevel": _name_free_bevel(run),
-        "opening": "",
     }
     numbers: dict[str, float | str | None] = {
         "outcome": judged.outcome,
@@ -51,7 +50,7 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
         "insertions": group.head.insertions,
     }
     if role == "tune":
-        words["opening"], status = _open_fit(run, [word for word, _ in determined])
+        words["verdict"], status = _open_fit(run, [word for word, _ in determined])
         status = limit_status(run, status)
         rest = (name for word, names in determined if word != "yes" for name in names)
         numbers["not_determined"] = ", ".join(rest)
@@ -64,7 +63,7 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
         numbers["paper_te_mm"] = groups[0].get(scores.TE, "paper") if len(groups) == 1 else None
         sentence, status = TEXT.sentence("predicted", words), judged.status
         table = fit_tables.lay_out_summary(run)
-    about, known = (TEXT.sentence(block, words) for block in ("about", "determined"))
+    about, known = (TEXT.sentence(block, words) for block in ("about", "what_fit_determined"))
     advice = find_advice(run, checks, [word for word, _ in determined], values["media"])
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
 
@@ -104,19 +103,15 @@ def find_advice(
 
 
 def _open_fit(run: Run, determined: Sequence[str]) -> tuple[str, Status]:
-    """Return how the verdict on a fit begins, and its status."""
+    """Return the block with which the verdict on a fit begins, and its status."""
     checks = {one.check: one for one in list_checks(run, "tune")}
     if Check.CURVES in checks and checks[Check.CURVES].passed is False:
-        return "Does not fit", "fail"
+        return "fit_fails", "fail"
     if "parameter_at_bound" in checks[Check.DATA].named.split(", "):
-        return "Fitted, but at a bound", "warn"
+        return "fit_at_bound", "warn"
     if not run.reliable:
-        return "Fitted, but not reliable", "warn"
-    return (
-        ("Fitted, but not all parameters are determined", "warn")
-        if set(determined) - {"yes"}
-        else ("Fitted", "pass")
-    )
+        return "fit_unreliable", "warn"
+    return ("fit_undetermined", "warn") if set(determined) - {"yes"} else ("fit_done", "pass")
 
 
 MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand without their intervals

@@ -14,7 +14,7 @@ from needlefit.reporting.table_files import select_rows, to_records
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
 from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
-from needlefit.studies.fit_tables import TEXT
+from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.kinds.cross_validation.observed.points import draw_overlays
