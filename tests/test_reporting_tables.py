@@ -89,7 +89,7 @@ def test_the_validation_table_has_every_cell_of_the_paper():
         table
     )
     for group, row in zip(groups, to_records(published), strict=True):
-        head = [group.head[name] for name in ("study", "medium", "layers")]
+        head = [group.head.study, group.head.medium, group.head.layers]
         assert head == [row[name] for name in ("study", "validate_medium", "validate_layers")]
         metrics = list(published.columns[3:])
         assert [group.get(name, "paper") for name in metrics] == [row[name] for name in metrics]

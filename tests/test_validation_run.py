@@ -28,7 +28,7 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.checkpoint import NO_CHECKPOINT
 from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.folds import make_folds, plan_folds
+from needlefit.studies.folds import make_folds, add_folds
 from needlefit.studies.job import load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
@@ -326,7 +326,7 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
 def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
-    job = plan_folds(load_study("loo", record, Settings()))
+    job = add_folds(load_study("loo", record, Settings()))
 
     def run_folds(numbers: tuple[int, ...]) -> FoldResult:
         services = FoldServices(Settings(), NO_CHECKPOINT, StudyProgress(job, no_progress))

@@ -150,9 +150,9 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
         return shape.converged
 
     def write_curves(path: Path) -> bool:
-        from needlefit.studies.slicer import write_slicer_scene
+        from needlefit.studies.slicer import write_simulated_needle
 
-        return write_slicer_scene(scene.entry.placement, shapes, path, record.needle.outer_diameter_mm)
+        return write_simulated_needle(scene.entry.placement, shapes, path, record.needle.outer_diameter_mm)
 
     def draw_animation(path: Path) -> None:
         from needlefit.reporting.figures.animation import animate

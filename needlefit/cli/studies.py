@@ -259,7 +259,7 @@ def predict(
         from needlefit.project.locate import find_file
         from needlefit.project.toml import add_file_context
         from needlefit.schemas.names import require_file_name
-        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, make_scene, plan_like_deepest
+        from needlefit.studies.kinds.prediction import POSTERIOR_FILE, describe_like_deepest, make_scene
         from needlefit.studies.result_sources import name_source
         from needlefit.studies.store import RESULTS_FILE, restore_run
         from needlefit.studies.study_files import load_target
@@ -268,7 +268,7 @@ def predict(
         target_name, fitted, inputs, file, run = fit
         with add_file_context(file):
             medium = inputs.medium or load_changed_medium(fitted)[0]
-            like = plan_like_deepest(fitted, inputs, medium) if scene is None else None
+            like = describe_like_deepest(fitted, inputs, medium) if scene is None else None
         if like is not None:
             scene, table, source = like
             scene_name, planned = change_scene(table, scene, depth, set_ or [])

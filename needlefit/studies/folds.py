@@ -30,11 +30,11 @@ _GUIDE_PARAMETER = "guide_distance_mm"
 def prepare(
     name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
 ) -> Job:
-    """Load a study or fit, as `load_study`, and plan its folds."""
-    return plan_folds(load_study(name, record, settings, dataset))
+    """Load a study or fit, as `load_study`, with its folds."""
+    return add_folds(load_study(name, record, settings, dataset))
 
 
-def plan_folds(job: Job) -> Job:
+def add_folds(job: Job) -> Job:
     """Return a loaded study with its folds, and whether its needles are compared in a plane or in space.
 
     Raises ConfigError if the folds cannot be made, or an insertion cannot be fitted as the study states.
@@ -49,15 +49,15 @@ def plan_folds(job: Job) -> Job:
     if isinstance(job.record, StudyRecord) and not job.record.same_specimen:
         key = next(one for one in ("leave_out", "folds", "validate") if getattr(job.record, one, True))
         warnings += warn_shared_specimens(job.name, folds, job.place(key))
-    planned = replace(job, dataset=dataset, folds=folds, warnings=tuple(warnings), measured=job.dataset)
-    _check_registration(planned)
-    _check_layers(planned)
-    if planned.recipe.likelihood.measurement == "curvature":
+    divided = replace(job, dataset=dataset, folds=folds, warnings=tuple(warnings), measured=job.dataset)
+    _check_registration(divided)
+    _check_layers(divided)
+    if divided.recipe.likelihood.measurement == "curvature":
         for insertion in (each for fold in folds for each in fold.tune):
             require_curvature(insertion)
-    check_reach(planned)
-    _check_size(planned)
-    return planned
+    check_reach(divided)
+    _check_size(divided)
+    return divided
 
 
 def print_notes(job: Job, settings: Settings) -> None:

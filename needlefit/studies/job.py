@@ -112,7 +112,7 @@ class Job:
     parameters: Parameters
     recipe: RecipeRecord
     hand_tuned: Mapping[str, float] | None
-    folds: tuple[Fold, ...] = ()  #: of `plan_folds`
+    folds: tuple[Fold, ...] = ()  #: of `add_folds`
     measured: Dataset | None = None  #: as it was read, before the planes of `dataset` were chosen
     warnings: tuple[ResultWarning, ...] = ()
     file: Path | None = None

@@ -184,7 +184,7 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
     )
     measurements = []
     for number, stated in enumerate(record.insertions, start=1):
-        one = _plan_insertion(number, stated, record)
+        one = _make_straight_insertion(number, stated, record)
         rng = random_stream(seed, name, "made", one.id)
         found = simulate_measurement(dataset, one, record.values, medium, rng)
         if found is None:
@@ -198,7 +198,9 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
     return replace(dataset, insertions=tuple(measurements))
 
 
-def _plan_insertion(number: int, one: SyntheticInsertionRecord, record: SyntheticDataRecord) -> Insertion:
+def _make_straight_insertion(
+    number: int, one: SyntheticInsertionRecord, record: SyntheticDataRecord
+) -> Insertion:
     """Return one insertion as it is planned: straight along x."""
     x = np.linspace(0.0, one.depth_mm, math.ceil(one.depth_mm / POINT_SPACING_MM) + 1)
     straight = np.column_stack([x, np.zeros((len(x), 2))])

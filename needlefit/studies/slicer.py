@@ -48,7 +48,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
             write_ply(*body, folder / f"{needle.insertion}.needle.ply", comments)
 
 
-def write_slicer_scene(
+def write_simulated_needle(
     placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
 ) -> bool:
     """Write a simulated needle, base to tip, in patient coordinates.

@@ -266,12 +266,12 @@ def design_synthetic(job: Job) -> tuple[InsertionDesign, ...]:
     return chosen
 
 
-def replicate_synthetic(number: int, design: Job, plan: Sequence[InsertionDesign]) -> FrameRows:
+def replicate_synthetic(number: int, study: Job, designs: Sequence[InsertionDesign]) -> FrameRows:
     """Return a row of `replicates` with the ranks of true values and of held-out tips, and rows of these.
 
-    `design` is the study whose insertions, `plan`, are simulated anew.
+    `study` is the one whose insertions, `designs`, are simulated anew.
     """
-    job, seed = _draw_study(number, design, plan)
+    job, seed = _draw_study(number, study, designs)
     (fold,) = job.folds
     rng = random_stream(job.recipe.seed, job.name, "inference")
     problem = job.problem(fold)
@@ -303,16 +303,16 @@ def replicate_synthetic(number: int, design: Job, plan: Sequence[InsertionDesign
     return {name: [{"replicate": number, **one} for one in rows] for name, rows in every.items()}
 
 
-def _draw_study(number: int, job: Job, plan: Sequence[InsertionDesign]) -> tuple[Job, int]:
+def _draw_study(number: int, job: Job, designs: Sequence[InsertionDesign]) -> tuple[Job, int]:
     """Return the study on the data of a replicate, and their seed."""
     for attempt in range(MAX_TWIN_SEEDS):
         rng = random_stream(job.recipe.seed, job.name, "calibrate", number, "twin", attempt)
         seed = int(rng.integers(2**31))
-        if not is_inside_bounds(seed, job.parameters.bounds, plan):
+        if not is_inside_bounds(seed, job.parameters.bounds, designs):
             continue
         try:
             with TemporaryDirectory() as folder:
-                dataset = read(build_unscanned(Path(folder), seed, plan, population=POPULATION))
+                dataset = read(build_unscanned(Path(folder), seed, designs, population=POPULATION))
         except ModelError:  # a needle that does not settle
             continue
         # the name keys the random numbers of predictions, which no two replicates share
@@ -325,10 +325,10 @@ def _draw_study(number: int, job: Job, plan: Sequence[InsertionDesign]) -> tuple
 
 
 def is_inside_bounds(
-    seed: int, bounds: Mapping[str, tuple[float, float]], plan: Iterable[InsertionDesign]
+    seed: int, bounds: Mapping[str, tuple[float, float]], designs: Iterable[InsertionDesign]
 ) -> bool:
     """Return whether moduli (Pa) and bevel offsets (mm) of all specimens lie inside the bounds, by name."""
-    for medium, name in {(one.medium, one.specimen) for one in plan}:
+    for medium, name in {(one.medium, one.specimen) for one in designs}:
         specimen = draw_specimen(seed, medium, name, POPULATION)
         values = {f"mu{n}_pa": 1e6 * mu for n, mu in enumerate(specimen.mu.tolist(), start=1)}
         values["bevel_mm"] = specimen.bevel
@@ -351,7 +351,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
     if not job.parameters.searched.free:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")
     if synthetic:
-        task = partial(replicate_synthetic, design=job, plan=design_synthetic(job))
+        task = partial(replicate_synthetic, study=job, designs=design_synthetic(job))
         planned: Row = {"draws": PREDICTION_DRAWS}
     else:
         stiff = find_stiff_direction(job)

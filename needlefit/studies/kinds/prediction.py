@@ -118,7 +118,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 # ---- the scene under the rules of the fit
 
 
-def plan_like_deepest(
+def describe_like_deepest(
     fit: FitRecord, inputs: Inputs, medium: MediumRecord
 ) -> tuple[str, dict[str, Any], Path]:
     """Return the deepest insertion of a fit: its id, the keys of a scene like it, the file of the dataset.
@@ -426,11 +426,12 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
 
 # ---- the report
 
-_SPECIMENS = {"training only": "without_spread", "others": "new_specimen", "same": "fitted_specimen"}
 #: which sentences are printed, by what was found
 RULES: Mapping[str, Callable[[Any], object]] = {
-    **{block: lambda v, name=name: v.specimen == name for name, block in _SPECIMENS.items()},
-    "named_specimen": lambda v: v.specimen not in _SPECIMENS,
+    "without_spread": lambda v: v.specimen == "training only",
+    "new_specimen": lambda v: v.specimen == "others",
+    "fitted_specimen": lambda v: v.specimen == "same",
+    "named_specimen": lambda v: v.specimen not in ("training only", "others", "same"),
     "fit_judged": lambda v: v.fit_verdict,
     "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
     "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),

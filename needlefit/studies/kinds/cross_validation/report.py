@@ -181,9 +181,9 @@ def fit_to_json(run: Run) -> dict[str, Any]:
     return {name: to_records(to_tidy(one)) for name, one in frames.items() if isinstance(one, pd.DataFrame)}
 
 
-def find_answer(run: Run) -> Answer:
+def answer_fit(run: Run) -> Answer:
     """Return the parts of the first page."""
     return find_observation_report(run).answer(run, collect_values(run))
 
 
-REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, find_answer, list_files, fit_to_json)
+REPORT = StudyReport(TEXT, collect_values, lay_out_tables, list_figures, answer_fit, list_files, fit_to_json)

@@ -1,4 +1,4 @@
-"""A study in four steps: load what it names, plan its folds, run each fold, put the results together.
+"""A study in four steps: load what it names, divide it into folds, run each fold, put the results together.
 
 A fit is a study of one fold, which scores only its own insertions. The report judges the run by its tables.
 """
@@ -19,7 +19,7 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
 from needlefit.studies.fit_warnings import add_warnings
-from needlefit.studies.folds import plan_folds, print_notes
+from needlefit.studies.folds import add_folds, print_notes
 from needlefit.studies.job import Job, Settings, load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
@@ -44,7 +44,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
     finds no point that can be solved.
     """
-    job = plan_folds(load_study(name, record, settings))
+    job = add_folds(load_study(name, record, settings))
     print_notes(job, settings)
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
