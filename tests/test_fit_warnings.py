@@ -28,7 +28,12 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import list_warnings
 from needlefit.studies.folds import DATA_WARNINGS, make_folds, warn_shared_specimens
-from needlefit.studies.identification import ParameterInterval, add_intervals, intervals_of_draws
+from needlefit.studies.identification import (
+    ParameterInterval,
+    ParameterRow,
+    add_intervals,
+    intervals_of_draws,
+)
 from needlefit.studies.run import Run
 from needlefit.studies.stated_depths import examine_depths
 
@@ -242,8 +247,8 @@ PROFILE = {"parameter": "mu1_pa", "low": 2e5, "high": 3e5, "determined": "yes"}
 
 
 def parameter_row(**changed):
-    known = {"value": 2.5e5, "bound_low": 1e3, "bound_high": 1e9}
-    return {"parameter": "mu1_pa", "status": "free", "determined": "yes", "note": ""} | known | changed
+    row = ParameterRow("all", "fitted", "mu1_pa", 2.5e5, "free", 1e3, 1e9, determined="yes")
+    return row._replace(**changed)
 
 
 def test_certified_draws_give_the_interval_and_others_none():
@@ -259,12 +264,10 @@ def test_certified_draws_give_the_interval_and_others_none():
 
 
 def test_a_wide_interval_of_draws_takes_back_the_verdict_of_information_and_profile():
-    row, judged = parameter_row(), dict(PROFILE)
-    add_intervals(
-        [row], [judged], {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}, {}, {"mu1_pa": True}, {}
-    )
-    assert row["determined"] == judged["determined"] == "only together"
-    for one in (row, judged):
+    sampled = {"mu1_pa": ParameterInterval(1e4, 1e7, "posterior")}
+    (row,), (judged,) = add_intervals([parameter_row()], [PROFILE], sampled, {}, {"mu1_pa": True}, {})
+    assert row.determined == judged["determined"] == "only together"
+    for one in (row._asdict(), judged):
         assert (one["interval_low"], one["interval_high"]) == pytest.approx((1e4, 1e7))
         assert one["draw_source"] == "posterior"
 
@@ -274,7 +277,6 @@ def test_an_interval_allows_for_a_model_error_about_its_median_and_within_the_bo
     low, high = (2e5 * math.exp(side * 1.96 * sd) for side in (-1, 1))
     row = parameter_row(bound_high=4e5)
     found = {"mu1_pa": ParameterInterval(low, high, "posterior", 2e5)}
-    add_intervals([row], [], found, {}, {}, {"mu1_pa": 0.4})  # 0.3 and 0.4 together: 0.5
-    assert row["interval_low"] == pytest.approx(2e5 * math.exp(-1.96 * 0.5))
-    assert row["interval_high"] == 4e5
-    assert row["determined"] == "no"
+    (row,), _ = add_intervals([row], [], found, {}, {}, {"mu1_pa": 0.4})  # 0.3 and 0.4 together: 0.5
+    assert row.interval == (pytest.approx(2e5 * math.exp(-1.96 * 0.5)), 4e5)
+    assert row.determined == "no"

@@ -334,9 +334,9 @@ def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> N
 
     alone, after = run_folds((1,)), run_folds((0, 1))
     for name in ("errors", "starts", "parameters", "predictive", "draws"):
-        pd.testing.assert_frame_equal(pd.DataFrame(getattr(alone, name)), pd.DataFrame(getattr(after, name)))
+        pd.testing.assert_frame_equal(pd.DataFrame(alone.rows[name]), pd.DataFrame(after.rows[name]))
     assert alone.validity == after.validity and not alone.interrupted
-    assert {row["insertion"] for row in alone.errors if row["role"] == "validate"} == {"needle-2"}
+    assert {row["insertion"] for row in alone.rows["errors"] if row["role"] == "validate"} == {"needle-2"}
 
 
 @pytest.mark.usefixtures("few_draws")

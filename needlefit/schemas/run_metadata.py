@@ -93,8 +93,8 @@ class InsertionMetadata(_Metadata):
     base_moved: float
     compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
     specimen: str
-    turns: list[tuple[float, float]] = []
-    needle: str = ""  #: its name, where there are several
+    turns: tuple[tuple[float, float], ...] = ()
+    needle_name: str = Field("", alias="needle")  #: where there are several
 
 
 class CountMetadata(_Metadata):

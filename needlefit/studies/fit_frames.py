@@ -59,7 +59,7 @@ class FitFrames:
     @property
     def curved(self) -> bool:
         """Whether curves are compared, not tips alone: without one IPE means nothing."""
-        return bool(self.errors[IPE.name].notna().any())
+        return IPE.name in self.errors and bool(self.errors[IPE.name].notna().any())
 
     @property
     def free_parameters(self) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from needlefit.grouping import group_values
 from needlefit.inference.identifiability.directions import (
     MAX_LOG_SD,
     UNINFORMED_SD_RATIO,
@@ -36,6 +37,7 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
 from needlefit.studies.fit_frames import MEDIAN_METHOD, NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.fit_sentences import TEXT
+from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
 from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
 from needlefit.studies.run import Run
@@ -304,73 +306,74 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
 
     The posterior's value stands with its 95 % interval, that of the least errors with its range.
     """
-    ours, errors, paper = (
-        to_records(rows[rows["method"] == method]) for method in ("fitted", "fitted_metric", "hand_tuned")
-    )
-    statuses = {str(row["status"]) for row in ours}
+    methods = group_values((row.method, row) for row in ParameterRow.read(rows))
+    ours, errors, paper = (methods.get(one, []) for one in ("fitted", "fitted_metric", "hand_tuned"))
+    statuses = {row.status for row in ours}
     fixed = not statuses & {"free", "tied"}  # in no fold it was searched
-    ends = [row[end] for row in ours for end in ("interval_low", "interval_high")]
-    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0]["value"]])
+    ends = [end for row in ours for end in row.interval]
+    label, unit = choose_printed_unit(name, ends if any(map(is_known, ends)) else [ours[0].value])
     # the median of the draws, without any the fit's value
-    estimates = [row["value"] if row["median"] is None else row["median"] for row in ours]
+    estimates = [row.median if is_known(row.median) else row.value for row in ours]
     own = _format_estimate(ours, estimates, unit)
     if statuses == {"fixed"}:
         own = f"{own}, fixed"
     elif "prior" in statuses:
-        shifts = (row["tip_shift_mm"] for row in ours if is_known(row["tip_shift_mm"]))
+        shifts = (row.tip_shift_mm for row in ours if is_known(row.tip_shift_mm))
         own = f"{own}, {describe_prior(max(shifts, default=None))}"
     return {
         "parameter": label,
         "posterior": own,
         "determined": "" if fixed else _format_determined(name, ours),
         "error_minimising": "" if fixed else _format_least_errors(errors, unit),
-        "hand_tuned": _join_range([row["value"] for row in paper], unit),
+        "hand_tuned": _join_range([row.value for row in paper], unit),
         "true_value": "" if truth is None else typeset(format_number(truth / unit)),
     }
 
 
-def _format_determined(name: str, rows: Sequence[Row]) -> str:
+def _format_determined(name: str, rows: Sequence[ParameterRow]) -> str:
     """Return the word of the fold in which a parameter is determined least: "yes, factor 1.6"."""
-    word = find_least_determined(str(row["determined"]) for row in rows)
-    lows, highs = ([row[f"interval_{side}"] for row in rows] for side in ("low", "high"))
+    word = find_least_determined(row.determined for row in rows)
+    lows, highs = zip(*(row.interval for row in rows), strict=True)
     if word != "yes" or not all(map(is_known, (*lows, *highs))) or not is_logarithmic(name):
         return word
     return f"{word}, factor {format_plain(round_significant(max(highs) / min(lows), END_DIGITS))}"
 
 
-def _join_range(values: Sequence[float | None], unit: float) -> str:
+def _join_range(values: Sequence[float], unit: float) -> str:
     """Return "0.196", or "0.19 to 0.21" for several values."""
-    known = [value / unit for value in values if value is not None]
+    known = [value / unit for value in values if is_known(value)]
     return " to ".join(dict.fromkeys(format_plain(end) for end in (min(known), max(known)))) if known else ""
 
 
-def _format_estimate(rows: Sequence[Row], values: Sequence[float | None], unit: float) -> str:
+def _format_estimate(rows: Sequence[ParameterRow], values: Sequence[float], unit: float) -> str:
     """Return "0.196 (0.12 to 0.28)"; of several folds with the outermost ends, of none ""."""
-    estimate, intervals = _join_range(values, unit), ("interval_low", "interval_high")
-    if not rows or not all(is_known(row[end]) for row in rows for end in intervals):
+    estimate, intervals = _join_range(values, unit), [row.interval for row in rows]
+    if not rows or not all(is_known(end) for ends in intervals for end in ends):
         return estimate
     ends = _find_outermost(rows, intervals)
     texts = (f"{_format_end(end, unit)}{AT_BOUND if at_bound else ''}" for end, at_bound in ends)
     return f"{estimate} ({' to '.join(texts)})"
 
 
-def _format_least_errors(rows: Sequence[Row], unit: float) -> str:
+def _format_least_errors(rows: Sequence[ParameterRow], unit: float) -> str:
     """Return "0.19 (0.12 to bound)": the value of the least errors, and the range within the tolerance."""
-    value = _join_range([row["value"] for row in rows], unit)
-    known = [row for row in rows if is_known(row["low"]) and is_known(row["high"])]
+    value = _join_range([row.value for row in rows], unit)
+    known = [row for row in rows if is_known(row.low) and is_known(row.high)]
     if not known:
         return value
-    ends = _find_outermost(known, ("low", "high"))
+    ends = _find_outermost(known, [(row.low, row.high) for row in known])
     texts = ("bound" if at_bound else _format_end(end, unit) for end, at_bound in ends)
     return f"{value} ({' to '.join(texts)})"
 
 
-def _find_outermost(rows: Sequence[Row], columns: tuple[str, str]) -> Iterator[tuple[float, bool]]:
-    """Yield the least value of one column and the greatest of another; each with whether it is a bound."""
-    for column, bound, choose in zip(columns, ("bound_low", "bound_high"), (min, max), strict=True):
-        end = choose(row[column] for row in rows)
-        bounds = (row[bound] for row in rows if is_known(row[bound]))
-        yield end, any(math.isclose(end, one, rel_tol=1e-6) for one in bounds)
+def _find_outermost(
+    rows: Sequence[ParameterRow], ranges: Sequence[tuple[float, float]]
+) -> Iterator[tuple[float, bool]]:
+    """Yield the least low end and the greatest high end of ranges, each with whether it is a bound."""
+    bounds = ([row.bound_low for row in rows], [row.bound_high for row in rows])
+    for ends, limits, choose in zip(zip(*ranges, strict=True), bounds, (min, max), strict=True):
+        end = choose(ends)
+        yield end, any(math.isclose(end, one, rel_tol=1e-6) for one in limits if is_known(one))
 
 
 def _format_end(end: float, unit: float) -> str:

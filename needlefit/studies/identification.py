@@ -6,8 +6,10 @@ Every fitted parameter has one 95 % interval: of certified draws, else of its pr
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
+import pandas as pd
 
 from needlefit.inference.held_parameters import PriorShift, central_range
 from needlefit.inference.identifiability import directions, precision
@@ -37,6 +39,45 @@ IDENTIFICATION_COLUMNS = (
 #: Of the table "profiles": deviances and their derivatives by ln (by alpha itself); then a column per
 #: parameter.
 PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "threshold")
+
+
+class ParameterRow(NamedTuple):
+    """A row of the table "parameters": the value of a parameter by one method, in one fold.
+
+    `sd` is of ln for moduli and lengths, of the value for alpha; `low`, `high` is the range among starts
+    within tolerance of the best; `interval_low`, `interval_high` is the 95 % interval that is printed,
+    `draw_source` what it is from, `median` that of the same draws. `status` is "prior" where the posterior of
+    a parameter is its prior, which moves a tip by `tip_shift_mm` at most. `determined` is "yes", "only
+    together" (with the others held it is), or "no".
+    """
+
+    fold: str
+    method: str
+    parameter: str
+    value: float
+    status: str
+    bound_low: float = math.nan
+    bound_high: float = math.nan
+    interval_low: float = math.nan
+    interval_high: float = math.nan
+    draw_source: str = ""
+    median: float = math.nan
+    sd: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    tip_shift_mm: float = math.nan
+    determined: str = ""
+    condition: str = ""
+    note: str = ""
+
+    @classmethod
+    def read(cls, frame: pd.DataFrame) -> list[Self]:
+        """Return the rows of a table; what is missing is NaN."""
+        return [cls(*row) for row in frame[list(cls._fields)].itertuples(index=False, name=None)]
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        return self.interval_low, self.interval_high
 
 
 @dataclass(frozen=True)
@@ -173,27 +214,27 @@ class ParameterInterval:
         low, high, median = (factor * one for one in (self.low, self.high, self.median))
         return replace(self, low=low, high=high, median=median)
 
-    def allow_for(self, name: str, sd: float, row: Row) -> "ParameterInterval":
+    def allow_for(self, sd: float, row: ParameterRow) -> "ParameterInterval":
         """Return the interval as wide as with an independent error of this SD (of ln for moduli and lengths).
 
         Its median, else the value of `row`, is kept; the bounds of `row` stay the limits.
         """
+        name = row.parameter
         own = interval_width(name, self.low, self.high) / (2 * directions.NORMAL_95_HALF_WIDTH_SD)
         wider = math.hypot(own, sd) / own if own > 0 else 1.0
-        centre = to_coordinate(name, row["value"] if math.isnan(self.median) else self.median)
+        centre = to_coordinate(name, row.value if math.isnan(self.median) else self.median)
         low, high = (
             to_value(name, centre + wider * (to_coordinate(name, end) - centre))
             for end in (self.low, self.high)
         )
         # fmax, fmin: an exactly tied parameter has no bounds of its own
-        low, high = float(np.fmax(low, row["bound_low"])), float(np.fmin(high, row["bound_high"]))
+        low, high = float(np.fmax(low, row.bound_low)), float(np.fmin(high, row.bound_high))
         return replace(self, low=low, high=high)
 
     def columns(self) -> Row:
         return {"interval_low": self.low, "interval_high": self.high, "draw_source": self.source}
 
 
-NO_SOURCE: Row = ParameterInterval(math.nan, math.nan, "").columns() | {"median": math.nan}
 _PERCENTILES = (2.5, 50, 97.5)
 
 
@@ -217,36 +258,43 @@ def intervals_of_draws(
 
 
 def add_intervals(
-    parameters: Sequence[Row],
+    parameters: Sequence[ParameterRow],
     identification: Sequence[Row],
     sampled: Mapping[str, ParameterInterval],
     ties: Mapping[str, tuple[float, str]],
     together: Mapping[str, bool],
     model_error: Mapping[str, float],
-) -> None:
-    """Add the interval to the rows of one fold's fit and of its identifiability, and correct the verdicts.
+) -> tuple[list[ParameterRow], list[Row]]:
+    """Return the rows of one fold's fit and of its identifiability with their intervals, verdicts corrected.
 
     `sampled`: from `intervals_of_draws`. `ties`: factor and source. `together`: whether a parameter is
     determined while all others are held. `model_error`: SD that an error of the model adds to each free
     parameter, of ln for moduli and lengths.
     """
-    profiles = {row["parameter"]: ParameterInterval(row["low"], row["high"], "profile")
-                for row in identification}  # fmt: skip
     judged = {row["parameter"]: row for row in identification}
-    for row in (row for row in parameters if row["status"] != "prior"):
-        name = str(row["parameter"])
-        found = None if row["status"] == "fixed" else sampled.get(name, profiles.get(name))
-        if found is None and name in ties and row["status"] != "fixed":
-            factor, source = ties[name]
-            one = sampled.get(source, profiles.get(source))
-            found = one and one.scale(factor)
+    profiles = {name: ParameterInterval(row["low"], row["high"], "profile") for name, row in judged.items()}
+    rows = list[ParameterRow]()
+    for row in parameters:
+        if row.status == "prior":
+            rows.append(row)
+            continue
+        name, (factor, source) = row.parameter, ties.get(row.parameter, (1.0, row.parameter))
+        found = None
+        if row.status != "fixed":
+            found = sampled.get(name, profiles.get(name))
+            if found is None and (of_source := sampled.get(source, profiles.get(source))):
+                found = of_source.scale(factor)
         if found is not None:
-            found = found.allow_for(name, model_error.get(ties.get(name, (1.0, name))[1], 0.0), row)
-        row |= NO_SOURCE if found is None else found.columns() | {"median": found.median}
-        if row["determined"] == "yes" and not (found and found.is_narrow(name)):
-            held = together.get(ties.get(name, (1.0, name))[1], False)
-            row |= {"determined": directions.name_determined(False, held), "condition": ""}
-            row["note"] = f"its 95 % interval is {'too wide' if found else 'not known'}"
+            found = found.allow_for(model_error.get(source, 0.0), row)
+            row = row._replace(**found.columns(), median=found.median)
+        if row.determined == "yes" and not (found and found.is_narrow(name)):
+            row = row._replace(
+                determined=directions.name_determined(False, together.get(source, False)),
+                condition="",
+                note=f"its 95 % interval is {'too wide' if found else 'not known'}",
+            )
         if name in judged:
-            judged[name] |= found.columns() if found else profiles[name].columns()
-            judged[name]["determined"] = row["determined"]
+            ends = (found or profiles[name]).columns()
+            judged[name] = {**judged[name], **ends, "determined": row.determined}
+        rows.append(row)
+    return rows, list(judged.values())

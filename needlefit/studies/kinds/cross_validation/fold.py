@@ -9,6 +9,7 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_he
 from needlefit.studies.held_out_tracks import predict_tracks
 from needlefit.studies.identification import (
     IDENTIFICATION_COLUMNS,
+    ParameterRow,
     add_intervals,
     identify_parameters,
     intervals_of_draws,
@@ -61,7 +63,7 @@ from needlefit.studies.score import Row, Scores, curve_predictor, make_predictor
 from needlefit.studies.stated_depths import examine_depths
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
-Rows = tuple[Row, ...]
+FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
 
 
 @dataclass(frozen=True)
@@ -87,21 +89,7 @@ class FoldServices:
 class FoldResult:
     """What one fold gave: the rows of each table of `Run.frames`, and what the run as a whole states."""
 
-    errors: Rows
-    shapes: Rows
-    starts: Rows
-    parameters: Rows
-    error_fit: Rows
-    directions: Rows
-    identification: Rows
-    profiles: Rows
-    predictive: Rows
-    bands: Rows
-    curvature: Rows
-    runs: Rows  #: of tip tracks that are held out, see `held_out_tracks`
-    readings: Rows
-    draws: Rows
-    population: Rows
+    rows: FitRows
     needles: tuple[NeedleInScan, ...]
     depths: tuple[DepthMetadata, ...]  #: what leans on stated depths of boundaries; of the first fold
     validity: ValidityCounts
@@ -145,33 +133,27 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     predicted = drawn.predicted if drawn else ()
     usable = {name: fit for name, fit in found.fits.items() if math.isfinite(fit.objective)}
     fitted = usable.get("fitted")
-    about_fit = _FitRows()
-    if fitted is not None:
-        about_fit = _describe_fit(job, fold, fitted, found, drawn)
-    scored = list(_score(job, fold, usable, predicted))
-    tracks = dict[str, list[Row]](runs=[], readings=[])
+    rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, found, drawn)
     if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
-        tracks = predict_tracks(job, fold, drawn.draws, services.settings.jobs)
-    return FoldResult(
-        errors=tuple(_mark_estimate(row) for one in scored for row in one.errors),
-        shapes=tuple(row for one in scored for row in one.shapes),
-        starts=tuple(_list_starts(job, fold, found.fits)),
-        parameters=(
-            *about_fit.parameters,
+        rows |= predict_tracks(job, fold, drawn.draws, services.settings.jobs)
+    scored = list(_score(job, fold, usable, predicted))
+    rows |= {
+        "parameters": [
+            *rows.get("parameters", ()),
             *list_error_fit(job, fold, least),
             *list_published(job, fold, usable.get("hand_tuned_b")),
-        ),
-        error_fit=() if least is None else (describe_error_fit(fold, least),),
-        directions=about_fit.directions,
-        identification=about_fit.identification,
-        profiles=about_fit.profiles,
-        predictive=tuple(one.row for one in predicted),
-        bands=tuple(row for one in predicted for row in one.band),
-        curvature=tuple(row for one in predicted for row in one.sensors),
-        runs=tuple(tracks["runs"]),
-        readings=tuple(tracks["readings"]),
-        draws=tuple(_list_draws(job, fold, drawn)) if drawn else (),
-        population=about_fit.population,
+        ],
+        "error_fit": [] if least is None else [describe_error_fit(fold, least)],
+        "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
+        "errors": [_mark_estimate(row) for one in scored for row in one.errors],
+        "shapes": [row for one in scored for row in one.shapes],
+        "starts": list(_list_starts(job, fold, found.fits)),
+        "predictive": [one.row for one in predicted],
+        "bands": [row for one in predicted for row in one.band],
+        "curvature": [row for one in predicted for row in one.sensors],
+    }
+    return FoldResult(
+        rows=rows,
         needles=tuple(_place_needles(job, fold, fitted, drawn, services.settings.jobs)) if fitted else (),
         depths=tuple(_examine_depths(job, fold, fitted)) if fitted else (),
         validity=ValidityCounts(
@@ -429,18 +411,7 @@ def _place_needles(
     return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted)
 
 
-@dataclass(frozen=True)
-class _FitRows:
-    """What the data determine about the fit of a fold, as rows of these tables."""
-
-    parameters: Rows = ()
-    directions: Rows = ()
-    identification: Rows = ()
-    profiles: Rows = ()
-    population: Rows = ()
-
-
-def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> _FitRows:
+def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> FitRows:
     """Return the fitted parameters of a fold and what the data determine.
 
     They are judged by draws of the posterior; without certified ones, by the information.
@@ -453,7 +424,7 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDr
         population = drawn.specimens.tabulate_population()
         posterior = None  # the sampler's has one set of parameters, specimens several
     verdict = identify(problem, fit, draws.certified if draws else None, further)
-    directions = tuple(list_directions(fold, fit, verdict))
+    directions = list(list_directions(fold, fit, verdict))
     # without stated noise nothing says how far the data can be trusted, outside its validity the model
     invalid = drawn is not None and drawn.count.outside > MOSTLY_OUTSIDE * drawn.count.simulations
     if fit.minimized != "posterior" or invalid:
@@ -468,18 +439,26 @@ def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDr
         points = [{**place, **row} for row in known.points]
         verdict = reconcile_verdict(verdict, known.by_profile)
     held = {row["parameter"]: row for row in list_held(job.parameters, found.shifts)}
-    fitted = [_take(row, held.get(row["parameter"], {})) for row in list_fitted(job, fold, fit, verdict)]
+    fitted = [_take(row, held.get(row.parameter, {})) for row in list_fitted(job, fold, fit, verdict)]
     sampled = intervals_of_draws(job.parameters, draws, posterior)
-    add_intervals(fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error)
+    fitted, judged = add_intervals(
+        fitted, judged, sampled, job.parameters.ties, verdict.together, verdict.model_error
+    )
     if found.profiles is not None:
         for row in held.values():
             judged.append(place | {key: row[key] for key in IDENTIFICATION_COLUMNS if key in row})
-    return _FitRows(tuple(fitted), directions, tuple(judged), tuple(points), tuple(population))
+    return {
+        "parameters": fitted,
+        "directions": directions,
+        "identification": judged,
+        "profiles": points,
+        "population": population,
+    }
 
 
-def _take(row: Row, known: Row) -> Row:
+def _take(row: ParameterRow, known: Row) -> ParameterRow:
     """Return a row with those of its values that are known otherwise."""
-    return {key: known.get(key, value) for key, value in row.items()}
+    return row._replace(**{key: value for key, value in known.items() if key in row._fields})
 
 
 # ---- scores

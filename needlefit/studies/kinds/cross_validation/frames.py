@@ -6,13 +6,8 @@ from types import MappingProxyType
 from needlefit.studies.fold_draws import DRAW_COLUMNS, POPULATION_COLUMNS
 from needlefit.studies.held_out_predictions import PREDICTIVE_COLUMNS
 from needlefit.studies.held_out_tracks import READING_COLUMNS, RUN_COLUMNS
-from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
-from needlefit.studies.kinds.cross_validation.rows import (
-    DIRECTION_COLUMNS,
-    ERROR_FIT_COLUMNS,
-    PARAMETER_COLUMNS,
-    START_COLUMNS,
-)
+from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
+from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
 from needlefit.studies.needles_in_scan import NEEDLE_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
 from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
@@ -22,7 +17,7 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "errors": ERROR_COLUMNS,
         "shapes": SHAPE_COLUMNS,
         "starts": START_COLUMNS,
-        "parameters": PARAMETER_COLUMNS,
+        "parameters": ParameterRow._fields,
         "error_fit": ERROR_FIT_COLUMNS,
         "directions": DIRECTION_COLUMNS,
         "identification": IDENTIFICATION_COLUMNS,

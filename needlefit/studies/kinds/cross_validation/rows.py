@@ -1,8 +1,7 @@
 """Rows of the tables of a fit: its starts and its parameters."""
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from needlefit.inference.identifiability.identify import (
 )
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
-from needlefit.studies.identification import NO_SOURCE
+from needlefit.studies.identification import ParameterRow
 from needlefit.studies.job import Fold, Job
 from needlefit.studies.score import Row
 
@@ -28,17 +27,6 @@ from needlefit.studies.score import Row
 START_COLUMNS = (
     *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
     *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
-)
-#: Of the table "parameters": values per fold and method. `sd` is of ln for moduli and lengths, of the value
-#: for alpha; `low`, `high` is the range among starts within tolerance of the best; `interval_low`,
-#: `interval_high` is the 95 % interval that is printed, `draw_source` what it is from, `median` that of the
-#: same draws. `status` is "prior" where the posterior of a parameter is its prior, which moves a tip by
-#: `tip_shift_mm` at most. `determined` is "yes", "only together" (with the others held it is), or "no".
-PARAMETER_COLUMNS = (
-    *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
-    *("sd", "low", "high", "interval_low", "interval_high", "draw_source"),
-    *("median", "tip_shift_mm"),
-    *("determined", "condition", "note"),
 )
 #: Of the table "error_fit": per fold the objective of the error-minimising fit, at the reported point, at the
 #: least one, and the tolerance within which it is not significantly larger, with its two estimates.
@@ -67,41 +55,31 @@ def make_start_row(problem: Problem, start: Start, fit: Fit) -> Row:
     }
 
 
-#: of a row of "parameters": what is known of fitted ones only
-_UNKNOWN: Row = {
-    **dict.fromkeys(("bound_low", "bound_high"), math.nan),
-    **NO_SOURCE,
-    **dict.fromkeys(("sd", "low", "high", "tip_shift_mm"), math.nan),
-    **dict.fromkeys(("determined", "condition", "note"), ""),
-}
-
-
-def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> list[Row]:
-    """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
-    rows = []
+def list_fitted(job: Job, fold: Fold, fit: Fit, verdict: Identifiability) -> Iterator[ParameterRow]:
+    """Yield the fitted values with what the data determine; a tied one shares its source's verdict."""
+    parameters = job.parameters
     for name, value in fit.values.items():
-        status, (factor, source) = job.parameters.status[name], job.parameters.ties.get(name, (1.0, name))
-        low, high = job.parameters.bounds.get(name, (math.nan, math.nan))
+        status, (factor, source) = parameters.status[name], parameters.ties.get(name, (1.0, name))
+        low, high = parameters.bounds.get(name, (math.nan, math.nan))
         condition = verdict.conditions.get(name, "")
-        row = {"fold": fold.name, "method": "fitted", "parameter": name, "value": value, "status": status}
-        row |= {**_UNKNOWN, "bound_low": low, "bound_high": high, "condition": condition}
+        row = ParameterRow(fold.name, "fitted", name, value, status, low, high, condition=condition)
         known, together = (some.get(source, False) for some in (verdict.determined, verdict.together))
         if status in ("free", "tied"):
-            row["determined"] = name_determined(known and not condition, bool(condition) or known or together)
+            together = bool(condition) or known or together
+            row = row._replace(determined=name_determined(known and not condition, together))
         if source in verdict.sds:
-            row["low"] = factor * verdict.spread_low[source]
-            row["high"] = factor * verdict.spread_high[source]
+            low, high = factor * verdict.spread_low[source], factor * verdict.spread_high[source]
+            row = row._replace(low=low, high=high)
         if status == "free":
-            row |= {"sd": verdict.sds[name], "note": verdict.notes[name]}
-        elif status != "prior" or name in job.parameters.ties:
+            row = row._replace(sd=verdict.sds[name], note=verdict.notes[name])
+        elif status != "prior" or name in parameters.ties:
             tied = f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
-            note = ["fixed" if status == "fixed" else tied]
-            row["note"] = "; ".join([*note, *filter(None, [condition])])
-        rows.append(row)
-    return rows
+            notes = ["fixed" if status == "fixed" else tied, condition]
+            row = row._replace(note="; ".join(filter(None, notes)))
+        yield row
 
 
-def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> Iterator[Row]:
+def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> Iterator[ParameterRow]:
     """Yield the values with the least errors, each with its range (`low`, `high`) within the tolerance.
 
     Hyperparameters are of the likelihood alone.
@@ -114,14 +92,13 @@ def list_error_fit(job: Job, fold: Fold, found: ErrorMinimisingFit | None) -> It
         if name in HYPERPARAMETERS:
             continue
         factor, source = parameters.ties.get(name, (1.0, name))
-        row = {"fold": fold.name, "method": "fitted_metric", "parameter": name, "value": value, **_UNKNOWN}
-        row["status"] = parameters.status[name]
+        row = ParameterRow(fold.name, "fitted_metric", name, value, parameters.status[name])
         if source in parameters.bounds:
             low, high = (factor * bound for bound in parameters.bounds[source])
-            row |= {"bound_low": low, "bound_high": high}
+            row = row._replace(bound_low=low, bound_high=high)
         if source in ranges:
             low, high = (to_value(source, end) for end in (ranges[source].low, ranges[source].high))
-            row |= {"low": factor * low, "high": factor * high}
+            row = row._replace(low=factor * low, high=factor * high)
         yield row
 
 
@@ -144,20 +121,17 @@ def list_directions(fold: Fold, fit: Fit, verdict: Identifiability) -> Iterator[
         yield {"fold": fold.name, **row}
 
 
-def list_published(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
-    """Return the paper's set, and that set with the bevel alone fitted."""
+def list_published(job: Job, fold: Fold, retuned: Fit | None) -> Iterator[ParameterRow]:
+    """Yield the paper's set, and that set with the bevel alone fitted."""
     if job.hand_tuned is None:
-        return []
-    sets: dict[str, Mapping[str, Any]] = {"hand_tuned": job.hand_tuned}
-    found: Mapping[str, bool] = {}
-    if retuned is not None:
-        sets["hand_tuned_b"] = retuned.values
-        found = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
-    rows = []
-    for method, values in sets.items():
-        for name, value in values.items():
-            free = method == "hand_tuned_b" and name == "bevel_mm"
-            row = {"fold": fold.name, "method": method, "parameter": name, "value": value}
-            row |= {"status": "free" if free else "published", **_UNKNOWN}
-            rows.append(row | {"determined": name_determined(found.get(name, False), False) if free else ""})
-    return rows
+        return
+    for name, value in job.hand_tuned.items():
+        yield ParameterRow(fold.name, "hand_tuned", name, value, "published")
+    if retuned is None:
+        return
+    found = identify(job.problem(fold, "hand_tuned_b"), retuned).determined
+    for name, value in retuned.values.items():
+        row = ParameterRow(fold.name, "hand_tuned_b", name, value, "published")
+        if name == "bevel_mm":
+            row = row._replace(status="free", determined=name_determined(found.get(name, False), False))
+        yield row

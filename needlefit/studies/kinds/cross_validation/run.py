@@ -56,7 +56,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
             break
     better = None
     if not results[-1].interrupted:
-        better = find_better_advance(job, results[0].errors, settings)
+        better = find_better_advance(job, results[0].rows["errors"], settings)
     return conclude_run(job, work, results, better)
 
 
@@ -114,7 +114,7 @@ def conclude_run(
 
 def _make_frame(job: Job, name: str, results: Sequence[FoldResult]) -> pd.DataFrame:
     """Return one table of all folds; without rows it still has its columns."""
-    rows = [row for one in results for row in getattr(one, name)]
+    rows = [row for one in results for row in one.rows.get(name, ())]
     values = job.parameters.names if name in ("starts", "profiles", "draws") else ()
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*FRAMES[name], *values])
 

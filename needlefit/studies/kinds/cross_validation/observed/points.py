@@ -10,14 +10,15 @@ from needlefit.inference.baselines import BASELINES
 from needlefit.inference.identifiability.directions import find_least_determined
 from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range
-from needlefit.reporting.table_files import select_rows, to_records
+from needlefit.reporting.number_format import format_bare_symbol, format_quantity_range, is_known
+from needlefit.reporting.table_files import select_rows
 from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
+from needlefit.studies.identification import ParameterRow
 from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.run import Run
@@ -119,19 +120,20 @@ MAX_PRINTED_INTERVALS = 2  #: more determined parameters than these stand withou
 
 def _list_determined(run: Run) -> tuple[list[tuple[str, list[str]]], bool]:
     """Return the free parameters by whether the data determine them, and whether those have intervals."""
-    rows = select_rows(run.frames["parameters"], method="fitted")
-    rows = rows[rows["status"].isin(["free", "tied"])]
-    rows = rows[~rows["parameter"].isin(HYPERPARAMETERS)]
+    rows = [
+        row
+        for row in ParameterRow.read(select_rows(run.frames["parameters"], method="fitted"))
+        if row.status in ("free", "tied") and row.parameter not in HYPERPARAMETERS
+    ]
     words = {
-        str(name): find_least_determined(map(str, some["determined"]))
-        for name, some in rows.groupby("parameter", sort=False)
+        name: find_least_determined(row.determined for row in some)
+        for name, some in group_values((row.parameter, row) for row in rows).items()
     }
     names = {name: format_bare_symbol(name) for name in words}
-    known = rows[rows["parameter"].map(words) == "yes"].dropna(subset=["interval_low", "interval_high"])
-    if shown := rows["fold"].nunique() == 1 and len(known) <= MAX_PRINTED_INTERVALS:
-        for row in to_records(known):
-            interval = format_quantity_range(row["parameter"], row["interval_low"], row["interval_high"])
-            names[row["parameter"]] += f" {interval}"
+    known = [row for row in rows if words[row.parameter] == "yes" and all(map(is_known, row.interval))]
+    if shown := len({row.fold for row in rows}) == 1 and len(known) <= MAX_PRINTED_INTERVALS:
+        for row in known:
+            names[row.parameter] += f" {format_quantity_range(row.parameter, *row.interval)}"
     return list(group_values((words[name], label) for name, label in names.items()).items()), shown
 
 
