@@ -242,10 +242,9 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(choose_width(COLUMN_WIDTH_IN), 2.2))
     axes = figure.add_subplot()
     count, trials = int(rows["insertions"].iloc[0]), int(rows["replicates"].iloc[0])
-    axes.set_title(f"{count} insertions" + ("" if trials == count else f", {trials} independent"), loc="left")
     chance = select_rows(rows, mark="band")
-    low, high = (chance[side].astype(float) for side in ("low", "high"))
-    axes.fill_between(chance["probability"], low, high, color=_BAND_COLOUR, lw=0)
+    independent = f", {trials} independent" if len(chance) else " of one fit: no band"
+    axes.set_title(f"{count} insertions" + ("" if trials == count else independent), loc="left")
     axes.plot([0, 1], [0, 1], color=GREY, lw=0.5)
     for quantity, (_, colour) in PREDICTED_QUANTITIES.items():
         steps = select_rows(rows, mark="ECDF", quantity=quantity)
