@@ -113,7 +113,11 @@ class StudyReport:
 
     def lay_out(self, run: Run) -> list[TableLayout]:
         """Return the tables of a run."""
-        return _lay_out_tables(run)
+        values = self.values(run)
+        return [
+            one if isinstance(one, TableLayout) else self.text.lay_out(one, values)
+            for one in self.tables(run)
+        ]
 
     def draw(self, run: Run, folder: Path) -> dict[str, Path]:
         """Draw the figures of a run to a folder, with what each shows as CSV; return the files by name."""
@@ -131,12 +135,6 @@ class StudyReport:
             blocks += [document.table(one) for one in self.lay_out(run) if one.name not in shown]
         blocks += compose_warnings(run.warnings, linked=False)
         return document.format_html_part(Document(run.title, subtitle(run), run.synthetic, tuple(blocks)))
-
-
-def _lay_out_tables(run: Run) -> list[TableLayout]:
-    page = find_kind(run.kind).report
-    values, every = page.values(run), page.tables(run)
-    return [one if isinstance(one, TableLayout) else page.text.lay_out(one, values) for one in every]
 
 
 def answer_in_words(run: Run, status: Status, **numbers: float | str | None) -> Answer:
