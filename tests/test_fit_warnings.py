@@ -22,6 +22,7 @@ import needlefit
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
+from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.predict import Draws
 from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
@@ -35,7 +36,6 @@ from needlefit.studies.identification import (
     intervals_of_draws,
 )
 from needlefit.studies.run import Run
-from needlefit.studies.stated_depths import examine_depths
 
 
 def warn(key: str, results: Run):

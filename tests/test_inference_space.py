@@ -17,6 +17,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves, integrate_curvature
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.compared_points import turn_about_x
+from needlefit.inference.draw_simulation import DrawSimulation
 from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.parameters import make_tissue
@@ -32,7 +33,6 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.draw_simulation import DrawSimulation
 from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.prediction_scores import score_tip_in_space

@@ -24,11 +24,11 @@ from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
+from needlefit.reporting.needles_in_scan import read_needles_in_scan
+from needlefit.reporting.slicer import write_needles
 from needlefit.studies.folds import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
 from needlefit.studies.needle_placement import place_needles
-from needlefit.studies.needles_in_scan import read_needles_in_scan
-from needlefit.studies.slicer import write_needles
 
 __all__ = ["project"]  # a fixture
 POLYGON = (

@@ -10,6 +10,7 @@ from inference_cases import TRUTH, dataset, insertion, measure, medium, problem,
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes
+from needlefit.inference.draw_simulation import DrawSimulation, draw_depth_errors
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.nodes import shift_depths
 from needlefit.inference.likelihood.observation import pose_sds
@@ -24,7 +25,6 @@ from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
-from needlefit.studies.draw_simulation import DrawSimulation, draw_depth_errors
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
 from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out

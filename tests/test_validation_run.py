@@ -28,7 +28,7 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.checkpoint import NO_CHECKPOINT
 from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.folds import make_folds, add_folds
+from needlefit.studies.folds import add_folds, make_folds
 from needlefit.studies.job import load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES

@@ -13,8 +13,8 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.planning.recording import RecordedStep, RecordingWriter, read_recording
 from needlefit.planning.steered_needle import Change, SteeredNeedle
+from needlefit.reporting.needles_in_scan import read_needles_in_scan
 from needlefit.studies.needle_placement import NEEDLE_POINTS
-from needlefit.studies.needles_in_scan import read_needles_in_scan
 from needlefit.viewer.export import replay_to_end
 from needlefit.viewer.opening import open_target
 

@@ -150,7 +150,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
         return shape.converged
 
     def write_curves(path: Path) -> bool:
-        from needlefit.studies.slicer import write_simulated_needle
+        from needlefit.reporting.slicer import write_simulated_needle
 
         return write_simulated_needle(scene.entry.placement, shapes, path, record.needle.outer_diameter_mm)
 

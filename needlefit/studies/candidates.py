@@ -15,6 +15,13 @@ import pandas as pd
 
 from needlefit.arrays import Bools, Floats
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.draw_simulation import (
+    Sets,
+    choose_draws,
+    interpolate_draws,
+    make_coordinates,
+    vary_bevels,
+)
 from needlefit.inference.identifiability.design_gain import PredictedData, nested_gain
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.likelihood.nodes import make_group
@@ -26,13 +33,6 @@ from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.draw_simulation import (
-    Sets,
-    choose_draws,
-    interpolate_draws,
-    make_coordinates,
-    vary_bevels,
-)
 from needlefit.studies.job import Fold, Job, Settings
 from needlefit.studies.simulated_data import simulate_design
 

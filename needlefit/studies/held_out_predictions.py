@@ -23,6 +23,13 @@ from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
 from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import predict_bands
+from needlefit.inference.draw_simulation import (
+    DrawnNeedles,
+    DrawSimulation,
+    draw_depth_errors,
+    scale_bevels,
+    vary_bevels,
+)
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
@@ -38,14 +45,7 @@ from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.studies.coverage import WIDTH_ERROR_COLUMN, estimate_width_after_one
-from needlefit.studies.draw_simulation import (
-    DrawnNeedles,
-    DrawSimulation,
-    draw_depth_errors,
-    scale_bevels,
-    vary_bevels,
-)
+from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (

@@ -12,6 +12,7 @@ from needlefit.datasets.select import select_same_needle
 from needlefit.inference import predict
 from needlefit.inference.baselines import BASELINES, list_baselines
 from needlefit.inference.curve_bands import find_bands
+from needlefit.inference.draw_simulation import vary_bevels
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
@@ -21,7 +22,6 @@ from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_cur
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.draw_simulation import vary_bevels
 from needlefit.studies.folds import count_registered
 from needlefit.studies.job import Fold, Job
 from needlefit.studies.score import Row

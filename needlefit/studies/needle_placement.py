@@ -23,8 +23,8 @@ from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
+from needlefit.reporting.needles_in_scan import Band, NeedleInScan
 from needlefit.studies.job import Fold
-from needlefit.studies.needles_in_scan import Band, NeedleInScan
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PROBABILITY = 0.95

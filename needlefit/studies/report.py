@@ -21,6 +21,7 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex
+from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
@@ -39,7 +40,6 @@ from needlefit.studies.explorer import collect_explorer
 from needlefit.studies.kind import find_kind
 from needlefit.studies.result_sources import read_sources, store_sources
 from needlefit.studies.run import Run, mark_faults
-from needlefit.studies.slicer import write_needles
 from needlefit.studies.store import restore_run, store_run
 
 #: of a `Finding`: which words about a check are printed

@@ -79,7 +79,7 @@ def write_table(outcome: RecordingOutcome, path: Path) -> None:
 
 def write_curve(outcome: RecordingOutcome, path: Path) -> None:
     """Write the needle for 3D Slicer, .mrk.json or .ply."""
-    from needlefit.studies.slicer import write_simulated_needle
+    from needlefit.reporting.slicer import write_simulated_needle
 
     placement = outcome.placement or outcome.scene.entry.placement
     diameter = outcome.recording.head.scene.needle.outer_diameter_mm

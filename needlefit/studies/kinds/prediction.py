@@ -28,6 +28,7 @@ from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
+from needlefit.inference.draw_simulation import simulate_scene_draws, vary_bevels
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.optimize import minimize
@@ -51,7 +52,6 @@ from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
-from needlefit.studies.draw_simulation import simulate_scene_draws, vary_bevels
 from needlefit.studies.explorer import choose_drawn
 from needlefit.studies.fold_draws import (
     PREDICTION_DRAWS,

@@ -22,6 +22,7 @@ from needlefit.inference.identifiability.identify import (
     identify,
     profile_parameters,
 )
+from needlefit.inference.identifiability.stated_depths import examine_depths
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import Draws
@@ -31,6 +32,7 @@ from needlefit.project.checkpoint import Checkpoint
 from needlefit.project.progress import no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import compute_beside, stop_requested
+from needlefit.reporting.needles_in_scan import NeedleInScan
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
@@ -58,9 +60,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import place_needles
-from needlefit.studies.needles_in_scan import NeedleInScan
 from needlefit.studies.score import Row, Scores, curve_predictor, make_predictors, make_scorer
-from needlefit.studies.stated_depths import examine_depths
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to

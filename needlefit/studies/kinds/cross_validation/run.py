@@ -13,6 +13,7 @@ from needlefit.grouping import group_values
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
+from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.run_metadata import AdvanceMetadata, FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -24,7 +25,6 @@ from needlefit.studies.job import Job, Settings, load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
-from needlefit.studies.needles_in_scan import tabulate_needles_in_scan
 from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run

@@ -24,6 +24,8 @@ from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
+from needlefit.reporting.slicer import write_scan
+from needlefit.reporting.slicer_scene import write_control_points, write_slicer_scene
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -37,8 +39,6 @@ from needlefit.studies.provenance import package_versions
 from needlefit.studies.report import StudyReport, answer_in_words, write_files
 from needlefit.studies.result_sources import store_sources
 from needlefit.studies.run import Run
-from needlefit.studies.slicer import write_scan
-from needlefit.studies.slicer_scene import write_control_points, write_slicer_scene
 
 SCANS_FILE = "scans.csv"
 TIP_COLUMNS = ("tip_x_mm", "tip_y_mm", "tip_z_mm")

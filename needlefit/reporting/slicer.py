@@ -19,7 +19,7 @@ from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
-from needlefit.studies.needles_in_scan import NeedleInScan, read_needles_in_scan
+from needlefit.reporting.needles_in_scan import NeedleInScan, read_needles_in_scan
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction

@@ -21,7 +21,7 @@ from needlefit.imaging.volume import Volume
 from needlefit.imaging.volume_files import write_volume
 from needlefit.project.folders import replace_file
 from needlefit.reporting.labels import rgb
-from needlefit.studies.slicer import INSERTED_COLOUR, LAYER_COLOUR, POINT_SIZE_MM, make_scan_markups
+from needlefit.reporting.slicer import INSERTED_COLOUR, LAYER_COLOUR, POINT_SIZE_MM, make_scan_markups
 
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)  # date of all members, so that the same scene gives the same bytes
 WINDOW_HU = 700.0  # width of the window in which tissue is shown, HU
