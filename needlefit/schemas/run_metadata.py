@@ -94,7 +94,7 @@ class InsertionMetadata(_Metadata):
     compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
     specimen: str
     turns: tuple[tuple[float, float], ...] = ()
-    needle_name: str = Field("", alias="needle")  #: where there are several
+    needle: str = ""  #: its name, where there are several
 
 
 class CountMetadata(_Metadata):

@@ -4,7 +4,8 @@ A run stores how each insertion was made, so that its report can be made again w
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -59,23 +60,29 @@ MAX_TABLE_DRAWS = 40
 CURVE_DECIMALS = 3  #: of mm, of the curves of baselines
 
 
-class StoredInsertion(InsertionMetadata):
-    """How one insertion was made, with its needle and its layers: what its simulation needs."""
+@dataclass(frozen=True)
+class StoredInsertion:
+    """How one insertion was made: what its simulation needs, lengths in mm."""
 
-    needle: Needle
+    depth: float
+    side: int
+    bevel_factor: float
+    guide_distance: float | None
+    base_moved: float
+    compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
+    specimen: str
     sequence: tuple[int, ...]
     boundaries: Floats
+    needle: Needle
+    turns: tuple[tuple[float, float], ...] = ()
     guide: GuideMotion | None = None  #: insertions under one are not stored
 
     @classmethod
-    def read(cls, metadata: FitMetadata, name: str) -> "StoredInsertion":
+    def read(cls, metadata: FitMetadata, name: str) -> Self:
         layers, stored = metadata.layers[name], metadata.insertions[name]
-        return cls.model_construct(
-            **vars(stored),
-            needle=_read_needle(metadata.dataset, stored.needle_name),
-            sequence=tuple(layer for layer, _ in layers),
-            boundaries=np.array([top for _, top in layers[1:]]),
-        )
+        sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
+        needle = _read_needle(metadata.dataset, stored.needle)
+        return cls(**vars(stored) | {"needle": needle}, sequence=sequence, boundaries=tops)
 
 
 def _read_needle(dataset: DatasetMetadata, name: str) -> Needle:
@@ -97,7 +104,7 @@ def describe_insertions(job: "Job") -> dict[str, InsertionMetadata]:
             compared=None if drop is None else find_free_reach(drop, one),
             specimen=one.specimen,
             **({"turns": one.turns} if one.turns else {}),
-            **({"needle_name": one.needle.name} if len(job.dataset.needles) > 1 else {}),
+            **({"needle": one.needle.name} if len(job.dataset.needles) > 1 else {}),
         )
         for one in job.insertions
         if one.guide is None
