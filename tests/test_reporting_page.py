@@ -3,15 +3,20 @@ import hashlib
 import html
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from reporting_results import study
 
 from needlefit.reporting import document
+from needlefit.reporting import text as text_of_package
 from needlefit.reporting.document import Document, compile_html, compile_pdf
 from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
+from needlefit.studies import advice, fit_sentences, fit_warnings, report
 from needlefit.studies.fit_figures import draw_overlays
+from needlefit.studies.kinds import calibration, cohort, identification, prediction
+from needlefit.studies.kinds.reconstruction import report as reconstruction
 from needlefit.studies.report import compose_run_report
 
 
@@ -120,7 +125,13 @@ Plain [link](https://example.org) and `code`.
 
 {{ name }}
 {% endblock %}
+{% block errors_found %}{{ choose("small", "large", "limit", limit=1) }}{% endblock %}
+{% block small %}small{% endblock %}
+{% block large %}large{% endblock %}
+{% block limit %} beside {{ limit }}{% endblock %}
 """
+TEMPLATES = Path(text_of_package.__file__).parent
+RULES = {"small": lambda v: v.error_mm < v.limit, "large": lambda v: v.error_mm >= v.limit}
 HOSTILE = "# *a* [b](c) `d`\n\n- #let x = 1 {{ 1 }} [[table:errors]] <b>"
 
 
@@ -132,7 +143,7 @@ def text(tmp_path_factory):
     (folder / "trial.md.j2").write_text(TEXT, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder.parent)
-        yield KindText("trial", "text_of_plugin")
+        yield KindText("trial", "text_of_plugin", RULES)
 
 
 def compose(text, name="gel"):
@@ -148,3 +159,31 @@ def test_a_value_is_printed_literally_wherever_it_stands(text):
     page = Document("Title", "", False, tuple(blocks))
     assert b"<b>" not in compile_html(page).partition(b"<main>")[2].replace(b"<figcaption><b>", b"")
     assert compile_pdf(page).startswith(b"%PDF")
+
+
+def test_a_block_is_chosen_by_its_rule(text):
+    for error, words in ((0.5, "small beside 1"), (1.0, "large beside 1")):
+        assert text.sentence("errors_found", {"name": "gel", "error_mm": error}) == words
+
+
+TEXTS = [
+    fit_sentences.TEXT,
+    report.CHECKS,
+    advice.TEXT,
+    fit_warnings.TEXT,
+    calibration.TEXT,
+    cohort.TEXT,
+    identification.TEXT,
+    prediction.TEXT,
+    reconstruction.TEXT,
+]
+
+
+@pytest.mark.parametrize("text", TEXTS, ids=lambda one: one.name)
+def test_a_template_decides_nothing_and_every_rule_is_of_a_block_that_it_chooses(text):
+    source = (TEMPLATES / f"{text.name}.md.j2").read_text(encoding="utf-8")
+    assert not re.search(r"{%-? *(el)?if", source)
+    chosen = {name for one in re.findall(r"choose\(([^)]*)", source) for name in re.findall(r'"(\w+)"', one)}
+    blocks = set(re.findall(r"{% block (\w+) %}", source))
+    assert chosen <= blocks
+    assert set(text.rules) <= chosen

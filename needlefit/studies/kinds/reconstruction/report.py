@@ -48,7 +48,7 @@ _COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
 )
-_TEXT = KindText(
+TEXT = KindText(
     "reconstruction",
     rules={
         "poor_lengths": lambda v: v.poor,
@@ -250,7 +250,7 @@ def lay_out_reconstructions(run: Run) -> TableLayout:
         unregistered = {"target_error_tip_mm": None} if row["markers_known"] is None else {}
         rows.append({**row, **about, **unregistered})
     table = Table("reconstruction", rows, _COLUMNS)
-    return _TEXT.lay_out(table, describe_batch(run), drop_empty=True)
+    return TEXT.lay_out(table, describe_batch(run), drop_empty=True)
 
 
 def _lay_out_refused(run: Run) -> list[TableLayout]:
@@ -259,7 +259,7 @@ def _lay_out_refused(run: Run) -> list[TableLayout]:
     if refused is None:
         return []
     rows = [{**row, "scan": row["id"]} for row in to_records(refused)]
-    return [_TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
+    return [TEXT.lay_out(Table("refused", rows, ("scan", "note")), {}, drop_empty=True)]
 
 
 def answer_batch(run: Run) -> Answer:
@@ -270,7 +270,7 @@ def answer_batch(run: Run) -> Answer:
     lost = values["unregistered"]
     finding, scan = ("scan_unregistered", lost[0]["id"]) if lost else ("scans_reconstructed", "")
     advice = advise([finding], {"scan": scan}, run.name, results=".")
-    return replace(answer, tables=tables, about=_TEXT.sentence("about", values), advice=advice)
+    return replace(answer, tables=tables, about=TEXT.sentence("about", values), advice=advice)
 
 
 def draw_batch(run: Run) -> dict[str, Drawing]:
@@ -281,7 +281,7 @@ def draw_batch(run: Run) -> dict[str, Drawing]:
 
 
 REPORT = StudyReport(
-    _TEXT,
+    TEXT,
     describe_batch,
     lambda found: [lay_out_reconstructions(found), *_lay_out_refused(found)],
     draw_batch,
