@@ -13,23 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws, draw_from_prior, wilson_interval
 from needlefit.inference.problem import Problem
-from needlefit.project.locate import find_file
-from needlefit.schemas.recipe import RecipeRecord
-from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare
-from needlefit.studies.job import Fold, Job, Settings
-from needlefit.studies.kind import find_kind
-from needlefit.studies.kinds import calibration
-from needlefit.studies.kinds.calibration import (
-    CalibrationRecord,
-    design_synthetic,
-    find_stiff_direction,
-    infer_posterior,
-    is_inside_bounds,
-    replicate,
-)
-from needlefit.studies.rank_statistics import (
-    HELD_OUT_TIP,
+from needlefit.inference.rank_statistics import (
     RANK_DRAWS,
     ecdf_band,
     estimate_share,
@@ -40,6 +24,22 @@ from needlefit.studies.rank_statistics import (
     share_by_truth,
     tabulate_covered_shares,
     tabulate_ecdfs,
+)
+from needlefit.project.locate import find_file
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.studies.folds import prepare
+from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.kind import find_kind
+from needlefit.studies.kinds import calibration
+from needlefit.studies.kinds.calibration import (
+    HELD_OUT_TIP,
+    CalibrationRecord,
+    design_synthetic,
+    find_stiff_direction,
+    infer_posterior,
+    is_inside_bounds,
+    replicate,
 )
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study_file

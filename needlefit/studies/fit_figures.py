@@ -5,6 +5,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import pandas as pd
 
+from needlefit.arrays import Floats
+from needlefit.inference.rank_statistics import ecdf_band
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms
@@ -14,7 +16,6 @@ from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import join_trials
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.judge import find_closest_curve
-from needlefit.studies.rank_statistics import ecdf_band
 from needlefit.studies.run import Run
 
 # ---- insertions

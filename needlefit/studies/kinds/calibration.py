@@ -23,6 +23,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.grouping import group_values
+from needlefit.inference import rank_statistics
 from needlefit.inference.forward_model import PreparedModel
 from needlefit.inference.identifiability.precision import linearize
 from needlefit.inference.identifiability.profile import minimize_squares
@@ -31,13 +32,14 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_names import NOISE_SCALE
 from needlefit.inference.predict import Draws, draw_from_prior, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.rank_statistics import RANK_DRAWS, Counts, place_pit
 from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import locate_key
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.number_format import insert_symbols
+from needlefit.reporting.number_format import format_bare_symbol, insert_symbols
 from needlefit.reporting.table import Table, part, pivot
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
@@ -45,7 +47,6 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import CalibrationMetadata
-from needlefit.studies import rank_statistics
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, FaultKind, RunFault, Status
 from needlefit.studies.fold_draws import Specimens
@@ -53,17 +54,6 @@ from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind
-from needlefit.studies.rank_statistics import (
-    DESIGN,
-    FIT,
-    HELD_OUT_TIP,
-    LIKELIHOOD,
-    RANK_DRAWS,
-    TIP,
-    Counts,
-    name_quantity,
-    place_pit,
-)
 from needlefit.studies.report import StudyReport, answer_in_words
 from needlefit.studies.run import Run
 from needlefit.studies.runner import FrameRows, join_rows, run_tasks
@@ -78,6 +68,25 @@ from needlefit.studies.simulated_data import (
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import POPULATION, InsertionDesign, draw_specimen, list_designs
+
+HELD_OUT_TIP = "held_out_tip"  #: all held-out tips of a synthetic truth
+DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
+"""Beside the parameters: the combination that the design determines best, the one that the data determine
+best at the fitted values, the tip of the deepest insertion, and the log likelihood, without which the prior
+itself would pass for a posterior."""
+
+_QUANTITY_NAMES = {
+    HELD_OUT_TIP: "held-out tips",
+    DESIGN: "stiffest, of the design",
+    FIT: "stiffest, at the fit",
+    TIP: "tip of the deepest",
+    LIKELIHOOD: "log likelihood",
+}
+
+
+def name_quantity(name: str) -> str:
+    return _QUANTITY_NAMES.get(name, format_bare_symbol(name))
+
 
 RANK_PREFIX = "rank_"  #: of the columns of ranks in the frame `replicates`
 #: name of the dataset whose insertions `design_synthetic` knows

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Bools, Floats
 from needlefit.inference.predict import wilson_interval
-from needlefit.reporting.number_format import format_bare_symbol
 
 Counts = NDArray[np.int64]
 
@@ -64,25 +63,6 @@ def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
 
 def _poisson(counts: Counts, mean: float) -> Floats:
     return np.asarray(np.exp(scipy.special.xlogy(counts, mean) - scipy.special.gammaln(counts + 1) - mean))
-
-
-HELD_OUT_TIP = "held_out_tip"  #: all held-out tips of a synthetic truth
-DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
-"""Beside the parameters: the combination that the design determines best, the one that the data determine
-best at the fitted values, the tip of the deepest insertion, and the log likelihood, without which the prior
-itself would pass for a posterior."""
-
-_QUANTITY_NAMES = {
-    HELD_OUT_TIP: "held-out tips",
-    DESIGN: "stiffest, of the design",
-    FIT: "stiffest, at the fit",
-    TIP: "tip of the deepest",
-    LIKELIHOOD: "log likelihood",
-}
-
-
-def name_quantity(name: str) -> str:
-    return _QUANTITY_NAMES.get(name, format_bare_symbol(name))
 
 
 RANK_DRAWS = 79
