@@ -135,7 +135,7 @@ def _lay_out_groups(
     rows: list[Row] = []
     for number, (group, kinds) in enumerate(blocks):
         noise = group.get(scores.TE, "floor")
-        for row in _list_rows(group, kinds):
+        for row in _list_scores(group, kinds):
             beside = noise if row["row"] == kinds[0].name else None
             rows.append({**_head(group), **row, "number": number, "noise_of_te": beside})
     shown = {row["metric"] for row in rows if row["value"] is not None and not math.isnan(row["value"])}
@@ -154,7 +154,7 @@ def _lay_out_groups(
     return _lay_out(table, short, rows=names, groups=heads_of_groups, curved=IPE.name in shown)
 
 
-def _list_rows(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
+def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:
     """Yield a row per kind and metric, of kinds that have any value."""
     for kind in kinds:
         found = [_describe_score(group, kind, metric) for metric in list_metrics()]

@@ -178,7 +178,7 @@ def tabulate_validation(*runs: Run) -> pd.DataFrame:
     none. With `boundaries` "planned" layers are those that the predicted needle crosses, because the measured
     crossings of a held-out insertion leak its outcome.
     """
-    return _make_frame(runs, HELD_OUT)
+    return _tabulate_groups(runs, HELD_OUT)
 
 
 def tabulate_tuning(*runs: Run) -> pd.DataFrame:
@@ -186,7 +186,7 @@ def tabulate_tuning(*runs: Run) -> pd.DataFrame:
 
     Columns as in `tabulate_validation`.
     """
-    return _make_frame(runs, BY_LAYERS)
+    return _tabulate_groups(runs, BY_LAYERS)
 
 
 def list_groups(table: pd.DataFrame) -> list[ScoredGroup]:
@@ -235,13 +235,13 @@ def pool_insertions(run: Run, role: str = "validate") -> ScoredGroup | None:
     return _make_group(rows, grouping=grouping, medium=None, layers=None, comparison=comparison)
 
 
-def _make_frame(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
+def _tabulate_groups(runs: Iterable[Run], grouping: str) -> pd.DataFrame:
     """Return the rows as a frame in which counts stay whole numbers where some are missing."""
-    rows = [row for run in runs for row in _list_rows(run, grouping)]
+    rows = [row for run in runs for row in _list_group_rows(run, grouping)]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"layers": "Int64", "paper_insertions": "Int64"})
 
 
-def _list_rows(run: Run, grouping: str) -> list[Row]:
+def _list_group_rows(run: Run, grouping: str) -> list[Row]:
     errors = select_rows(run.frames["errors"], role="validate" if grouping == HELD_OUT else "tune")
     table, found = aggregate(errors, ("medium", "layers", "method", "boundaries")), list[Row]()
     for _, group in table.groupby(["medium", "layers"], sort=False):

@@ -522,10 +522,10 @@ def answer_calibration(run: Run) -> Answer:
         "not_calibrated": ", ".join(stated.not_calibrated),
     }
     answer = answer_in_words(run, status if stated.conclusive else "warn", **numbers)
-    return replace(answer, advice=_find_advice(run))
+    return replace(answer, advice=_advise_on_truths(run))
 
 
-def _find_advice(run: Run) -> Advice | None:
+def _advise_on_truths(run: Run) -> Advice | None:
     """Return what to do: more truths, or a test of the model, which the synthetic dataset allows."""
     stated, synthetic = run.knows(CalibrationMetadata), run.record.truth == "synthetic"
     if not stated.conclusive:

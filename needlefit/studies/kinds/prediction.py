@@ -478,11 +478,11 @@ def answer_prediction(run: Run) -> Answer:
         "fail" if run.faults else "none",
         numbers={key: values[key] for key in (keys[:1] if run.faults else keys)},
     )
-    about, advice = TEXT.sentence("about", values), _find_advice(run)
+    about, advice = TEXT.sentence("about", values), _advise_on_fit(run)
     return Answer([verdict], REPORT.lay_out(run), about, advice=advice)
 
 
-def _find_advice(run: Run) -> Advice | None:
+def _advise_on_fit(run: Run) -> Advice | None:
     """Return what to do: settle what the fit needs first, test it, narrow the interval, or plan a path."""
     stated, tip = run.knows(PredictionMetadata), find_tip(run)
     if run.faults:

@@ -148,10 +148,10 @@ def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
     frames = FitFrames.of(run)
     if any(select_rows(one, role=role, method="fitted").empty for one in (frames.errors, frames.shapes)):
         return {}
-    return {"insertions": fit_figures.draw_first_page(run, role), **draw_overlays(run, role)}
+    return {"insertions": fit_figures.draw_first_page(run, role), **list_overlays(run, role)}
 
 
-def draw_overlays(run: Run, role: str) -> dict[str, Drawing]:
+def list_overlays(run: Run, role: str) -> dict[str, Drawing]:
     """Return all insertions of a role, in space also from above."""
     found = {"overlays": fit_figures.draw_overlays(run, role)}
     if scores.is_in_space(run):

@@ -17,7 +17,7 @@ from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
-from needlefit.studies.kinds.cross_validation.observed.points import draw_overlays
+from needlefit.studies.kinds.cross_validation.observed.points import list_overlays
 from needlefit.studies.run import Run
 
 # mean error over the runs into a medium; the method's error minus the fitted model's, and its 95 % interval
@@ -115,7 +115,7 @@ def lay_out_tracks(run: Run) -> TableLayout:
 def draw_tracks(run: Run, role: str) -> dict[str, Drawing]:
     """Return every predicted run, the tip at each reading and the guide below it; then those fitted to."""
     readings = Drawing("tip_track", FitFrames.of(run).readings.assign(origin=run.origin))
-    return {"readings": readings, **draw_overlays(run, role)}
+    return {"readings": readings, **list_overlays(run, role)}
 
 
 TIP_TRACK = ObservationReport(
