@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 import pandas as pd
 
-from needlefit.arrays import Floats
 from needlefit.inference.rank_statistics import ecdf_band
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
@@ -204,14 +203,3 @@ def draw_predictive_check(run: Run) -> Drawing:
         ]
     counts = {"insertions": len(predictions), "replicates": trials, "origin": run.origin}
     return Drawing(forms.predictive_check, pd.DataFrame(rows).assign(**counts))
-
-
-def _orient_pits(run: Run) -> dict[str, Floats]:
-    """Return the levels of tips and shapes; those of tips are stored toward +y."""
-    predictions = FitFrames.of(run).predictive
-    sides = predictions["insertion"].map(scores.find_bevel_sides(run)).to_numpy(dtype=np.float64)
-    tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
-    if scores.is_in_space(run):  # those of tips are by the distance from the predicted one
-        return {"tip": tips, "shape": shapes}
-    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
-    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}

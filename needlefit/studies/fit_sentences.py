@@ -24,8 +24,6 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "drawn": lambda v: v.computation.source,
     "walkers": lambda v: v.computation.walkers,
     "margin": lambda v: v.run.record.margin_mm,
-    "in_space": lambda v: v.in_space,
-    "in_plane": lambda v: not v.in_space and v.run.record.compared is None,
     # the verdict
     "contradiction": lambda v: v.contradictions,
     "equals_noise": lambda v: v.judged.equals_noise,

@@ -14,6 +14,7 @@ from needlefit.metrics import headline_metrics, list_metrics
 from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import JobMetadata
+from needlefit.schemas.study import DIRECTIONS
 from needlefit.studies.fit_frames import FitFrames, list_methods
 from needlefit.studies.run import Run
 
@@ -105,7 +106,7 @@ def find_bevel_sides(run: Run) -> dict[str, int]:
 
 def orient_pits(run: Run) -> dict[str, Floats]:
     """Return the levels of tips and shapes; those of tips are stored toward +y."""
-    predictions = run.frames["predictive"]
+    predictions = FitFrames.of(run).predictive
     sides = predictions["insertion"].map(find_bevel_sides(run)).to_numpy(dtype=np.float64)
     tips, shapes = (predictions[f"{name}_pit"].to_numpy(dtype=np.float64) for name in ("tip", "shape"))
     if count_directions(run) > 1:  # those of tips are by the distance from the predicted one

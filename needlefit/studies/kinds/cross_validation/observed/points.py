@@ -153,10 +153,8 @@ def draw_needles(run: Run, role: str) -> dict[str, Drawing]:
 
 def list_overlays(run: Run, role: str) -> dict[str, Drawing]:
     """Return all insertions of a role, in space also from above."""
-    found = {"overlays": fit_figures.draw_overlays(run, role)}
-    if scores.is_in_space(run):
-        found["overlays_above"] = fit_figures.draw_overlays(run, role, from_above=True)
-    return found
+    names = ("overlays", "overlays_above")[: scores.count_directions(run)]
+    return {name: fit_figures.draw_overlays(run, role, from_above=name != names[0]) for name in names}
 
 
 POINTS = ObservationReport("points", lambda run: True, answer_by_tips, draw_needles)
