@@ -81,6 +81,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "bands_drawn": lambda v: len(v.frames.bands),
     "bands_left_out": lambda v: v.no_bands and not len(v.frames.bands),
     "metrics_explained": lambda v: v.role == "validate",
+    "guides_untested": lambda v: v.tracks.untested,
     "tracks_without_bands": lambda v: v.tracks.faults,
     # the report
     "section_predictive": lambda v: len(v.frames.predictive),

@@ -45,7 +45,7 @@ from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.studies.coverage import estimate_width_after_one
+from needlefit.studies.coverage import WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (

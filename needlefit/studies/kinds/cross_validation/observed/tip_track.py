@@ -71,13 +71,10 @@ def judge_readings(run: Run) -> TrackErrors:
     curve = str(errors.drop("fitted").idxmin())
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
-    without = runs[runs["method"] == "fitted"]["tip_95_low_mm"].isna().any()
-    untested = bool(without) and not run.faults
-    closer = None if tested else int((each["fitted"] < each[curve]).sum())
-    count = runs["run"].nunique()
-    return TrackErrors(
-        outcome, rms, curve, least, count, depth, bool(run.faults), untested, len(each), closer
-    )
+    outcome = judge_tracks(runs, run.record.margin_mm)
+    ends = select_rows(runs, method="fitted")["tip_95_low_mm"]
+    untested = bool(ends.isna().any()) and not run.faults
+    return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults), untested)
 
 
 def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
@@ -85,7 +82,8 @@ def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     known, runs = judge_readings(run), FitFrames.of(run).runs
     status, closer = STATUS[known.outcome], CLOSER[known.outcome]
     checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve)]
-    ends = select_rows(runs, method="fitted").dropna(subset="tip_95_low_mm")
+    predicted = select_rows(runs, method="fitted").rename(columns={"run": "hole"})
+    ends = predicted.dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends, run.metadata.recipe, len(predicted))
     elif known.untested:
