@@ -35,6 +35,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "closest_curve": lambda v: (
         not (v.judged.has_reference or v.judged.curve_is_closer or v.judged.curve_mm is None)
     ),
+    "tracks_closer": lambda v: v.tracks.closer is not None,
     # what the fit determined, for each word of `find_least_determined`
     "determined_within": lambda v: v.word == "yes" and v.intervals,
     "determined": lambda v: v.word == "yes" and not v.intervals,

@@ -15,7 +15,16 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
 from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
 from needlefit.studies.fit_sentences import TEXT
-from needlefit.studies.judge import CLOSER, STATUS, Outcome, check_data, check_intervals, judge_tracks
+from needlefit.studies.judge import (
+    CLOSER,
+    REFERENCES,
+    STATUS,
+    TESTED,
+    Outcome,
+    check_data,
+    check_intervals,
+    judge_tracks,
+)
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.kinds.cross_validation.observed.points import list_overlays
 from needlefit.studies.run import Run
@@ -67,21 +76,37 @@ class TrackErrors:
 def judge_readings(run: Run) -> TrackErrors:
     """Judge the predicted tracks by their errors and those of curves."""
     runs = FitFrames.of(run).runs
-    errors = runs.groupby("method")["rms_mm"].mean()
-    curve = str(errors.drop("fitted").idxmin())
+    outcome = judge_tracks(runs, run.record.margin_mm)
+    each = runs.pivot_table(index=["run", "direction"], columns="method", values="rms_mm")
+    tested, errors = outcome in TESTED, each.mean()
+    curve = str(errors[errors.index.drop("fitted") if tested else list(REFERENCES)].idxmin())
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
-    outcome = judge_tracks(runs, run.record.margin_mm)
     ends = select_rows(runs, method="fitted")["tip_95_low_mm"]
     untested = bool(ends.isna().any()) and not run.faults
-    return TrackErrors(outcome, rms, curve, least, runs["run"].nunique(), depth, bool(run.faults), untested)
+    closer = None if tested else int((each["fitted"] < each[curve]).sum())
+    count = runs["run"].nunique()
+    return TrackErrors(
+        outcome, rms, curve, least, count, depth, bool(run.faults), untested, len(each), closer
+    )
 
 
 def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
     known, runs = judge_readings(run), FitFrames.of(run).runs
     status, closer = STATUS[known.outcome], CLOSER[known.outcome]
-    checks = [Finding(Check.CURVES, closer, known.rms_mm, known.curve_mm, known.curve)]
+    compared = (known.rms_mm, known.curve_mm, known.curve)
+    needles = None if known.closer is None else known.tracks
+    checks = [
+        Finding(
+            Check.CURVES,
+            closer,
+            *compared,
+            margin_mm=run.record.margin_mm,
+            needles=needles,
+            closer=known.closer,
+        )
+    ]
     predicted = select_rows(runs, method="fitted").rename(columns={"run": "hole"})
     ends = predicted.dropna(subset="tip_95_low_mm")
     if len(ends):
