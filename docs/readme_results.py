@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.studies.fit_frames import MEDIAN_METHOD
+from needlefit.studies.fit_frames import PREDICTION_METHOD
 from needlefit.studies.judge import REFERENCES, compare_with_references
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,7 +41,7 @@ def write_table() -> str:
         errors, cells = (pd.read_csv(folder / f"{name}.csv") for name in ("errors", "validation"))
         held_out = errors[(errors["boundaries"] == "measured") & (errors["role"] == "validate")]
         groups = cells[(cells["boundaries"] == "measured") & (cells["grouping"] == "held_out")]
-        ours = groups[groups["method"] == MEDIAN_METHOD].groupby(["medium", "layers"], sort=False)
+        ours = groups[groups["method"] == PREDICTION_METHOD].groupby(["medium", "layers"], sort=False)
         several = len(ours) > 1
         if several:
             lines.append(write_row(study, "all", held_out, has_verdict=True))
@@ -59,8 +59,8 @@ def write_row(
 ) -> str:
     """Return the row of some held-out insertions: our errors, the references', the paper's."""
     means = errors.groupby("method")[[*ERRORS, "floor_te_mm"]].mean()
-    ours = means.loc[MEDIAN_METHOD]
-    found = compare_with_references(errors, MEDIAN_METHOD, ours["floor_te_mm"])
+    ours = means.loc[PREDICTION_METHOD]
+    found = compare_with_references(errors, PREDICTION_METHOD, ours["floor_te_mm"])
     row = [
         *(study, name, errors["insertion"].nunique(), found.outcome if has_verdict else ""),
         *(

@@ -75,7 +75,7 @@ def compare_shapes(folder: Path, medium: str) -> pd.DataFrame:
     study = STUDY | {"dataset": str(folder), "medium": medium}
     study |= {"tune": {"insertions": names}, "validate": [{"insertions": [f"{one}-shape" for one in names]}]}
     run = needlefit.validate(study, recipe={"metric": False, "likelihood": LIKELIHOOD})
-    errors = run.frames["errors"].query("method == 'predictive_median'").set_index("insertion")
+    errors = run.frames["errors"].query("method == 'prediction'").set_index("insertion")
     columns = ["tip_in_50", "tip_in_95", "shape_in_50", "shape_in_95", "tip_crps_mm"]
     covered = run.frames["predictive"].set_index("insertion")[columns].astype(float)
     integrated = [integrate_sensors(folder, one) for one in names]

@@ -23,7 +23,7 @@ def describe_errors(run: Run) -> str:
     """Return the mean tip errors of held-out insertions in the plane and in space."""
     shapes = run.frames["shapes"]
     held_out = shapes[(shapes["role"] == "validate") & (shapes["boundaries"] == "measured")]
-    tips = held_out[(held_out["method"] == "predictive_median") & (held_out["j"] == shapes["j"].max())]
+    tips = held_out[(held_out["method"] == "prediction") & (held_out["j"] == shapes["j"].max())]
     off = [tips[f"simulated_{axis}_mm"] - tips[f"measured_{axis}_mm"] for axis in "xyz"]
     return ", ".join(f"{np.linalg.norm(off[:count], axis=0).mean():.2f}" for count in (2, 3))
 

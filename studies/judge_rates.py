@@ -20,7 +20,7 @@ import pandas as pd
 from needlefit import api
 
 FITS, INSERTIONS, CORRELATIONS = (1, 3, 6, 12), (1, 3, 8, 14), (0.0, 0.3, 0.6)
-OURS = "predictive_median"
+OURS = "prediction"
 CURVES = ("straight", "constant_curvature", "linear_curvature", "quadratic_curvature", "mean_shape")
 CRPS, BETWEEN_SCORES = "tip_crps_mm", 0.9  #: the second score, and its correlation with the first
 #: by how much errors of the first curve exceed our tip errors and our CRPS, and those of the others our tip

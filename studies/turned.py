@@ -82,7 +82,7 @@ def predict_half(folder: Path, compared: str) -> pd.DataFrame:
     study |= {"compared": compared, "tune": {"insertions": names[::2]}}
     study["validate"] = [{"insertions": names[1::2]}]
     run = needlefit.validate(study, recipe={"metric": False})
-    shapes = run.frames["shapes"].query("method == 'predictive_median'").set_index("insertion")
+    shapes = run.frames["shapes"].query("method == 'prediction'").set_index("insertion")
     off = [shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in "xyz"]
     space = pd.Series(np.linalg.norm(off, axis=0), shapes.index).groupby(level=0, sort=False)
     errors = pd.DataFrame({"te_in_space_mm": space.last(), "mean_in_space_mm": space.mean()})

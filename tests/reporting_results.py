@@ -93,7 +93,7 @@ def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], compa
                 ok = one.get("converged", True) or method != "fitted"
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
                 about["hole"] = one["insertion"]
-                about |= {"estimate": "point", "comparison": comparison, "compared": "plane"}
+                about |= {"comparison": comparison, "compared": "plane"}
                 errors.append(key | about | scores(points, ok))
                 if ok:
                     shapes.append(points.assign(**key))

@@ -34,7 +34,6 @@ from needlefit.inference.forward_model import find_end, share_simulations
 from needlefit.inference.likelihood import observation
 from needlefit.inference.likelihood.observations import make_observation, tip_track
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.needle import Needle
@@ -294,13 +293,15 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     recipe = RecipeRecord(schema_=1)
     job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,))
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
-    draws = Draws(np.zeros((300, 0)), "posterior")
-    _, _, _, (tuned, *held) = simulate_runs(job, fold, draws, 1, np.random.default_rng(1))
+    thetas = np.zeros((300, 0))
+    _, _, _, (tuned, *held) = simulate_runs(job, fold, thetas, 1, np.random.default_rng(1))
     (bent,) = simulate_deflections([runs[2]], [DEPTH])
     assert np.ptp(tuned, axis=0).max() < 1e-9
     ends = [curves[:, 0, -1] for curves in held]
     assert np.std(ends[1] / bent[0, -1]) == pytest.approx(0.1, rel=0.15)
     assert abs(np.corrcoef(ends)[0, 1]) < 0.2
+    *_, (_, one, other) = simulate_runs(job, fold, thetas[:1], 1)
+    assert one.shape == other.shape and other[0, 0, -1] == pytest.approx(bent[0, -1])
 
 
 class Groups:

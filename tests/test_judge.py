@@ -125,12 +125,12 @@ def test_the_verdict_states_what_it_is_made_of(fitted, straight, status):
     assert verdict.numbers["baseline_te_mm"] == pytest.approx(straight[0], abs=straight[1] / 8)
 
 
-def test_the_predictive_median_is_judged_where_there_is_one():
+def test_our_prediction_is_judged_where_there_is_one():
     results = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
     errors = results.frames["errors"]
     held = errors[(errors["method"] == "fitted") & (errors["boundaries"] == "measured")]
-    median = held[held["role"] == "validate"].assign(method="predictive_median", te_mm=0.7)
-    both = results.with_frames(errors=pd.concat([errors, median]))
+    ours = held[held["role"] == "validate"].assign(method="prediction", te_mm=0.7)
+    both = results.with_frames(errors=pd.concat([errors, ours]))
     assert both.verdicts[0].numbers["te_mm"] == pytest.approx(0.7)
     assert [one.status for one in (results.verdicts[0], both.verdicts[0])] == ["pass", "warn"]
 
@@ -264,10 +264,10 @@ def test_several_fits_generalise_only_where_they_beat_every_curve():
 def test_the_crps_of_predicted_tips_is_judged_too():
     results = with_predictions(with_tip_errors(stereo(), **{**CURVES, "fitted": (0.1, 0.01)}))
     errors, predictive = results.frames["errors"], results.frames["predictive"]
-    median = errors.query("method == 'fitted' and role == 'validate'").assign(method="predictive_median")
+    ours = errors.query("method == 'fitted' and role == 'validate'").assign(method="prediction")
     outcomes = []
     for crps in (0.1, 10.0):
-        frames = {"errors": pd.concat([errors, median]), "predictive": predictive.assign(tip_crps_mm=crps)}
+        frames = {"errors": pd.concat([errors, ours]), "predictive": predictive.assign(tip_crps_mm=crps)}
         outcomes.append(results.with_frames(**frames).verdicts[0].numbers["outcome"])
     assert outcomes == ["generalises", "does not generalise"]
 

@@ -62,12 +62,12 @@ def test_the_page_holds_every_scored_insertion(page, result) -> None:
     assert [one["scene"]["measured"]["id"] for one in needles] == scored["insertion"].tolist()
     assert [one["methods"][0]["errors"]["te_mm"] for one in needles] == scored["te_mm"].tolist()
     shapes = result.frames["shapes"].query("method == 'fitted' and boundaries == 'measured'")
-    judged = errors.query("role == 'validate' and boundaries == 'measured' and method == 'predictive_median'")
+    judged = errors.query("role == 'validate' and boundaries == 'measured' and method == 'prediction'")
     judged = judged.set_index("insertion")["te_mm"]
     assert len(judged) == len(needles)
     for one in needles:
         measured = one["scene"]["measured"]
-        assert measured["median"]["errors"]["te_mm"] == judged[measured["id"]]
+        assert measured["prediction"]["errors"]["te_mm"] == judged[measured["id"]]
         rows = shapes[(shapes["insertion"] == measured["id"]) & (shapes["role"] == "validate")]
         assert measured["stored"]["y"] == rows["simulated_y_mm"].tolist()
         assert measured["target"]["y"] == rows["measured_y_mm"].tolist()
@@ -111,7 +111,7 @@ def test_predictions_and_reports_of_runs_have_their_needles(world, result, chrom
     predicted = world.restore("prediction")
     (needle,) = collect_explorer(predicted).needles
     forecast = predicted.frames["forecast"]
-    assert needle["scene"]["median"]["y"] == forecast["needle_median_mm"].tolist()
+    assert needle["tip"] == pytest.approx(forecast["needle_predicted_mm"].iloc[-1], abs=1e-3)
     assert needle["scene"]["depth_mm"] == forecast["s_mm"].iloc[-1]
     assert needle["scene"]["draws"]["sets"] == len(next(iter(predicted.metadata.drawn.values())))
     several = collect_explorers([result, predicted])

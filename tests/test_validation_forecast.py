@@ -52,8 +52,13 @@ def prepare_small():
     return prepare("small", record.model_copy(update={"tune": small}), Settings())
 
 
+def about(thetas, faults=()):
+    """Draws about a mode, here the first of them."""
+    return Draws(np.array(thetas), "importance", faults, mode=np.array(thetas[0]))
+
+
 def planned(job, thetas, scene=SCENE, new=False):
-    known = Specimens(job, job.folds[0], Draws(np.array(thetas), "importance"))
+    known = Specimens(job, job.folds[0], about(thetas))
     return forecast(scene, known, None if new else job.folds[0].tune[0])
 
 
@@ -77,6 +82,7 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
     expected = compute_positions(shape, found.s)
     assert found.across[0, :, 0] == pytest.approx(expected[:, 1], abs=1e-6)
+    assert found.needle == pytest.approx(expected, abs=1e-6)
     table = tabulate_forecast(found)
     assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)
 
@@ -100,7 +106,7 @@ def test_a_turned_needle_is_predicted_in_space_and_its_roll_errs_as_the_dataset_
     angles = np.arctan2(tips[:, 1], tips[:, 0])
     assert np.std(angles) == pytest.approx(math.radians(5.0), rel=0.15)
     columns = tabulate_forecast(planned(known, [theta(job)] * 400, scene)).iloc[-1]
-    assert columns["needle_z_95_low_mm"] < columns["needle_z_median_mm"] < columns["needle_z_95_high_mm"]
+    assert columns["needle_z_95_low_mm"] < columns["needle_z_predicted_mm"] < columns["needle_z_95_high_mm"]
 
 
 def test_an_impossible_prediction_is_refused(job):
@@ -167,7 +173,7 @@ def test_a_change_that_draws_would_replace_is_refused(job):
 
 def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, note=no_note, **options):
     monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
-    monkeypatch.setattr(prediction, "draw_parameters", lambda *_: Draws(np.array(draws), "importance"))
+    monkeypatch.setattr(prediction, "draw_parameters", lambda *_: about(draws))
     scene = load(find_file("scene", "study2"), SceneRecord).model_copy(update={"depth_mm": depth})
     record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
     return find_kind("prediction").run("gel", record, Settings(inputs=inputs or Inputs(), note=note))
@@ -224,12 +230,13 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     apart = replace(sure(job), folds=(replace(job.folds[0], tune=tune),))
     noise, sds = np.random.default_rng(3).standard_normal((1000, len(theta(job)))), theta(job) * 0 + 0.01
     sds[job.parameters.free.index("bevel_mm")] = 0.03
+    noise[0] = 0.0  # the mode
     drawn = {
-        name: Draws(theta(job, bevel_mm=b) + wider * sds * noise, "importance")
+        name: about(theta(job, bevel_mm=b) + wider * sds * noise)
         for name, b, wider in ((one.specimen, 0.06, 1.0), ("other", 0.09, 2.0))
     }
     monkeypatch.setattr(Specimens, "_sample_specimen", lambda self, name: drawn[name])
-    doubted = Draws(drawn["other"].thetas[:200], "importance", ("not certified",))
+    doubted = about(drawn[one.specimen].thetas[:200], ("not certified",))
     known = Specimens(apart, apart.folds[0], doubted)
     assert choose_specimen(known, "new") is None and choose_specimen(known, "other") is tune[1]
     for wrong in ("same", "third"):
@@ -237,9 +244,11 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
             choose_specimen(known, wrong)
         assert all(name in caught.value.expected for name in drawn)
     tips = {name: planned(sure(job), list(each.thetas[:300])) for name, each in drawn.items()}
+    modes = {name: each.needle[-1, 1] for name, each in tips.items()}
     tips = {name: each.across[:, -1, 0] for name, each in tips.items()}
     assert np.median(tips["other"]) > 1.3 * np.median(tips[one.specimen])
     named = forecast(SCENE, known, tune[1])
+    assert named.needle[-1, 1] == pytest.approx(modes["other"]) != pytest.approx(modes[one.specimen])
     assert np.median(named.across[:, -1, 0]) == pytest.approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == ()
 
@@ -258,7 +267,7 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     assert "NOT CERTIFIED" in layout.caption and any("(budget)" in str(one) for one in found.faults)
     tip = find_tip(found)
     assert tip["s_mm"] == SCENE.depth and "(budget)" in found.metadata.not_converged[0]
-    assert tip["needle_median_mm"] is not None
+    assert tip["needle_predicted_mm"] is not None
     assert {tip[f"needle_{level}_{end}_mm"] for level in (50, 95) for end in ("low", "high")} == {None}
     (verdict,) = found.verdicts
     assert verdict.status == "fail" and set(verdict.numbers) == {"s_mm"}

@@ -147,6 +147,8 @@ class Draws:
     faults: tuple[str, ...] = ()
     pareto_k: float = math.nan
     effective_sample_size: float = math.nan
+    #: theta (P,) of the posterior mode, by which a needle is predicted; draws are of what it may be besides
+    mode: Floats | None = None
 
     @property
     def certified(self) -> Floats | None:

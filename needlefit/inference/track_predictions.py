@@ -34,14 +34,15 @@ def predict_runs(
     held_out: Sequence[Observation],
     curves: Sequence[Floats],
     observed: Sequence[int],
-    rng: np.random.Generator,
+    rng: np.random.Generator | None = None,
 ) -> list[Floats]:
     """Return of each run held out draws (B, n - k) of its readings after the first k, `observed`, mm.
 
-    In space they are (B, 2 (n - k)), those along y before those along z, and so are curves. `scale` (B,) is
-    what each draw multiplies the stated deviations of the noise by; `curves` are the deflections (B, m, n),
-    mm, of the runs `tuned` and `held_out` at the m nodes of each. What runs share is estimated from the runs
-    fitted to, for every draw, and from the first readings.
+    Without `rng` they are the means of the readings, given each draw of the parameters. In space they are
+    (B, 2 (n - k)), those along y before those along z, and so are curves. `scale` (B,) is what each draw
+    multiplies the stated deviations of the noise by; `curves` are the deflections (B, m, n), mm, of the runs
+    `tuned` and `held_out` at the m nodes of each. What runs share is estimated from the runs fitted to, for
+    every draw, and from the first readings.
     """
     every = (*tuned, *held_out)
     surfaces = sorted({axis.surface for one in every for axis in one.nodes.axes if axis.surface})
@@ -79,8 +80,10 @@ def predict_runs(
         gain = np.linalg.solve(above[..., first], cross)  # (B, k, n - k)
         off = one.stack(one.measured)[first] - mean[:, first]
         centre = mean[:, ~first] + np.einsum("bk,bkr->br", off, gain)
-        root = np.linalg.cholesky(below[..., ~first] - gain.transpose(0, 2, 1) @ cross)
-        predicted.append(centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape)))
+        if rng is not None:
+            root = np.linalg.cholesky(below[..., ~first] - gain.transpose(0, 2, 1) @ cross)
+            centre = centre + np.einsum("brs,bs->br", root, rng.normal(size=centre.shape))
+        predicted.append(centre)
     return predicted
 
 

@@ -7,8 +7,9 @@ GREEN, SKY_BLUE = "#009E73", "#56B4E9"
 
 METHOD_NAMES = {
     "fitted": "posterior-mode fit",
-    "predictive_median": "predictive median",
+    "prediction": "our prediction",
     "fitted_metric": "error-minimising fit",
+    "b_alone": "b alone, μ from the prior",
     "hand_tuned": "paper's parameters",
     "hand_tuned_b": "paper's parameters, b re-fitted",
     "truth": "true parameters of the synthetic data",
@@ -16,8 +17,9 @@ METHOD_NAMES = {
 }
 METHOD_COLOURS = {  # Okabe and Ito's palette, distinguishable for colour-blind readers
     "fitted": "#0072B2",
-    "predictive_median": "#005A8C",
+    "prediction": "#005A8C",
     "fitted_metric": "#0A2F4A",
+    "b_alone": "#A65628",
     "hand_tuned": "#E69F00",
     "hand_tuned_b": "#CC79A7",
     "truth": "#1a1a1a",

@@ -308,7 +308,7 @@ at(-1),{base,guides,tip}=state;return isChanged(state,scene)||state.bevel.roll_d
 held!==!!controls.tip||base.input_y!==controls.baseY||base.input_slope!==controls.baseSlope||guides.length!==controls.
 guides.length||guides.some(({x,y},i)=>x!==controls.guides[i].x||y!==controls.guides[i].y)}var writeError,listErrors,
 brief,counted,toDegrees,degrees,slope,numbered,shortName,OFFSET,ANGLE,INPUTS,ROLL,ROLL_FIELD,describeRoll,near,
-medianOf,init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
+predictionOf,init_quantities=__esm({"needlefit/viewer/page/quantities.js"(){init_inputs();writeError=(value,unit)=>value===
 null?"–":unit==="%"?brief(value,3):value.toFixed(3),listErrors=(errors,{metrics})=>metrics.map(([name,label2,
 unit])=>`${label2} ${writeError(errors[name],unit)} ${unit}`);brief=(value,digits2=4)=>String(Number(Number(value).
 toPrecision(digits2))),counted=(count,one)=>`${count} ${one}${count===1?"":"s"}`;toDegrees=rotation=>rotation*
@@ -318,8 +318,8 @@ item),OFFSET={key:"offset_mm",symbol:"b",unit:"mm",digits:3,step:.005},ANGLE={ke
 unit:"°",digits:2,step:.1},INPUTS={offset_mm:["bevel_offset_mm","offset_throughout_mm"],cut_angle_deg:["cut_a\
 ngle_deg","cut_angle_throughout_deg"]};ROLL=10,ROLL_FIELD={name:"roll",symbol:"roll",unit:"°",step:ROLL,limits:[
 -180,180],write:value=>brief(value,6)},describeRoll=({roll_deg:roll})=>roll%180?`roll ${brief(roll).replace("-",
-"−")}°`:roll?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other);medianOf=(state,scene)=>Math.
-abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?scene.measured?.median??scene.median??null:null}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
+"−")}°`:roll?"−y":"+y",near=(one,other)=>Math.abs(one-other)<=1e-9*Math.abs(other);predictionOf=(state,scene)=>Math.
+abs(state.depth_mm-scene.depth_mm)<1e-6&&!isSteered(state,scene)?scene.measured?.prediction??null:null}});function listen(kind,hear){listeners.has(kind)||listeners.set(kind,[]),listeners.get(kind).push(hear)}function publish(kind,message){
 for(let hear of listeners.get(kind)??[])hear(message)}function take(message){message.kind==="scene"?(now.scene=
 message,now.band=null):message.kind==="state"?now.state=message:message.kind==="band"?now.band=message.x.length?
 message:null:message.kind==="forces"&&(now.forces=message),publish(message.kind,message)}var now,listeners,tipForce,
@@ -539,24 +539,25 @@ halo,5),line(context3,x,y,palette.ghost,2.5,[2,3]),labelBeside(context3,"pinned"
 ghost)}function nameBand(context3,{x,low,high}){isChanged(now.state,now.scene)&&labelBeside(context3,"band of \
 the fit",[[[x,high],-14],[[x,low],14]],palette.band)}function paintBand(context3,{x,low,high},pale){faintly(context3,
 pale?.16:.4,()=>fillBetween(context3,x,low,high,palette.band)),faintly(context3,pale?.4:1,()=>{for(let edge of[
-low,high])line(context3,x,edge,palette.band,1.5)})}function paintMedian(context3,state){let median=medianOf(state,
-now.scene);median&&(line(context3,median.x,median.y,palette.halo,4.5),line(context3,median.x,median.y,palette.
-accent,2.5),labelBeside(context3,"predictive median",[[[median.x,median.y],-16],[[median.x,median.y],16]],palette.
-accent))}function paintGaps(context3,state,measured2){let{errors}=state;if(!errors)return;let median=medianOf(
-state,now.scene),needle2=median??state,tip={x:needle2.x.at(-1),y:needle2.y.at(-1)},reach=Math.min(tip.x,measured2.
-x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(x2=>[needle2,measured2].map(curve=>[toPx(
-x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.gap,1.25);let[x,y]=errors.whole?[measured2.x.at(
--1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.whole?[tip.x,tip.y]:[reach,heightAt(needle2,
-reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line(context3,[x,end[0]],[y,end[1]],shown3,
-width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.metrics],[top,bottom]=[toPy(y),toPy(
-end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];state.bevel.side>0&&sides.reverse(),
-labelFree(context3,`tip error (${named}) ${(median?.errors??errors)[key].toFixed(2)} mm`,[...sides,[px+60,top-
-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}function paintPlan(context3){if(!aim.
-plan)return;let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{for(let[x,y]of aim.plan.fan)line(context3,
-x,y,palette.plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.x,aim.plan.y,palette.halo,4),line(context3,
-aim.plan.x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){if(aim.obstacles.forEach(([x2,y2,radius],i)=>paintCircle(
-context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.target)return;let[x,y]=aim.target;paintCircle(context3,
-x,y,aim.radius,palette.guide,"target"),segments(context3,cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
+low,high])line(context3,x,edge,palette.band,1.5)})}function paintPrediction(context3,state){let prediction=predictionOf(
+state,now.scene);prediction&&(line(context3,prediction.x,prediction.y,palette.halo,4.5),line(context3,prediction.
+x,prediction.y,palette.accent,2.5),labelBeside(context3,"prediction",[[[prediction.x,prediction.y],-16],[[prediction.
+x,prediction.y],16]],palette.accent))}function paintGaps(context3,state,measured2){let{errors}=state;if(!errors)
+return;let prediction=predictionOf(state,now.scene),needle2=prediction??state,tip={x:needle2.x.at(-1),y:needle2.
+y.at(-1)},reach=Math.min(tip.x,measured2.x.at(-1)),gaps=Array.from({length:GAPS-1},(_,n)=>reach*(n+1)/GAPS).map(
+x2=>[needle2,measured2].map(curve=>[toPx(x2),toPy(heightAt(curve,x2))]));segments(context3,gaps,palette.gap,1.25);
+let[x,y]=errors.whole?[measured2.x.at(-1),measured2.y.at(-1)]:[reach,heightAt(measured2,reach)],end=errors.whole?
+[tip.x,tip.y]:[reach,heightAt(needle2,reach)];for(let[shown3,width]of[[palette.halo,5],[palette.gap,2.5]])line(
+context3,[x,end[0]],[y,end[1]],shown3,width);setFont(context3,"strong");let[px,[,[key,named]]]=[toPx(x),measured2.
+metrics],[top,bottom]=[toPy(y),toPy(end[1])].sort((one,other)=>one-other),sides=[[px,top-AWAY],[px,bottom+AWAY]];
+state.bevel.side>0&&sides.reverse(),labelFree(context3,`tip error (${named}) ${(prediction?.errors??errors)[key].
+toFixed(2)} mm`,[...sides,[px+60,top-AWAY],[px+60,bottom+AWAY],[px-90,top-AWAY],[px-90,bottom+AWAY]],palette.gap)}
+function paintPlan(context3){if(!aim.plan)return;let pale=aim.plan.left?PALE:1;faintly(context3,FAN*pale,()=>{
+for(let[x,y]of aim.plan.fan)line(context3,x,y,palette.plan,1)}),faintly(context3,pale,()=>{line(context3,aim.plan.
+x,aim.plan.y,palette.halo,4),line(context3,aim.plan.x,aim.plan.y,palette.plan,2,[10,4])})}function paintGoal(context3){
+if(aim.obstacles.forEach(([x2,y2,radius],i)=>paintCircle(context3,x2,y2,radius,palette.tip,nameOf2(i),.28)),!aim.
+target)return;let[x,y]=aim.target;paintCircle(context3,x,y,aim.radius,palette.guide,"target"),segments(context3,
+cross(toPx(x),toPy(y),CROSS2),palette.guide,2)}function paintCircle(context3,x,y,radius,shown3,name,opacity=0){
 let[px,py,across]=[toPx(x),toPy(y),radius*view.scale];if(context3.beginPath(),context3.ellipse(px,py,across,across*
 view.magnified,0,0,2*Math.PI),context3.fillStyle=shown3,faintly(context3,opacity,()=>context3.fill()),stroke(context3,
 palette.halo,4),stroke(context3,shown3,2),px<view.box.left||px>view.box.left+view.box.width)return;setFont(context3,
@@ -584,7 +585,7 @@ band&&now.band&&isBandNear(now.band,state)?now.band:null;clearBoxes(),reserveNee
 und",within(before,()=>{shown.load&&paintLoad(before,state),band2&&paintBand(before,band2,band2.step!==state.step),
 shown.plan&&paintPlan(before),shown.pinned&&now.pinned&&paintPinned(before,now.pinned),paintNeedle(before,state),
 paintInset(before,state),paintTip(before,state),paintGoal(before),shown.load&&paintTipForce(before,state),shown.
-path&&paintPath(before,state),shown.points&&paintPoints(before,state),paintMedian(before,state),shown.measured&&
+path&&paintPath(before,state),shown.points&&paintPoints(before,state),paintPrediction(before,state),shown.measured&&
 now.scene.measured&&(paintMeasured(before,now.scene.measured),shown.errors&&paintGaps(before,state,now.scene.measured));
 for(let draw3 of further)draw3(before);paintGuides(before,state),paintBase(before,state),band2&&nameBand(before,
 band2),now.marked!=null&&paintMark(before,state,now.marked)}),shown.load&&paintKey(before)}function within(context3,draw3){
@@ -745,29 +746,29 @@ DEFINITIONS[symbol]=`${explanation[0].toUpperCase()}${explanation.slice(1)}.`});
 return list.append(entry(define(name),[number," ",element("small",{},unit)])),number});return from=>readouts.forEach(
 ([,,read],i)=>write(numbers[i],from?read(from):"–"))}function refresh(){let{state,scene}=now;writeNeedle(state),
 part("readouts").children[TIP_Z].hidden=!state.z;let title=part("title");if(title&&write(title,`${isSteered(state,
-scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let median=medianOf(state,scene);writeErrors(
-median?{...state.errors,...median.errors}:state.errors),write("against",`${median?"predictive median ":""}agai\
-nst ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){let{state,scene}=now;
-if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,held=guides.length===
-1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),sentences=[`The nee\
-dle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip is ${Math.abs(tip.
-lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held there":""}, at ${angle(
-tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(bevel)}, ${symbol}\
- is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(base)}; ${held}\
-.`,`Tip force ${load(tipForce()??0,2)} N, base force ${load(state.forces.base_n,2)} N.`];if(exceeded(state)&&sentences.
-push(`The needle is ${exceeded(state)}.`),errors){let median=medianOf(state,scene);sentences.push(`${median?"P\
-redictive median against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(median?.errors??
-errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load,NEEDLE,TIP_Z,writeNeedle,writeErrors,
-comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/page/readouts.\
-js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load=(value,digits2)=>now.state.
-z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y","mm",s=>signed(
-s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(toDegrees(s.tip.
-rotation),2)],["tip force","N",()=>tipForce()===null?"–":load(tipForce(),3)],["base force","N",s=>load(s.forces.
-base_n,3)],["base moment","N mm",s=>load(s.forces.base_nmm,1)],["steepest slope","",s=>s.max_slope.toFixed(3)]],
-TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),writeErrors=
-_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.toFixed(
-1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===null,!measured2)return;
-let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(
+scene)?"steered by hand: ":""}${scene.title}`),!scene.measured)return;let prediction=predictionOf(state,scene);
+writeErrors(prediction?{...state.errors,...prediction.errors}:state.errors),write("against",`${prediction?"pre\
+diction ":""}against ${scene.measured.id}${state.errors?`, ${comparedUpTo(state.errors)}`:""}`)}function inWords(){
+let{state,scene}=now;if(!state)return"The needle has not been drawn yet.";let{tip,bevel,base,guides,errors}=state,
+held=guides.length===1?"1 guide":`${guides.length} guides`,{symbol,value,digits:digits2,unit}=strengthOf(bevel),
+sentences=[`The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,`Its tip\
+ is ${Math.abs(tip.lateral_mm).toFixed(2)} mm to the ${tip.lateral_mm<0?"right":"left"}${tip.held?" and held t\
+here":""}, at ${angle(tip)}${tip.z===null?"":`; z ${signed(tip.z,2)} mm`}.`,`The bevel turns the cut toward ${describeRoll(
+bevel)}, ${symbol} is ${value.toFixed(digits2)} ${unit}.`,`The base stands at y ${signed(base.y,2)} mm, at ${angle(
+base)}; ${held}.`,`Tip force ${load(tipForce()??0,2)} N, base force ${load(state.forces.base_n,2)} N.`];if(exceeded(
+state)&&sentences.push(`The needle is ${exceeded(state)}.`),errors){let prediction=predictionOf(state,scene);sentences.
+push(`${prediction?"The prediction against":"Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(
+prediction?.errors??errors,scene.measured).join(", ")}.`)}return sentences.join(" ")}var load,NEEDLE,TIP_Z,writeNeedle,
+writeErrors,comparedUpTo,announced,exceeded,angle,refreshDescription,init_readouts=__esm({"needlefit/viewer/pa\
+ge/readouts.js"(){init_definitions();init_dom();init_quantities();init_store();init_view();load=(value,digits2)=>now.
+state.z?value.toFixed(digits2):signed(value,digits2),NEEDLE=[["depth","mm",s=>s.depth_mm.toFixed(2)],["tip y",
+"mm",s=>signed(s.tip.lateral_mm,2)],["tip z","mm",s=>s.z?signed(s.tip.z,2):"–"],["tip slope","°",s=>signed(
+toDegrees(s.tip.rotation),2)],["tip force","N",()=>tipForce()===null?"–":load(tipForce(),3)],["base force","\
+N",s=>load(s.forces.base_n,3)],["base moment","N mm",s=>load(s.forces.base_nmm,1)],["steepest slope","",s=>s.max_slope.
+toFixed(3)]],TIP_Z=NEEDLE.findIndex(([name])=>name==="tip z");writeNeedle=fillReadouts(part("readouts"),NEEDLE),
+writeErrors=_errors=>{};comparedUpTo=({whole,upto_mm:upto})=>whole?"over the whole insertion":`over the first ${upto.
+toFixed(1)} mm`;listen("scene",({measured:measured2})=>{if(part("compared").hidden=measured2===null,!measured2)
+return;let metrics=measured2.metrics.map(([name,label2,unit,text])=>(DEFINITIONS[label2]=text,[label2,unit,errors=>writeError(
 errors[name],unit)]));part("errors").replaceChildren(),writeErrors=fillReadouts(part("errors"),[...metrics,["n\
 oise floor","mm",e=>e.floor_mm?.toFixed(3)??"–"]])});announced=!1,exceeded=({faults})=>faults?.length?`outsi\
 de the model: ${faults.join("; ")}`:"";listen("scene",()=>announced=!1);listen("forces",()=>{now.state&&(refresh(),
@@ -1217,12 +1218,12 @@ let toggle2=element("button",{type:"button",ariaPressed:String(shownMethods.has(
 return press(toggle2,()=>{let on=shownMethods.has(method.key);on?shownMethods.delete(method.key):shownMethods.
 add(method.key),toggle2.ariaPressed=String(!on),invalidate()}),row(toggle2,errorsOf(method.errors))});part("me\
 thod-rows").replaceChildren(first,...rows)}function refreshMethods(){if(!needle.methods)return;let{errors}=now.
-state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:"",median=medianOf(now.state,needle.
-scene);[median?"drawn: predictive median":`the needle above${upto}`,...errorsOf(median?.errors??errors)].forEach(
-(text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),part("sc\
-rub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(1)} s`,
-write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=!0,
-update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.
+state,upto=errors&&!errors.whole?`, first ${errors.upto_mm.toFixed(1)} mm`:"",prediction=predictionOf(now.state,
+needle.scene);[prediction?"drawn: our prediction":`the needle above${upto}`,...errorsOf(prediction?.errors??errors)].
+forEach((text,i)=>write(present[i],text))}function showStep(n,clock=timeOf(n)){replay.to(n),write(refusal,""),
+part("scrub").value=n===replay.steps.length?part("scrub").max:clock,part("scrub").ariaValueText=`${clock.toFixed(
+1)} s`,write("time",`${clock.toFixed(1)} s of ${timeOf(replay.steps.length).toFixed(1)} s`),part("back").disabled=
+!0,update()}function play(on){if(part("play").textContent=on?"Pause":"Play",!on)return void(playing=null);let n=replay.
 at===replay.steps.length||replay.changed?0:replay.at;playing={clock:timeOf(n),last:performance.now(),n},requestAnimationFrame(
 advance)}function advance(t){if(!playing)return;let ends=Math.max(timeOf(replay.steps.length),1e-9);for(playing.
 clock+=(t-playing.last)/1e3*(ends/Math.min(Math.max(ends,SHORTEST2),LONGEST)),playing.last=t;playing.n<replay.
@@ -1255,10 +1256,10 @@ init_readouts();init_scenes();init_store();init_strip();init_toolbar();init_view
 init_needles();SHORTEST2=2,LONGEST=20,data=null,needle=null,steered=null,replay=null,steps=0,frame=0,fresh=!1,
 shownMethods=new Set,refusal=part("refusal");change2=(changes,below)=>rebuild([changes],below);nameOf3=({name,
 scene})=>name??scene.measured?.id??scene.title;errorsOf=values=>needle.scene.measured.metrics.map(([name,,unit])=>writeError(
-values?.[name]??null,unit)),JUDGED=["predictive_median"],present=[],lighten=colour2=>between(colour2,"#ffffff",
-.4);further.push(context3=>{for(let{key,x,y,colour:colour2}of needle?.methods??[])!x||!shownMethods.has(key)||
-(line(context3,x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))});playing=null,timeOf=
-n=>n?replay.steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
+values?.[name]??null,unit)),JUDGED=["prediction"],present=[],lighten=colour2=>between(colour2,"#ffffff",.4);further.
+push(context3=>{for(let{key,x,y,colour:colour2}of needle?.methods??[])!x||!shownMethods.has(key)||(line(context3,
+x,y,palette.halo,4),line(context3,x,y,isDark()?lighten(colour2):colour2,2))});playing=null,timeOf=n=>n?replay.
+steps[n-1][0]:0;NEEDED=["WebAssembly","DecompressionStream","Worker"];start().catch(error=>{let lacking=NEEDED.
 filter(name=>!(name in globalThis));throw write("proof",lacking.length?`This browser lacks ${lacking.join(", ")}\
 : it cannot compute the needle.`:`The needle was not computed, for a fault in this file: ${error.message}`),part(
 "proof").classList.add("bad"),error})}});typeof document>"u"?Promise.resolve().then(()=>(init_band_worker(),band_worker_exports)):Promise.resolve().then(()=>(init_main(),main_exports));})();

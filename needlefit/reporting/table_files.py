@@ -58,7 +58,7 @@ def _to_plain_value(value: object) -> object:
 # `level = 0.5`, `low_mm`
 
 _QUANTITIES = "tip|tip_z|shape|points|end|track|needle|needle_z|band|band_z|measured"
-_PREDICTED = "measured_mm|median_mm|crps_mm|interval_score_mm|pit|error_mm"
+_PREDICTED = "measured_mm|median_mm|predicted_mm|crps_mm|interval_score_mm|pit|error_mm"
 
 _PATTERNS = {
     rf"(?P<quantity>{_QUANTITIES})_(?P<level>50|95)_(?P<name>low_mm|high_mm)": "{name}",

@@ -235,6 +235,7 @@ class PredictionMetadata(AnalysisMetadata):
     failed_solves: int
     outside_validity: int
     not_converged: list[str]
+    mode: dict[str, float] | None = None  #: parameters of the predicted needle
     drawn: dict[str, list[float]] | None = None  #: parameters of certified draws, evenly chosen, for its page
 
 

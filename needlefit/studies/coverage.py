@@ -50,10 +50,7 @@ def median_width(predictive: pd.DataFrame) -> float:
 
 
 def tip_error_of_medians(predictive: pd.DataFrame) -> float:
-    """Return the mean distance of the medians of predicted tips from the measured ones, mm.
-
-    That is the tip error of the predictions; `te_mm` is of the posterior mode.
-    """
+    """Return the mean distance of the medians of predicted tips from the measured ones, mm."""
     off = (predictive["tip_median_mm"] - predictive["tip_measured_mm"]).abs()
     if "tip_z_median_mm" in predictive:
         out = predictive["tip_z_median_mm"] - predictive["tip_z_measured_mm"]

@@ -41,8 +41,8 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata, InsertionMetadata, PredictionMetadata
 from needlefit.studies.fit_frames import (
     FIT_KINDS,
-    MEDIAN_METHOD,
     NEW_SPECIMEN,
+    PREDICTION_METHOD,
     TUNED_SPECIMENS,
     FitFrames,
     list_methods,
@@ -203,7 +203,7 @@ def collect_explorer(run: Run, data: PageData | None = None) -> PageData | None:
             "status": status,
         }
         if needle["scene"]["measured"]["target"]["pose"] == "known":  # its curve lies where it is drawn
-            needle["scene"]["measured"]["median"] = find_median(run, *where)
+            needle["scene"]["measured"]["prediction"] = find_prediction(run, *where)
         data.needles.append(needle | about | {"methods": methods})
     return data
 
@@ -215,18 +215,14 @@ def choose_drawn(sets: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
 
 
 def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
-    """Return the data of the page of a predicted needle; None where its draws are not certified.
-
-    The needle is that of the medians of the parameters; what is drawn at first is the predictive median.
-    """
+    """Return the data of the page of a predicted needle; None where its draws are not certified."""
     from needlefit.inference.forward_model import make_rules
     from needlefit.mechanics.simulate import find_last_shape
 
     metadata = run.knows(PredictionMetadata)
-    if metadata.drawn is None:
+    if metadata.drawn is None or (values := metadata.mode) is None:
         return None
     medium, record = metadata.medium, run.record.scene
-    values = {name: float(np.median(drawn)) for name, drawn in metadata.drawn.items()}
     record = record.model_copy(
         update={
             "layers": tuple(
@@ -248,14 +244,12 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     shape = find_last_shape(scene.needle, scene.tissue, scene.steps, scene.rules, lattice)
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
-    median = run.frames["forecast"]
     encoded = encode_scene(scene, lattice.first_cell, guides) | {
         "title": run.title,
         "target": run.name,
         "synthetic": run.synthetic,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": None,
-        "median": {"x": median["x_mm"].tolist(), "y": median["needle_median_mm"].tolist()},
         "draws": _encode_draws(data, table, medium, layers, 1.0, scene.tissue),
     }
     head = format_head(make_head(run.name, lattice.first_cell, record))
@@ -264,13 +258,13 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     return data
 
 
-def find_median(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
-    """Return the predictive median of an insertion, which the verdict judges: its curve, mm, and its errors.
+def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str, Any] | None:
+    """Return our prediction of an insertion, which the verdict judges: its curve, mm, and its errors.
 
     None of an insertion that was not held out.
     """
     place = {"fold": fold, "role": role, "insertion": insertion}
-    place |= {"method": MEDIAN_METHOD, "boundaries": "measured"}
+    place |= {"method": PREDICTION_METHOD, "boundaries": "measured"}
     shapes, errors = (select_rows(run.frames[name], **place) for name in ("shapes", "errors"))
     if shapes.empty or errors.empty:
         return None

@@ -15,10 +15,11 @@ FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have these
 #: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
 TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
-#: the method of predictions: the median of the predictive distribution, point by point
-MEDIAN_METHOD = "predictive_median"
-#: the methods that simulate a needle: both fits, the paper's parameters, and these with b fitted again
-MODEL_METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b")
+#: our prediction: the needle of the posterior mode, through the layers that it meets itself
+PREDICTION_METHOD = "prediction"
+#: the methods that simulate a needle: both fits, b fitted alone with the others as they are before any data,
+#: the paper's parameters, and these with b fitted again
+MODEL_METHODS = ("fitted", "fitted_metric", "b_alone", "hand_tuned", "hand_tuned_b")
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class FitFrames:
 
     @property
     def method(self) -> str:
-        """The method whose errors are judged: the predictive median, of a run without any the fit."""
-        return MEDIAN_METHOD if (self.errors["method"] == MEDIAN_METHOD).any() else "fitted"
+        """The method whose errors are judged: our prediction, of a run without any the fit."""
+        return PREDICTION_METHOD if (self.errors["method"] == PREDICTION_METHOD).any() else "fitted"
 
     @property
     def curved(self) -> bool:
@@ -83,4 +84,4 @@ def select_draws(
 def list_methods() -> tuple[str, ...]:
     """Return the names of all methods in the order of tables: models, then baselines."""
     fitted, *others = MODEL_METHODS
-    return (fitted, MEDIAN_METHOD, *others, *(baseline.name for baseline in list_baselines()))
+    return (fitted, PREDICTION_METHOD, *others, *(baseline.name for baseline in list_baselines()))

@@ -50,7 +50,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "row_error_minimising": lambda v: "error-minimising fit" in v.rows,
     "by_curves": lambda v: v.curved,
     "by_tips": lambda v: not v.curved,
-    "row_planned": lambda v: "planned layer depths" in v.rows,
+    "row_prediction": lambda v: "our prediction" in v.rows,
     "row_floor": lambda v: "noise floor" in v.rows,
     "errors_aligned": lambda v: any(one.comparison == "aligned" for one in v.groups),
     "paper_in_world": lambda v: "paper" in v.rows,

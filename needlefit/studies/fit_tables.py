@@ -35,7 +35,7 @@ from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import COVERAGE_COLUMNS, tabulate_coverage
-from needlefit.studies.fit_frames import MEDIAN_METHOD, NEW_SPECIMEN, TUNED_SPECIMENS, FitFrames
+from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_SPECIMENS, FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
@@ -61,17 +61,18 @@ class _RowKind:
 
 
 _FITTED = _RowKind("posterior-mode fit")
+_B_ALONE = _RowKind(method_name("b_alone"), method="b_alone")
 _FLOOR, _PAPER = _RowKind("noise floor", column="floor"), _RowKind("paper", column="paper")
 _HELD_OUT_KINDS = (
     _FITTED,
-    _RowKind("predictive median", method=MEDIAN_METHOD),
+    _RowKind("our prediction", method=PREDICTION_METHOD),
     _RowKind("error-minimising fit", method="fitted_metric"),
-    _RowKind("planned layer depths", boundaries="planned"),
+    _B_ALONE,
 )
 
 
 def lay_out_validation(*runs: Run) -> TableLayout:
-    """Return the errors by held-out group: ours, with planned depths, noise floor, paper."""
+    """Return the errors by held-out group: ours, noise floor, paper."""
     groups = scores.list_held_out_groups(*runs)
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
     return _lay_out_groups("validation", [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups], heads)
@@ -85,7 +86,7 @@ def lay_out_tuning(*runs: Run) -> TableLayout:
 
 
 def lay_out_summary(run: Run) -> TableLayout:
-    """Return the table of the first page: our errors, those of the references and the paper's, by group.
+    """Return the table of the first page: our errors, of b alone, of the references and the paper, by group.
 
     Groups are those held out, or of a run without any those fitted to; before several stand all together, of
     which the verdict is. The paper's parameters are scored on our data; its result is of its own needles.
@@ -93,7 +94,7 @@ def lay_out_summary(run: Run) -> TableLayout:
     groups = scores.list_held_out_groups(run) or scores.list_groups(scores.tabulate_tuning(run))
     frames, several = FitFrames.of(run), len(groups) > 1
     method = frames.method
-    ours = _RowKind("our prediction" if method == MEDIAN_METHOD else "our fit", method)
+    ours = _RowKind("our prediction" if method == PREDICTION_METHOD else "our fit", method)
     fitted_to, media = str(run.record.medium), {one.head.medium for one in groups}
     of_other = "" if media == {fitted_to} else f" for {medium_name(fitted_to)}"
     together = scores.pool_insertions(run, frames.role)
@@ -110,7 +111,7 @@ def lay_out_summary(run: Run) -> TableLayout:
         references = [_RowKind(method_name(one), one) for one in REFERENCES]
         if (curve := find_closest_curve(group)) and curve not in REFERENCES:
             references.append(_RowKind(f"closest curve{hindsight}: {method_name(curve)}", curve))
-        blocks.append((group, (ours, *references, *paper)))
+        blocks.append((group, (ours, _B_ALONE, *references, *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
     found = _lay_out_groups("summary", blocks, heads, short=True)
     if several or not groups:
@@ -268,7 +269,7 @@ def lay_out_baselines(run: Run, role: str) -> TableLayout:
 
 
 def lay_out_insertions(run: Run, role: str) -> TableLayout:
-    """Return our errors on single insertions: of held-out ones those of the predictive median."""
+    """Return our errors on single insertions: of held-out ones those of our predictions."""
     frames = FitFrames.of(run)
     method = frames.method if role == "validate" else "fitted"
     chosen = frames.select_errors(role, method=method)

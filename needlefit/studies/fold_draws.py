@@ -111,7 +111,7 @@ def draw_fold_parameters(
     rng = random_stream(job.recipe.seed, *key)
     if not problem.holding(fit.held).searched.names:
         priors = (draw_held(job.parameters, np.empty((count, 0)), rng) for count in counts)
-        few, many = (Draws(thetas, "importance") for thetas in priors)
+        few, many = (Draws(thetas, "importance", mode=np.array(fit.theta)) for thetas in priors)
         return FoldDraws(few, many)
     found = sample_about_fit(problem, fit, rng, settings.jobs)
     # both sets come from one generator: their order is part of the result
@@ -121,7 +121,7 @@ def draw_fold_parameters(
         posterior = sample_posterior(job, problem, fit, found, key, settings, checkpoint, step)
     if posterior is not None and not (posterior.faults and found.certified):
         few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
-    return FoldDraws(few, many, posterior)
+    return FoldDraws(replace(few, mode=np.array(fit.theta)), many, posterior)
 
 
 def measure_prior(job: Job, fold: Fold, thetas: Floats) -> dict[str, PriorShift]:
@@ -216,6 +216,12 @@ class Specimens:
         found = self.population.tuned.get(insertion.specimen) if self.separate else None
         return self.draws if found is None else self._describe(found)
 
+    def mode_in(self, insertion: Insertion | None) -> Floats | None:
+        """Return theta (P,) of the posterior mode: in the specimen of an insertion, in a new one of all."""
+        if insertion is None or not self.separate or insertion.specimen not in self.population.tuned:
+            return self.draws.mode
+        return self.posteriors[tuple(one.id for one in self.tuned[insertion.specimen])].mode
+
     def replace_mean(self, draws: Draws) -> Draws:
         """Return draws of the specimens' mean in place of as many draws of all insertions together."""
         if not self.separate:
@@ -229,7 +235,8 @@ class Specimens:
         if not self.separate:
             return replace(self.draws, thetas=thetas)
         found = self.population
-        return Draws(thetas, "importance", found.faults, found.pareto_k, found.effective_sample_size)
+        mode = self.draws.mode
+        return Draws(thetas, "importance", found.faults, found.pareto_k, found.effective_sample_size, mode)
 
     def list_draws(self, thetas: Floats) -> dict[str, Floats]:
         """Return as many draws (B, P) in each specimen that has some of its own, and in a `NEW_SPECIMEN`.
@@ -270,16 +277,17 @@ class Specimens:
             modes = [minimize_squares(known.searched, minimum.theta)]
             found = sample_about_modes(known, modes, rng, efforts=SPECIMEN_EFFORTS)
             if found.certified:
-                return resample_draws(found, PREDICTION_DRAWS, rng)
+                mode = job.parameters.extend(minimum.theta)
+                return replace(resample_draws(found, PREDICTION_DRAWS, rng), mode=mode)
         fit = find_fit(job, problem, key, Settings())
-        rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
+        rng, mode = random_stream(job.recipe.seed, job.name, *key, "weighed"), np.array(fit.theta)
         found = sample_about_fit(problem, fit, rng)
         if found.certified:
-            return resample_draws(found, PREDICTION_DRAWS, rng)
+            return replace(resample_draws(found, PREDICTION_DRAWS, rng), mode=mode)
         posterior = sample_posterior(job, problem, fit, found, key, Settings())
         if posterior is None:
-            return Draws(np.empty((0, len(fit.theta))), "posterior")
-        return thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, found.k)
+            return Draws(np.empty((0, len(mode))), "posterior", mode=mode)
+        return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS, found.k), mode=mode)
 
 
 def choose_specimen(known: Specimens, into: str) -> Insertion | None:

@@ -12,7 +12,6 @@ its shape as a whole, which holds if no point of it leaves the simultaneous band
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
+from needlefit.inference.compared_points import align, draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.draw_simulation import (
     DrawnNeedles,
@@ -33,13 +32,7 @@ from needlefit.inference.draw_simulation import (
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
-from needlefit.inference.predict import (
-    Draws,
-    PredictiveMixture,
-    find_geometric_median,
-    quantile,
-    rms_noise_scale,
-)
+from needlefit.inference.predict import Draws, PredictiveMixture, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
@@ -89,9 +82,6 @@ class HeldOutPrediction:
     sensors: tuple[Row, ...]
     solved: int
     outside: int
-    #: with bands, the predictive median as a curve: beam coordinates (K,) -> points (K, 3) in C, mm. x is the
-    #: median over draws, y that of what will be measured, each at its own beam coordinate
-    median: Curve | None
 
 
 def predict_held_out(
@@ -229,28 +219,22 @@ class _Predictor:
             row[AFTER_ONE_COLUMN] = self._estimate_after_one(insertion, observation, some, mixture)
         whole = predict_bands(mixture.means, covariance, rng)
         row |= score_prediction(mixture, measured, whole.pit(measured))
-        across: Floats = quantile(mixture, (0.5,)).T
         width = row["tip_95_high_mm"] - row["tip_95_low_mm"]  # both of its ends err
         row[WIDTH_ERROR_COLUMN] = math.sqrt(2) * end_error * width if math.isfinite(end_error) else math.nan
         columns: tuple[str, ...] = PREDICTIVE_COLUMNS
         if directions > 1:
-            across = find_geometric_median(aligned[..., 1:])
+            (centre,) = find_geometric_median(aligned[:, -1:, 1:])
             tips = np.array([len(measured) // 2 - 1, len(measured) - 1])  # along y and z
             errors = rng.multivariate_normal(np.zeros(2), covariance[np.ix_(tips, tips)], len(aligned))
-            row |= score_tip_in_space(aligned[:, -1, 1:] + errors, across[-1], measured[tips])
+            row |= score_tip_in_space(aligned[:, -1, 1:] + errors, centre, measured[tips])
             columns = (*columns, *SPATIAL_COLUMNS)
-        band, median, where = tuple[Row, ...](), None, {"fold": fold.name, "insertion": insertion.id}
+        band, where = tuple[Row, ...](), {"fold": fold.name, "insertion": insertion.id}
         sensors = tuple({**where, **one} for one in tabulate_sensors(insertion, about_sensors))
         if self.bands:
             band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
-            middle = np.zeros((len(s), 3))
-            middle[:, 0], middle[:, 1 : 1 + across.shape[1]] = np.median(aligned[..., 0], axis=0), across
-            if s[0] > 0:  # of a tip alone; the needle begins at the entry
-                s, middle = np.append(0.0, s), np.vstack([np.zeros(3), middle])
-            median = partial(_interpolate, s, middle)
         row = {name: row[name] for name in columns}
         outside = int(np.sum(~found.valid[solved]))
-        return HeldOutPrediction(row, band, sensors, len(aligned), outside, median)
+        return HeldOutPrediction(row, band, sensors, len(aligned), outside)
 
     def _plan(
         self,
@@ -288,11 +272,6 @@ class _Predictor:
         again[found.solved] = aligned[:, -1, 1]
         errors = first.sd[tip] * rng.standard_normal((2, len(sets)))
         return estimate_width_after_one(again + errors[0], first.means[:, tip] + errors[1])
-
-
-def _interpolate(known: Floats, points: Floats, s: Floats) -> Floats:
-    """Return the points (K, 3) of a curve at `s` (K,); `points` are those at `known`."""
-    return np.column_stack([np.interp(s, known, along) for along in points.T])
 
 
 def _choose_representatives(job: Job, insertions: Iterable[Insertion]) -> frozenset[str]:

@@ -30,13 +30,13 @@ from needlefit.studies.score import Row
 # reading, `scored` are those below the depth that places it in the tracker's frame
 READING_COLUMNS = (
     *("fold", "run", "medium", "direction", "method", "depth_mm", "guide_mm", "scored", "measured_mm"),
-    *("median_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+    *("predicted_mm", "low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
 )
 # a row per run predicted, direction (y, or z of runs that were tracked in both) and method: errors of the
 # readings scored; `tip_...` at the last one
 RUN_COLUMNS = (
     *("fold", "run", "medium", "direction", "specimen", "method", "readings", "rms_mm", "crps_mm"),
-    *("tip_measured_mm", "tip_median_mm", "tip_in_50", "tip_in_95", "tip_95_low_mm", "tip_95_high_mm"),
+    *("tip_measured_mm", "tip_predicted_mm", "tip_in_50", "tip_in_95", "tip_95_low_mm", "tip_95_high_mm"),
 )
 
 
@@ -91,16 +91,21 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
                 pairs = zip(zip(*kept, strict=True), observed, strict=True)  # direction by direction
                 parts = [predict_by_curve(BASELINES[method], *pair, count) for pair in pairs]
                 ahead.append(np.concatenate(parts)[None])
+            points = [one[0] for one in ahead]
         else:
             rng = random_stream(job.recipe.seed, job.name, fold.name, method)
-            ahead = predict_runs(*simulate_runs(job, fold, draws, jobs, rng), placed, rng)
+            ahead = predict_runs(*simulate_runs(job, fold, draws.thetas, jobs, rng), placed, rng)
+            assert draws.mode is not None
+            alone = predict_runs(*simulate_runs(job, fold, draws.mode[None], jobs), placed)
+            points = [one[0] for one in alone]
         certified = method not in BASELINES and not draws.faults
         steered = any(one.guided for one in fold.tune)
-        for track, count, predicted in zip(fold.validate, placed, ahead, strict=True):
-            parts = np.split(predicted, directions, axis=1)
-            for direction, one, part in zip("yz", split_directions(track, directions), parts, strict=False):
+        for track, count, predicted, point in zip(fold.validate, placed, ahead, points, strict=True):
+            split = zip(np.split(predicted, directions, axis=1), np.split(point, directions), strict=True)
+            axes = zip("yz", split_directions(track, directions), split, strict=False)
+            for direction, one, (part, mean) in axes:
                 # how a moved guide leads a needle, no run at rest has tested
-                row, rows = _score_run(one, count, part, certified, steered or not track.guided)
+                row, rows = _score_run(one, count, part, mean, certified, steered or not track.guided)
                 about = {"fold": fold.name, "method": method, "direction": direction}
                 runs.append({**about, **row})
                 readings += [{**about, **each} for each in rows]
@@ -108,16 +113,16 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
 
 
 def simulate_runs(
-    job: Job, fold: Fold, draws: predict.Draws, jobs: int, rng: np.random.Generator
+    job: Job, fold: Fold, thetas: Floats, jobs: int, rng: np.random.Generator | None = None
 ) -> tuple[Floats, list[Observation], list[Observation], list[Floats]]:
     """Return the scales of the noise, the runs fitted to and predicted, and the model's curves of both.
 
-    As for `predict_runs`; draws of which a solve fails are left out. Runs fitted to have the needle's bevel,
-    those predicted each one of their own.
+    As for `predict_runs`; `thetas` (B, P) of which a solve fails are left out. Runs fitted to have the
+    needle's bevel, those predicted each one of their own, without `rng` the same.
     """
     problem, noise = job.problem(fold), replace(job.dataset.noise, heading_sd=0.0)
     likelihood = problem.likelihood.model_copy(update={"bevel_spread": 0.0, "measurement": "stored"})
-    sets = [problem.values(theta) for theta in draws.thetas]
+    sets = [problem.values(theta) for theta in thetas]
 
     def simulate(sets: Sequence[Mapping[str, float]], some: Sequence[Observation]) -> Iterator[Floats]:
         pairs = [pair for one in some for pair in zip(one.nodes.insertions, one.nodes.s, strict=True)]
@@ -132,26 +137,28 @@ def simulate_runs(
     )
     curves = list(simulate(sets, tuned))
     for one in held:
-        curves += simulate(vary_bevels(sets, problem.new_bevel_sd, rng), [one])
+        varied = sets if rng is None else vary_bevels(sets, problem.new_bevel_sd, rng)
+        curves += simulate(varied, [one])
     good = np.all([np.isfinite(one).all(axis=(1, 2)) for one in curves], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])
     return scale[good], tuned, held, [one[good] for one in curves]
 
 
 def _score_run(
-    track: Insertion, placed: int, predicted: Floats, certified: bool, tested: bool
+    track: Insertion, placed: int, predicted: Floats, point: Floats, certified: bool, tested: bool
 ) -> tuple[Row, list[Row]]:
     """Return the row of `runs` and the rows of `readings`; intervals are of certified draws, where tested.
 
-    `predicted` (B, n - placed) are draws of the readings after the first `placed`, mm.
+    `predicted` (B, n - placed) are draws of the readings after the first `placed`, mm, `point` (n - placed,)
+    is their prediction.
     """
     mixture = predict.PredictiveMixture(predicted, np.zeros(predicted.shape[1]))
     (depths, tips, _), guide = track.points.T, track.guide
     assert guide is not None
     first, measured = tips[0], tips[placed:]
-    known = {"measured": measured, "median": predict.quantile(mixture, 0.5)}
+    known = {"measured": measured, "predicted": point}
     row: Row = {"run": track.id, "medium": track.medium, "specimen": track.specimen}
-    row |= {"readings": len(measured), "rms_mm": float(np.sqrt(np.mean((known["median"] - measured) ** 2)))}
+    row |= {"readings": len(measured), "rms_mm": float(np.sqrt(np.mean((point - measured) ** 2)))}
     if certified or len(predicted) == 1:  # of a point CRPS is the absolute error
         row["crps_mm"] = float(predict.crps(mixture, measured).mean())
     if certified:
@@ -163,7 +170,7 @@ def _score_run(
             row[f"tip_in_{name}"] = bool(low <= measured[-1] <= high) if tested else None
             if level == max(predict.INTERVAL_PROBABILITIES):
                 row |= {"tip_95_low_mm": low - float(first), "tip_95_high_mm": high - float(first)}
-    row |= {f"tip_{name}_mm": float(known[name][-1] - first) for name in ("measured", "median")}
+    row |= {f"tip_{name}_mm": float(known[name][-1] - first) for name in ("measured", "predicted")}
     rows = [
         {
             **{"run": track.id, "medium": track.medium, "depth_mm": float(depth), "guide_mm": float(place)},

@@ -11,6 +11,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
 from needlefit.inference.parameter_changes import load_changed_medium, search_freed
+from needlefit.inference.parameter_names import HYPERPARAMETERS
 from needlefit.inference.parameters import (
     Parameters,
     with_hyperparameters,
@@ -134,8 +135,16 @@ class Job:
     def searches(self) -> tuple[str, ...]:
         """The searches of one fold; the first is the fit that everything else is about."""
         metric = self.recipe.metric and self.recipe.minimize == "posterior"
-        bevel = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
-        return ("fitted", *(["fitted_metric"] * metric), *(["hand_tuned_b"] * bevel))
+        published = self.hand_tuned is not None and "bevel_mm" in self.parameters.free
+        others = {*self.parameters.free} - {self.medium.bevel_parameter, *HYPERPARAMETERS}
+        alone = isinstance(self.record, StudyRecord) and self.record.registration_depth_mm is None
+        alone = alone and bool(others) and self.medium.bevel_parameter in self.parameters.free
+        return (
+            "fitted",
+            *(["fitted_metric"] * metric),
+            *(["b_alone"] * alone),
+            *(["hand_tuned_b"] * published),
+        )
 
     def recipe_of(self, search: str) -> RecipeRecord:
         """Return the recipe of one search; all minimise the same, except the one named after the metric."""
@@ -158,7 +167,10 @@ class Job:
         return known[key]
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
-        """Return the problem of one search of a fold: all parameters free, or the paper's bevel alone."""
+        """Return the problem of one search of a fold: all parameters free, or the bevel alone.
+
+        The others are then the paper's, or as they are before any data: at the median of their prior.
+        """
         everything = Problem(
             self.dataset,
             fold.tune,
@@ -167,9 +179,12 @@ class Job:
             self.recipe.weights,
             likelihood=self.recipe.likelihood,
         )
-        if search == "hand_tuned_b" and self.hand_tuned is not None:
+        if search in ("b_alone", "hand_tuned_b"):
+            known = self.parameters.values(self.parameters.expected)
+            if search == "hand_tuned_b" and self.hand_tuned is not None:
+                known = dict(self.hand_tuned)
             one_bevel = without_bevel_spread(self.parameters)
-            return everything.with_parameters(one_bevel.with_only(("bevel_mm",), self.hand_tuned))
+            return everything.with_parameters(one_bevel.with_only((self.medium.bevel_parameter,), known))
         if self.recipe_of(search).minimize == "metric":
             return everything.with_parameters(without_prior(self.parameters))
         return everything

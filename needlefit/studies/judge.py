@@ -2,7 +2,7 @@
 
 Insertions that share a fit, a specimen or a hole err alike: they are one trial. With three trials or more our
 scores are tested against those of every curve by paired differences: "generalises", "not shown" or "does not
-generalise". Scores are the tip error of the predictive median, and the CRPS of the predicted tip. A curve
+generalise". Scores are the tip error of our prediction, and the CRPS of the predicted tip. A curve
 predicts a point; its CRPS is its error. Of two that miss alike a distribution has the smaller CRPS, and a
 wrong spread is seen in CRPS alone: both scores are needed.
 
@@ -32,7 +32,7 @@ from needlefit.studies.coverage import (
     measure_tips,
     median_width,
 )
-from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
+from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
@@ -128,7 +128,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         found = compare_with_references(errors, method, noise, margin)
         outcome, curve, nearest = found.outcome, found.reference, found.reference_mm
     else:
-        if method == MEDIAN_METHOD:
+        if method == PREDICTION_METHOD:
             scores = frames.predictive[["fold", "insertion", CRPS]]
             errors = errors.merge(scores.assign(method=method), "left", ["fold", "insertion", "method"])
         found, outcome = None, judge_fits(errors, method)
@@ -205,7 +205,7 @@ def compare_with_references(
     )
 
 
-def judge_fits(errors: pd.DataFrame, method: str = MEDIAN_METHOD, metric: str = TE) -> Outcome:
+def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD, metric: str = TE) -> Outcome:
     """Return whether several fits generalise: whether both their scores are better than every curve's.
 
     They generalise if tip errors and CRPS are significantly smaller than those of every curve. They do not if

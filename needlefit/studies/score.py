@@ -32,13 +32,13 @@ from needlefit.studies.job import Job
 Row = dict[str, Any]
 
 #: Of the table "errors": a row per fold, role ("tune", "validate"), insertion, method and boundaries
-#: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. `estimate` is
-#: "median" for the predictive median of insertions held out, else "point". `layers` is by the study's rule.
+#: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. Our "prediction"
+#: never uses measured layers. `layers` is by the study's rule.
 #: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
 #: for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise floor.
 ERROR_COLUMNS = (
     *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "depth_mm"),
-    *("method", "estimate", "boundaries", "comparison", "compared"),
+    *("method", "boundaries", "comparison", "compared"),
     *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
 )
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
@@ -75,6 +75,21 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
     return curves
 
 
+def needle_predictor(
+    find_values: Callable[[Insertion], Mapping[str, float]], medium: MediumRecord, dataset: Dataset
+) -> Predictor:
+    """Return our prediction: the needle with the values of an insertion, through the layers it meets itself.
+
+    It is compared as all methods are: in the place of what has the measured layers.
+    """
+
+    def curves(insertion: Insertion) -> dict[str, Curve | None]:
+        found = model_predictor(find_values(insertion), medium, dataset)(insertion)
+        return {"measured": found.get("planned", found["measured"])}
+
+    return curves
+
+
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
     """Return the method of an empirical curve, which has no layers."""
     return lambda insertion: {"measured": curve(insertion)}
@@ -83,7 +98,7 @@ def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
 def make_predictors(
     problem: Problem, fits: Mapping[str, Fit], hand_tuned: Mapping[str, float] | None
 ) -> dict[str, Predictor]:
-    """Return the fitted model, the paper's set, that set with b re-fitted, and the baseline curves."""
+    """Return the fits, the paper's set, that set with b re-fitted, and the baseline curves."""
     dataset, values = problem.dataset, {name: fit.values for name, fit in fits.items()}
     if hand_tuned is not None:
         values["hand_tuned"] = hand_tuned

@@ -147,7 +147,7 @@ def _show_insertion(
 def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the fitted parameters of a run, by default the first held-out one."""
     from needlefit.inference.problem import find_new_bevel_sd
-    from needlefit.studies.explorer import choose_drawn_specimen, find_median
+    from needlefit.studies.explorer import choose_drawn_specimen, find_prediction
     from needlefit.studies.fit_frames import FIT_KINDS, NEW_SPECIMEN, select_draws
     from needlefit.studies.store import restore_run, unpack
     from needlefit.studies.stored_fit import read_data
@@ -189,8 +189,8 @@ def open_run(view_target: ViewTarget) -> ViewedScene:
     viewed_scene = _show_insertion(shown, view_target.name, description, {one: one for one in roles})
     measured = viewed_scene.measured
     if measured is not None and measured.target.pose == "known":
-        median = find_median(run, fold, "validate", insertion.id)
-        viewed_scene = replace(viewed_scene, measured=replace(measured, median=median))
+        prediction = find_prediction(run, fold, "validate", insertion.id)
+        viewed_scene = replace(viewed_scene, measured=replace(measured, prediction=prediction))
     known = {(one.kind, one.what) for one in viewed_scene.warnings}  # of the dataset, with the paths of files
     warnings = [one for one in run.warnings if (one.kind, one.what) not in known]
     warnings += viewed_scene.warnings

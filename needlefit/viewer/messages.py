@@ -59,7 +59,7 @@ def encode_measured(measured: MeasuredOverlay) -> dict[str, Any]:
         **points,
         "s": measured.s.tolist(),
         "floor_mm": measured.floor,
-        "median": measured.median,
+        "prediction": measured.prediction,
         "target": {"pose": target.pose, "s": target.s.tolist(), **compared},
     }
 

@@ -79,8 +79,8 @@ class MeasuredOverlay:
     depth: float  #: inserted arc length, mm
     side: int  #: the side of C's x axis that the bevel faces, +1 or -1
     floor: float | None  #: TE that the true parameters would still show, mm; None where no noise is stated
-    #: the predictive median of a run that has held it out: x, y, mm, and its errors
-    median: Mapping[str, Any] | None = None
+    #: the prediction of a run that has held it out: x, y, mm, and its errors
+    prediction: Mapping[str, Any] | None = None
 
 
 def make_measured_overlay(

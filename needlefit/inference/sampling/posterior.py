@@ -51,6 +51,11 @@ class Posterior:
         return self.log_posterior.size / self.autocorrelation_time
 
     @property
+    def best(self) -> Floats:
+        """The draw (P,) of the greatest density, Pa, mm."""
+        return self.draws.reshape(-1, len(self.names))[self.log_posterior.argmax()]
+
+    @property
     def convergence(self) -> pd.DataFrame:
         """Of each parameter and the log posterior: `r_hat`, `autocorrelation_time` (steps) and `ess`."""
         columns = {name: getattr(self, name) for name in ("r_hat", "autocorrelation_time", "ess")}

@@ -29,7 +29,7 @@ def draw(readings: pd.DataFrame) -> Figure:
     grid = figure.add_gridspec(2 * down, across, height_ratios=[3, 1] * down)
     for n, (medium, names) in enumerate(media.items()):
         group = select_rows(readings, panels=medium)
-        values = np.concatenate([group["measured_mm"], group["median_mm"].dropna()])
+        values = np.concatenate([group["measured_mm"], group["predicted_mm"].dropna()])
         room = 0.25 * (values.max() - values.min())  # bands may leave it
         for k, name in enumerate(names):
             tip = figure.add_subplot(grid[2 * n, k])
@@ -59,7 +59,7 @@ def _draw_readings(axes: Axes, run: pd.DataFrame) -> None:
         for level, share in ((95, 0.84), (50, 0.68)) if fitted else ():
             ends = some[f"low_{level}_mm"], some[f"high_{level}_mm"]
             axes.fill_between(some["depth_mm"], *ends, color=lighten(colour, share), lw=0)
-        axes.plot(some["depth_mm"], some["median_mm"], color=colour, lw=1.2 if fitted else 0.9)
+        axes.plot(some["depth_mm"], some["predicted_mm"], color=colour, lw=1.2 if fitted else 0.9)
     measured = select_rows(run, method=run["method"].iloc[0])
     for scored, face in ((True, INK), (False, "none")):
         some = select_rows(measured, scored=scored)

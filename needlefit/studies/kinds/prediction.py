@@ -1,8 +1,9 @@
 """Predict a planned insertion from a fit: draws of its posterior, simulated in a scene.
 
-The bands come from the draws of the parameters, of a bevel for each insertion, and of the depths of layers
-and tip; in a specimen that was not tuned on the parameters differ (`Specimens`). They include neither model
-error nor errors of measurement. Draws that are not certified have no bands.
+The predicted needle is that of the posterior mode. Its bands come from the draws of the parameters, of a
+bevel for each insertion, and of the depths of layers and tip; in a specimen that was not tuned on the
+parameters differ (`Specimens`). They include neither model error nor errors of measurement. Draws that are
+not certified have no bands.
 
 What is known of the fit, by a run of it, stands first: its verdict and failed checks.
 """
@@ -31,8 +32,10 @@ from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import simulate_scene_draws, vary_bevels
 from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
+from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, find_geometric_median, thin_posterior
+from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, thin_posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
 from needlefit.project.random_streams import random_stream
@@ -99,10 +102,10 @@ BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: by level, the widest first
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
-    # a row per point: arc length from the entry, depth along the entry axis, median of y, ends of its
+    # a row per point: arc length from the entry, depth along the entry axis, y of the needle, ends of its
     # pointwise intervals ("needle") and of simultaneous bands ("band")
     "forecast": (
-        *("s_mm", "x_mm", "needle_median_mm"),
+        *("s_mm", "x_mm", "needle_predicted_mm"),
         *(
             f"{what}_{level}_{end}_mm"
             for what in ("needle", "band")
@@ -206,21 +209,21 @@ class Forecast:
     """A predicted needle in the scene's constraint frame, with its uncertainty."""
 
     s: Floats  #: (K,), arc length from the entry, mm
-    x: Floats  #: (K,), depth of these points along the entry axis, median over draws, mm
+    needle: Floats  #: (K, 3), the needle of the posterior mode, mm
     across: Floats  #: (B, K, 1), in space (B, K, 2): y, and z, of each draw that has a solution, mm
     failed: int  #: draws of which the solve failed; they are left out
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
+    mode: Mapping[str, float]  #: the parameters of the predicted needle
     sets: Sequence[Mapping[str, float]]  #: parameters of all draws, each with a bevel of its own
 
 
 def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
-    """Return one row per station, mm: s and x, then of y, in space of z, the median, intervals and bands."""
-    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
+    """Return one row per station, mm: s and x, then y, in space z, its intervals and bands."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.needle[:, 0]}
     count, points, directions = forecast.across.shape
-    middle = find_geometric_median(forecast.across)
     bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
     for n, axis in enumerate(AXES[:directions]):
-        columns[f"needle_{axis}median_mm"] = middle[:, n]
+        columns[f"needle_{axis}predicted_mm"] = forecast.needle[:, 1 + n]
         for level in INTERVAL_PROBABILITIES:
             pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
             whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
@@ -239,10 +242,11 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     specimen is that of the insertion `into`, or, with None, one that is not in the dataset. Where it has no
     draws of its own, those of all insertions together stand in.
 
-    Raises ModelError if no draw can be solved.
+    Raises ModelError if no draw can be solved, or the mode cannot.
     """
-    job, draws = known.job, known.draws_in(into)
+    job, draws, mode = known.job, known.draws_in(into), known.mode_in(into)
     thetas = draws.thetas if len(draws.thetas) else known.draws.thetas
+    assert mode is not None
     rng = random_stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
     sets = vary_bevels([job.parameters.values(theta) for theta in thetas], known.bevel_sd_in(into), rng)
@@ -253,18 +257,21 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     held = job.parameters.held
     found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
     points = found.points[found.solved]  # (B, K, 3)
-    if not len(points):
+    values, exact = job.parameters.values(mode), np.zeros((1, scene.tissue.layers))
+    (needle,) = simulate_scene_draws([values], job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
+    if not (len(points) and np.isfinite(needle).all()):
         raise ModelError(
-            f"none of {len(thetas)} draws of the parameters can be solved for this scene",
+            f"{len(points)} of {len(thetas)} draws of the parameters can be solved for this scene, and "
+            f"{'not ' * bool(len(points))}their mode",
             expected="an insertion that the model can follow",
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
-    x, outside = np.median(points[:, :, 0], axis=0), int(np.sum(~found.valid[found.solved]))
+    outside = int(np.sum(~found.valid[found.solved]))
     directions = max(job.dataset.directions, 1 + int(points[..., 2].any()))
     roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
     points = turn_about_x(points, draw_rolls(roll_sd, directions, len(points), rng))
     across = points[:, :, 1 : 1 + directions]
-    return Forecast(s, x, across, len(thetas) - len(points), outside, sets)
+    return Forecast(s, needle, across, len(thetas) - len(points), outside, values, sets)
 
 
 def require_fitted_kind(scene: Scene, job: Job) -> None:
@@ -299,7 +306,7 @@ def draw_parameters(
     Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
     """
     if settings.inputs.posterior is not None:
-        return thin_posterior(settings.inputs.posterior, job.parameters, PREDICTION_DRAWS)
+        return _thin_with_mode(job, settings.inputs.posterior)
     if run is not None:
         return _draw_from_run(job, run, where)
     (fold,) = job.folds
@@ -328,7 +335,16 @@ def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
             fix="name a result of `needlefit tune` without --no-sample",
         )
     require_same_configuration(job, run.metadata, where)
-    return thin_posterior(run.posterior, job.parameters, PREDICTION_DRAWS)
+    return _thin_with_mode(job, run.posterior)
+
+
+def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
+    """Return draws of a sampled posterior, and its mode: the minimum to which its best draw leads."""
+    problem = job.problem(job.folds[0]).searched
+    best = dict(zip(posterior.names, posterior.best.tolist(), strict=True))
+    begin = job.parameters.restrict(job.parameters.theta(best))
+    mode = job.parameters.extend(minimize_squares(problem, begin).theta)
+    return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS), mode=mode)
 
 
 def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
@@ -417,6 +433,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             failed_solves=found.failed,
             outside_validity=found.outside,
             not_converged=list(draws.faults),
+            mode=dict(found.mode),
             drawn=None if draws.faults else choose_drawn(found.sets),
             warnings=to_stored_rows(warned),
         ),
@@ -435,10 +452,10 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "fit_judged": lambda v: v.fit_verdict,
     "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
     "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),
-    **dict.fromkeys(("unreliable", "unreliable_median", "faults", "median_alone"), lambda v: v.faults),
+    **dict.fromkeys(("unreliable", "unreliable_needle", "faults", "needle_alone"), lambda v: v.faults),
     **dict.fromkeys(("predicted", "bands"), lambda v: not v.faults),
-    "predicted_z": lambda v: not v.faults and hasattr(v, "needle_z_median_mm"),
-    "roll": lambda v: hasattr(v, "needle_z_median_mm"),
+    "predicted_z": lambda v: not v.faults and hasattr(v, "needle_z_predicted_mm"),
+    "roll": lambda v: hasattr(v, "needle_z_predicted_mm"),
     "sampled": lambda v: v.draw_source == "posterior",
     "weighted": lambda v: v.draw_source != "posterior",
     "failed_draws": lambda v: v.failed_solves,
@@ -472,7 +489,7 @@ def find_tip(run: Run) -> Row:
 def answer_prediction(run: Run) -> Answer:
     """Return where the tip will be, with its 95 % interval; it fails without one, and nothing is tested."""
     values = describe_prediction(run)
-    keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(median|95_low|95_high)_mm", name)]
+    keys = [name for name in values if re.fullmatch(r"s_mm|needle(_z)?_(predicted|95_low|95_high)_mm", name)]
     verdict = Verdict(
         TEXT.sentence("answer", values),
         "fail" if run.faults else "none",
@@ -495,7 +512,7 @@ def _advise_on_fit(run: Run) -> Advice | None:
         finding = "prediction_wide"
     else:
         finding = "tip_predicted"
-    axes = ("x_mm", "needle_median_mm", "needle_z_median_mm")
+    axes = ("x_mm", "needle_predicted_mm", "needle_z_predicted_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
     values = {"target": (target := run.record.target), "tip": place}
     if target.endswith("/") or ("/" in target and not target.endswith(".toml")):
@@ -512,42 +529,42 @@ def _recall_advice(judged: Run) -> dict[str, Any] | None:
 
 
 def tabulate_prediction(run: Run) -> list[Table]:
-    """Return the pointwise intervals at some depths, the tip the last."""
+    """Return the needle and its pointwise intervals at some depths, the tip the last."""
     frame = run.frames["forecast"]
     places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
     rows = [
         {key.removeprefix("needle_"): value for key, value in row.items()}
         for row in to_records(frame.iloc[places])
     ]
-    columns = ["s_mm", "median_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES)]
-    columns += ["z_median_mm", "z_range_95_mm"] if "needle_z_median_mm" in frame else []
+    columns = ["s_mm", "predicted_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES)]
+    columns += ["z_predicted_mm", "z_range_95_mm"] if "needle_z_predicted_mm" in frame else []
     return [Table("forecast", rows, columns)]
 
 
 def draw_prediction(run: Run) -> dict[str, Drawing]:
-    """Return median, 50 and 95 % simultaneous bands of the needle, mm."""
+    """Return the predicted needle and its 50 and 95 % simultaneous bands, mm."""
     facts = describe_prediction(run)
     title = f"{facts['title']} ({facts['faults']})" if run.faults else facts["title"]
     table = run.frames["forecast"].assign(origin=run.origin, scene=title)
     bands = {level: (f"simultaneous {level} % band", colour) for level, colour in BAND_COLOURS.items()}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
-    names["median"] = Look("median", METHOD_COLOURS["fitted"], width=1.4)
+    names["needle"] = Look("predicted needle", METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out
-        names = {"median": names["median"]}
-    axes = [axis for axis in AXES if f"needle_{axis}median_mm" in table]
+        names = {"needle": names["needle"]}
+    axes = [axis for axis in AXES if f"needle_{axis}predicted_mm" in table]
     options: dict[str, Any] = {
         **{"x": "x_mm", "by": "band", "looks": names, "size": (7.16, 1.0 + 1.6 * len(axes))},
         "x_label": "x along the entry (mm)",
         "panels": [
-            Panel(f"{name} (mm)", line=f"{axis}median_mm", low=f"{axis}low_mm", high=f"{axis}high_mm")
+            Panel(f"{name} (mm)", line=f"{axis}predicted_mm", low=f"{axis}low_mm", high=f"{axis}high_mm")
             for name, axis in zip("yz", axes, strict=False)
         ],
     }
 
     def list_bands(table: pd.DataFrame) -> pd.DataFrame:
-        """Return a row for each band and point, and for the median."""
-        medians = {f"{axis}median_mm": table[f"needle_{axis}median_mm"] for axis in axes}
-        parts = [table.assign(band="median", **medians)]
+        """Return a row for each band and point, and for the needle."""
+        lines = {f"{axis}predicted_mm": table[f"needle_{axis}predicted_mm"] for axis in axes}
+        parts = [table.assign(band="needle", **lines)]
         for level in bands:
             ends = itertools.product(axes, ("low", "high"))
             named = {f"{axis}{end}_mm": table[f"band_{axis}{level}_{end}_mm"] for axis, end in ends}

@@ -74,7 +74,7 @@ function paintForeground(state) {
     if (shown.load) needle.paintTipForce(before, state);
     if (shown.path) needle.paintPath(before, state);
     if (shown.points) needle.paintPoints(before, state);
-    overlay.paintMedian(before, state);
+    overlay.paintPrediction(before, state);
     if (shown.measured && now.scene.measured) {
       overlay.paintMeasured(before, now.scene.measured);
       if (shown.errors) overlay.paintGaps(before, state, now.scene.measured);

@@ -107,9 +107,9 @@ export function isChanged({ bevel, layers }, { fitted }) {
   return !near(bevel[key], value) || layers.some((layer, i) => Object.entries(fitted.layers[i]).some(([name, one]) => !near(layer[name], one)));
 }
 
-/** The predictive median, which the verdict judges: drawn for the needle as the run has it; null of another one. */
-export const medianOf = (state, scene) =>
-  (Math.abs(state.depth_mm - scene.depth_mm) < 1e-6 && !isSteered(state, scene) ? (scene.measured?.median ?? scene.median ?? null) : null);
+/** The predicted needle, which the verdict judges: drawn for the needle as the run has it; null of another one. */
+export const predictionOf = (state, scene) =>
+  (Math.abs(state.depth_mm - scene.depth_mm) < 1e-6 && !isSteered(state, scene) ? (scene.measured?.prediction ?? null) : null);
 
 /** Whether parameters or inputs are others than those of the scene at this depth: the needle is then not the one that was measured. */
 export function isSteered(state, scene) {

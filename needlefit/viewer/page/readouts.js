@@ -2,7 +2,7 @@
 
 import { define, DEFINITIONS } from "./definitions.js";
 import { element, entry, part, say, write } from "./dom.js";
-import { describeRoll, isSteered, listErrors, medianOf, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
+import { describeRoll, isSteered, listErrors, predictionOf, signed, strengthOf, toDegrees, writeError } from "./quantities.js";
 import { listen, now, tipForce } from "./store.js";
 import { toPy, view } from "./view.js";
 
@@ -43,9 +43,9 @@ export function refresh() {
   const title = part("title"); // a report has none
   if (title) write(title, `${isSteered(state, scene) ? "steered by hand: " : ""}${scene.title}`);
   if (!scene.measured) return;
-  const median = medianOf(state, scene);
-  writeErrors(median ? { ...state.errors, ...median.errors } : state.errors);
-  write("against", `${median ? "predictive median " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
+  const prediction = predictionOf(state, scene);
+  writeErrors(prediction ? { ...state.errors, ...prediction.errors } : state.errors);
+  write("against", `${prediction ? "prediction " : ""}against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */
@@ -101,8 +101,8 @@ function inWords() {
   ];
   if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
-    const median = medianOf(state, scene);
-    sentences.push(`${median ? "Predictive median against" : "Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(median?.errors ?? errors, scene.measured).join(", ")}.`);
+    const prediction = predictionOf(state, scene);
+    sentences.push(`${prediction ? "The prediction against" : "Against"} the measured needle ${comparedUpTo(errors)}: ${listErrors(prediction?.errors ?? errors, scene.measured).join(", ")}.`);
   }
   return sentences.join(" ");
 }

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from needlefit.datasets.insertion import Insertion
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
 from needlefit.inference.held_parameters import PriorShift
@@ -36,7 +37,7 @@ from needlefit.reporting.needles_in_scan import NeedleInScan
 from needlefit.reporting.number_format import format_bare_symbol, format_quantity
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
-from needlefit.studies.fit_frames import MEDIAN_METHOD, TUNED_SPECIMENS
+from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.held_out_tracks import predict_tracks
@@ -60,7 +61,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import place_needles
-from needlefit.studies.score import Row, Scores, curve_predictor, make_predictors, make_scorer
+from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, needle_predictor
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
@@ -136,7 +137,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
     rows: FitRows = {} if fitted is None else _describe_fit(job, fold, fitted, found, drawn)
     if drawn is not None and _holds_tracks(fold) and not services.settings.stop():
         rows |= predict_tracks(job, fold, drawn.draws, services.settings.jobs)
-    scored = list(_score(job, fold, usable, predicted))
+    scored = list(_score(job, fold, usable, drawn))
     rows |= {
         "parameters": [
             *rows.get("parameters", ()),
@@ -145,7 +146,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         ],
         "error_fit": [] if least is None else [describe_error_fit(fold, least)],
         "draws": list(_list_draws(job, fold, drawn)) if drawn else [],
-        "errors": [_mark_estimate(row) for one in scored for row in one.errors],
+        "errors": [row for one in scored for row in one.errors],
         "shapes": [row for one in scored for row in one.shapes],
         "starts": list(_list_starts(job, fold, found.fits)),
         "predictive": [one.row for one in predicted],
@@ -340,11 +341,6 @@ def _minimise_errors(
     return examine_errors(problem, fit, draws, job.parameters, rng, callbacks)
 
 
-def _mark_estimate(row: Row) -> Row:
-    """Return a row of errors with what was scored: the median of draws, or the needle of one point."""
-    return {**row, "estimate": "median" if row["method"] == MEDIAN_METHOD else "point"}
-
-
 def _find_search_faults(found: FoldFits) -> Iterator[str]:
     """Yield why the best point of the fit may not be the best."""
     fit, profiles = found.fits.get("fitted"), found.profiles
@@ -464,18 +460,22 @@ def _take(row: ParameterRow, known: Row) -> ParameterRow:
 # ---- scores
 
 
-def _score(
-    job: Job, fold: Fold, fits: Mapping[str, Fit], predicted: Sequence[HeldOutPrediction]
-) -> Iterator[Scores]:
-    """Yield the scores of every method on every insertion, then of the predictive medians."""
-    scorer = make_scorer(job)
-    for method, curves in make_predictors(job.problem(fold), fits, job.hand_tuned).items():
-        # a track that is held out is scored as it is predicted, not after the best shift and slope
-        held = () if _holds_tracks(fold) else fold.validate
+def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | None) -> Iterator[Scores]:
+    """Yield the scores of every method on every insertion, then of our predictions."""
+    scorer, problem = make_scorer(job), job.problem(fold)
+    # a track that is held out is scored as it is predicted, not after the best shift and slope
+    held = () if _holds_tracks(fold) else fold.validate
+    for method, curves in make_predictors(problem, fits, job.hand_tuned).items():
         for role, insertions in (("tune", fold.tune), ("validate", held)):
             place = {"fold": fold.name, "role": role, "method": method}
             yield from (scorer.score(place, one, curves) for one in insertions)
-    medians = {one.row["insertion"]: one.median for one in predicted if one.median is not None}
-    median = curve_predictor(lambda insertion: medians[insertion.id])
-    place = {"fold": fold.name, "role": "validate", "method": MEDIAN_METHOD}
-    yield from (scorer.score(place, one, median) for one in fold.validate if one.id in medians)
+    if (fit := fits.get("fitted")) is None:
+        return
+
+    def find_values(insertion: Insertion) -> Mapping[str, float]:
+        mode = None if drawn is None else drawn.specimens.mode_in(insertion)
+        return fit.values if mode is None else problem.values(mode)
+
+    ours = needle_predictor(find_values, problem.medium, problem.dataset)
+    place = {"fold": fold.name, "role": "validate", "method": PREDICTION_METHOD}
+    yield from (scorer.score(place, one, ours) for one in held)

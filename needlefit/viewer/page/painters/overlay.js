@@ -1,7 +1,7 @@
 /** What the needle is compared with and aimed at, and what the picture itself does not show. */
 
 import { aim, nameOf } from "../aim.js";
-import { heightAt, isChanged, medianOf } from "../quantities.js";
+import { heightAt, isChanged, predictionOf } from "../quantities.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
 import { cross, faintly, fillBetween, isFree, label, labelBeside, labelFree, line, palette, placesOf, reserve, segments, setFont, stroke } from "./strokes.js";
@@ -48,21 +48,21 @@ export function paintBand(context, { x, low, high }, pale) {
   });
 }
 
-/** Draw the predictive median, if it stands for the needle. */
-export function paintMedian(context, state) {
-  const median = medianOf(state, now.scene);
-  if (!median) return;
-  line(context, median.x, median.y, palette.halo, 4.5);
-  line(context, median.x, median.y, palette.accent, 2.5);
-  labelBeside(context, "predictive median", [[[median.x, median.y], -16], [[median.x, median.y], 16]], palette.accent);
+/** Draw the predicted needle, if it stands for the needle. */
+export function paintPrediction(context, state) {
+  const prediction = predictionOf(state, now.scene);
+  if (!prediction) return;
+  line(context, prediction.x, prediction.y, palette.halo, 4.5);
+  line(context, prediction.x, prediction.y, palette.accent, 2.5);
+  labelBeside(context, "prediction", [[[prediction.x, prediction.y], -16], [[prediction.x, prediction.y], 16]], palette.accent);
 }
 
 /** Draw what the errors are: the gap at the tip (TE), and gaps along the shaft, whose mean is the IPE. */
 export function paintGaps(context, state, measured) {
   const { errors } = state;
   if (!errors) return;
-  const median = medianOf(state, now.scene);
-  const needle = median ?? state;
+  const prediction = predictionOf(state, now.scene);
+  const needle = prediction ?? state;
   const tip = { x: needle.x.at(-1), y: needle.y.at(-1) };
   const reach = Math.min(tip.x, measured.x.at(-1));
   const places = Array.from({ length: GAPS - 1 }, (_, n) => (reach * (n + 1)) / GAPS);
@@ -76,7 +76,7 @@ export function paintGaps(context, state, measured) {
   const [top, bottom] = [toPy(y), toPy(end[1])].sort((one, other) => one - other);
   const sides = [[px, top - AWAY], [px, bottom + AWAY]]; // first the one that has no knob of the bevel
   if (state.bevel.side > 0) sides.reverse();
-  labelFree(context, `tip error (${named}) ${(median?.errors ?? errors)[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
+  labelFree(context, `tip error (${named}) ${(prediction?.errors ?? errors)[key].toFixed(2)} mm`, [...sides, [px + 60, top - AWAY], [px + 60, bottom + AWAY], [px - 90, top - AWAY], [px - 90, bottom + AWAY]], palette.gap);
 }
 
 /** Draw the needles of the draws, and over them the one of the parameters shown. */

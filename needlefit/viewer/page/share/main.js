@@ -9,7 +9,7 @@ import { ModelError, turnOver } from "../model/inputs.js";
 import { describeState } from "../model/state.js";
 import { between, line, palette } from "../painters/strokes.js";
 import { place } from "../pointers.js";
-import { counted, medianOf, writeError } from "../quantities.js";
+import { counted, predictionOf, writeError } from "../quantities.js";
 import { refresh } from "../readouts.js";
 import { offerScenes } from "../scenes.js";
 import { listen, now, publish, take } from "../store.js";
@@ -155,7 +155,7 @@ function goBack() {
 // ---- methods: the fit beside the baselines
 
 const errorsOf = (values) => needle.scene.measured.metrics.map(([name, , unit]) => writeError(values?.[name] ?? null, unit));
-const JUDGED = ["predictive_median"]; // the method that the verdict judges stands first
+const JUDGED = ["prediction"]; // the method that the verdict judges stands first
 let present = []; // the cells of the needle's own errors
 
 /** A colour of a line on paper, as it is on a dark page. */
@@ -190,9 +190,9 @@ function refreshMethods() {
   if (!needle.methods) return;
   const { errors } = now.state;
   const upto = errors && !errors.whole ? `, first ${errors.upto_mm.toFixed(1)} mm` : "";
-  const median = medianOf(now.state, needle.scene);
-  const called = median ? "drawn: predictive median" : `the needle above${upto}`;
-  [called, ...errorsOf(median?.errors ?? errors)].forEach((text, i) => write(present[i], text));
+  const prediction = predictionOf(now.state, needle.scene);
+  const called = prediction ? "drawn: our prediction" : `the needle above${upto}`;
+  [called, ...errorsOf(prediction?.errors ?? errors)].forEach((text, i) => write(present[i], text));
 }
 
 further.push((context) => {

@@ -13,7 +13,7 @@ from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import select_rows, to_records
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
-from needlefit.studies.fit_frames import MEDIAN_METHOD, FitFrames
+from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.judge import (
     CLOSER,
@@ -107,7 +107,8 @@ def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
             closer=known.closer,
         )
     ]
-    predicted = select_rows(runs, method="fitted").rename(columns={"run": "hole"})
+    names = {"run": "hole", "tip_predicted_mm": "tip_median_mm"}
+    predicted = select_rows(runs, method="fitted").rename(columns=names)
     ends = predicted.dropna(subset="tip_95_low_mm")
     if len(ends):
         checks += check_intervals(ends, run.metadata.recipe, len(predicted))
@@ -128,7 +129,7 @@ def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
 def lay_out_tracks(run: Run) -> TableLayout:
     """Return the errors of every method on the same runs."""
     methods = compare_methods_by_run(FitFrames.of(run).runs)
-    rows = to_records(methods.replace({"method": {"fitted": MEDIAN_METHOD}}))  # it predicts by all its draws
+    rows = to_records(methods.replace({"method": {"fitted": PREDICTION_METHOD}}))
     keys = ["medium", "direction"] if methods["direction"].nunique() > 1 else ["medium"]
     columns = (*keys, "runs", "method", "track_error", "track_difference", "better_runs")
     table = Table("tracks", rows, columns, groups=tuple(keys), heads=1 + len(keys), strong="groups")
