@@ -34,7 +34,7 @@ from needlefit.inference.fit import Callbacks, keep_start, read_starts
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, thin_posterior
+from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
@@ -224,6 +224,9 @@ def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
     bands = find_bands(forecast.across.transpose(0, 2, 1).reshape(count, -1))  # over y and z together
     for n, axis in enumerate(AXES[:directions]):
         columns[f"needle_{axis}predicted_mm"] = forecast.needle[:, 1 + n]
+        errors = estimate_end_errors(forecast.across[..., n], 0.95)
+        named = (f"needle_{axis}95_{end}_error_mm" for end in ("low", "high"))
+        columns |= dict(zip(named, errors, strict=True))
         for level in INTERVAL_PROBABILITIES:
             pointwise = np.quantile(forecast.across[..., n], [(1 - level) / 2, (1 + level) / 2], axis=0)
             whole = (end.reshape(directions, points)[n] for end in bands.ends(level))
