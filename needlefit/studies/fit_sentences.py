@@ -61,6 +61,8 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "beside_paper": lambda v: "paper" in v.rows,
     "summary_flagged": lambda v: any(one.edp_flagged for one in v.groups),
     # notes of the table of coverages
+    "and_shapes": lambda v: v.curved,
+    "and_bands": lambda v: v.curved,
     "sensors_covered": lambda v: len(v.readings),
     "specimens_spread": lambda v: v.spread,
     "spread_estimated": lambda v: v.spread.specimens,

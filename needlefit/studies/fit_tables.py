@@ -247,9 +247,10 @@ def lay_out_coverage(run: Run) -> TableLayout:
         count, recipe = int(other["other_specimens"].min()), BATCH_RECIPES.get(run.record.recipe, "")
         spread = SpecimenSpread(mu, b, count, recipe)
     sources = [str(source) for source in pd.unique(predicted["draw_source"])]
-    table = Table("coverage", rows, (*keys, *COVERAGE_COLUMNS))
+    columns = (one for one in COVERAGE_COLUMNS if frames.curved or not one.startswith("shape_"))
+    table = Table("coverage", rows, (*keys, *columns))
     read = frames.curvature["kappa_in_95"].astype(float)
-    return _lay_out(table, sources=sources, spread=spread, readings=read)
+    return _lay_out(table, sources=sources, spread=spread, readings=read, curved=frames.curved)
 
 
 def lay_out_baselines(run: Run, role: str) -> TableLayout:
