@@ -40,6 +40,12 @@ from needlefit.project.folders import sha256
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord
 
+# Columns that are written where a row states anything else than the default of their field.
+OPTIONAL_COLUMNS = (
+    *(NEEDLE_COLUMN, BOUNDARIES_COLUMN, SHARED_COLUMN, HOLE_COLUMN),
+    *(*TIP_COLUMNS, OBSERVED_COLUMN, BASE_SHIFT_COLUMN),
+)
+
 
 def write_dataset(
     folder: Path,
@@ -107,17 +113,9 @@ def _write_text(path: Path, text: str) -> None:
 
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns = list(INSERTION_COLUMNS)
-    columns += [NEEDLE_COLUMN] if any(row.needle for row in rows) else []
-    columns += [BOUNDARIES_COLUMN] if any(row.boundaries is not None for row in rows) else []
-    columns += [SHARED_COLUMN] if any(row.boundary_shared_sd is not None for row in rows) else []
-    columns += [HOLE_COLUMN] if any(row.hole for row in rows) else []
-    columns += [
-        name
-        for name in TIP_COLUMNS
-        if any(getattr(row, name.removesuffix("_mm")) is not None for row in rows)
-    ]
-    columns += [OBSERVED_COLUMN] if any(row.observed for row in rows) else []
-    columns += [BASE_SHIFT_COLUMN] if any(row.base_moved for row in rows) else []
+    for name in OPTIONAL_COLUMNS:
+        field = NUMBER_COLUMNS[name][0] if name in NUMBER_COLUMNS else name.removesuffix("_mm")
+        columns += [name] * any(getattr(row, field) != getattr(InsertionRow, field) for row in rows)
     columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
     lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
