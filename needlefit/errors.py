@@ -21,8 +21,10 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u20
 """What a terminal acts on, shows in another order, or cannot encode; line ends and tabs are none of it."""
 
 
-MAX_LINE_CHARACTERS, MAX_MESSAGE_CHARACTERS = 1000, 16_000
-"""Characters of a line of a message, and of all of it: what a file holds may have any length."""
+MAX_LINE_CHARACTERS = 1000
+"""Of a line of a message: what a file holds may have any length."""
+MAX_MESSAGE_CHARACTERS = 16_000
+"""Of all of it."""
 
 
 class NeedlefitError(Exception):

@@ -12,8 +12,8 @@ from needlefit.schemas.scene import NeedleRecord
 
 DEFAULT_DIAMETER_MM = 1.27  #: with which a needle is drawn where none is stated: 18 gauge
 
-#: of a needle: polymers have 1000 to 5000, and a smaller number is one in GPa; a greater one is in Pa
-MIN_MODULUS_MPA, MAX_MODULUS_MPA = 500.0, 1e6
+MIN_MODULUS_MPA = 500.0  #: of a needle: polymers have 1000 to 5000, and a smaller number is one in GPa
+MAX_MODULUS_MPA = 1e6  #: a greater number is one in Pa
 
 
 def is_bounded(*values: float) -> bool:

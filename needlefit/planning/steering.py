@@ -58,8 +58,8 @@ NEAREST_TARGET_MM = 0.5  #: a target lies at least so much deeper than the tip
 TURN_PLACES = {0: 0, 1: 5, 2: 4}  #: on how many places along the way so many turns of the bevel are tried
 EFFORT_MM = 0.05  #: expected miss, mm, for which the base or the entry is moved over its whole range
 
-TURN_RISK, EFFORT_RISK = 0.005, 0.01
-"""Risk for which a further turn is taken, and for which base and entry are moved over their ranges."""
+TURN_RISK = 0.005  #: risk for which a further turn is taken
+EFFORT_RISK = 0.01  #: risk for which base and entry are moved over their ranges
 
 
 @dataclass(frozen=True)

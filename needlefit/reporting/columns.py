@@ -55,11 +55,14 @@ FORMATS: Mapping[str, Callable[[Any], str]] = {
 TEXT_FORMATS = ("text", "prose", "flag", "medium", "method", "metric", "symbol")
 """Of columns that stand at the left; "prose" takes the remaining width."""
 
-METRIC_FORMAT, METRIC_UNIT = "error", "{metric}"  # of values in the unit of the metric that the row names
+# Of values in the unit of the metric that the row names.
+METRIC_FORMAT = "error"
+METRIC_UNIT = "{metric}"
 LENGTH_ERROR_FORMAT = "error_mm"  # of metrics that are lengths
 DIGITS = "digits"  # key of a row's decimals of errors that are lengths; two without it
 _NO_ROW: Mapping[str, Any] = MappingProxyType({})
-_OPTIONAL_PATTERN, _VALUE_PATTERN = re.compile(r"\[([^]]*)\]"), re.compile(r"\{(\w+):(\w+)\}")
+_OPTIONAL_PATTERN = re.compile(r"\[([^]]*)\]")
+_VALUE_PATTERN = re.compile(r"\{(\w+):(\w+)\}")
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ from needlefit.reporting.labels import GREY, INK
 
 PICTURE_FILE = "import.png"
 
-MAX_LABELLED_NEEDLES, MAX_NAME_CHARS = 14, 14
+MAX_LABELLED_NEEDLES = 14  # more names would cover each other
+MAX_NAME_CHARS = 14  # of a name beside a needle
 AWAY_COLOUR = "#b3261e"
 MAX_DRAWN_TRIANGLES = 20_000
 MAX_LISTED_UNUSED = 6  # columns or rows of one file that a line lists

@@ -2,8 +2,12 @@
 
 from needlefit.inference.baselines import BASELINES
 
-INK, GREY, PAPER_COLOUR, SYNTHETIC_COLOUR = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
-GREEN, SKY_BLUE = "#009E73", "#56B4E9"
+INK = "#1a1a1a"
+GREY = "#8a8a8a"
+PAPER_COLOUR = "#D55E00"
+SYNTHETIC_COLOUR = "#B23A00"
+GREEN = "#009E73"
+SKY_BLUE = "#56B4E9"
 
 METHOD_NAMES = {
     "fitted": "posterior-mode fit",

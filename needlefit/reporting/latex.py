@@ -76,7 +76,8 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
 MAX_COLUMN_LETTERS = 58
 """Characters of a row, gaps included, that fit one column of a two-column paper; wider tables span both."""
 
-_GAP_LETTERS, _WIDE_COLUMN_LETTERS = 2, 35
+_GAP_LETTERS = 2  # characters between two columns
+_WIDE_COLUMN_LETTERS = 35  # characters of a column of text that is broken into lines
 
 
 def _count_letters(table: TableLayout) -> int:

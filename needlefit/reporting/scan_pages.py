@@ -163,10 +163,16 @@ def _with_sd(value: float, sd: float) -> str:
 
 Span = tuple[float, float]
 
-NEEDLE_SECTION_WIDTH_MM, NEEDLE_SECTION_HEIGHT_MM = 180.0, 175.0  # of the figure, mm
+# Of the figure, mm.
+NEEDLE_SECTION_WIDTH_MM = 180.0
+NEEDLE_SECTION_HEIGHT_MM = 175.0
 OUT_OF_PLANE_COLOUR = "#D55E00"
-# mm around and between the panels
-_LEFT_MM, _RIGHT_MM, _TOP_MM, _BOTTOM_MM, _PANEL_GAP_MM = 17.0, 1.0, 4.0, 11.0, 2.5
+# mm around the panels
+_LEFT_MM = 17.0
+_RIGHT_MM = 1.0
+_TOP_MM = 4.0
+_BOTTOM_MM = 11.0
+_PANEL_GAP_MM = 2.5  # and between them
 _STRIP_PART = 0.09  # of an image's height that the strip of materials takes
 _LETTER_MM = 1.4  # mean width of a letter in it, mm
 _MATERIAL_COLOURS = {"air": "#dfe7ef", "soft": "#f3dcc3", "metal": "#5b6470"}

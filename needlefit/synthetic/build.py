@@ -250,9 +250,10 @@ def _build_insertion(
     return ReconstructedInsertion(scanned.insertion, scanned.exposure, found)
 
 
-# Deviations, mm, in any one direction: of the axis across the needle; of the tip along and across it; of a
-# ball's centre. As scans of the twin leave them.
-AXIS_SD_MM, TIP_SD_MM, BALL_SD_MM = 0.013, (0.04, 0.05), 0.007
+# Deviations, mm, in any one direction, as scans of the twin leave them.
+AXIS_SD_MM = 0.013  # of the axis across the needle
+TIP_SD_MM = (0.04, 0.05)  # of the tip along and across it
+BALL_SD_MM = 0.007  # of a ball's centre
 TIP_REACH_MM = 3.0  # length over which the tip's error across fades along the needle, mm
 UNSCANNED_NOTE = (
     " This twin was not scanned: needle and balls were read off the truth with the errors that scans of it "

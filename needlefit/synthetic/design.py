@@ -298,13 +298,13 @@ POPULATION = TrueSpread()
 # The needle as the dataset states it.
 NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
 RIGIDITY_DEVIATION = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
-FIELD_LOG_MU_SD, FIELD_LENGTH_MM = 0.4, 12.0  # of ln mu within a piece of chicken, and mm
+FIELD_LOG_MU_SD = 0.4  # of ln mu within a piece of chicken
+FIELD_LENGTH_MM = 12.0  # mm, over which it varies
 LAYER_SD_MM = 0.1  # of a layer's boundary about the place its surface file states, mm along x
 ROLL_SD_DEG = 3.0  # degrees between the stated and the true bevel plane
-POSE_SHIFT_SD_MM, POSE_ANGLE_SD_DEG = (
-    0.05,
-    0.05,
-)  # of the stage axis in the world, mm and degrees, per direction
+# Of the stage axis in the world, per direction.
+POSE_SHIFT_SD_MM = 0.05  # mm
+POSE_ANGLE_SD_DEG = 0.05  # degrees
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ MAX_POINT_SPACING_MM = 0.5  # distance between the points of a centreline, mm (a
 TRUTH_OPTIONS = ModelOptions(element=0.25)
 # Thickness of the slices in which a piece that is not homogeneous is cut along the needle, mm.
 SUBLAYER_THICKNESS_MM = 2.0
-# The needle and its layers agree when no point moves by more, mm, from one round to the next.
-CONVERGENCE_MM, MAX_ROUNDS = 1e-5, 60
+CONVERGENCE_MM = 1e-5  # mm; needle and layers agree when no point moves by more from one round to the next
+MAX_ROUNDS = 60
 
 
 @dataclass(frozen=True)

@@ -185,8 +185,8 @@ def _voxels_near(points: Floats, reach: float, grid: VoxelGrid) -> NDArray[np.in
 Voxels = NDArray[np.float32]
 
 HARDENING_COEFFICIENT = 0.06  # h: a ray through 8 attenuation lengths of metal measures 5.4
-# Deviation of a view's weight of metal, and over how many views it lasts (deviation of a Gaussian).
-VIEW_GAIN_SD, VIEW_GAIN_LENGTH = 0.15, 3.0
+VIEW_GAIN_SD = 0.15  # deviation of a view's weight of metal
+VIEW_GAIN_LENGTH = 3.0  # views over which it lasts: deviation of a Gaussian
 PHOTONS_PER_RAY = 1e4  # photons per ray that reach the detector if no metal is in the way
 MAX_LINE_INTEGRAL = 8.0  # line integral at which scattered photons hide what is behind
 BATCH_SLICES = 32  # slices that are worked on at once: what their rays hold must stay small

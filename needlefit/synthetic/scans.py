@@ -91,11 +91,15 @@ VOXEL_MM = 0.46  # edge of a voxel, mm: the paper's
 FIELD_MARGIN_MM = 2.0  # margin of the scanned field around what it must contain, mm
 # Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient.
 UPRIGHT_ROTATION = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-# Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm.
-MAX_TILT_DEG, MAX_OFFSET_MM = 6.0, 150.0
-PSF_RANGE_MM, BLOOM_RANGE, STREAKS_RANGE = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
+MAX_TILT_DEG = 6.0  # degrees, of the box about each axis
+MAX_OFFSET_MM = 150.0  # mm along it from the patient's origin
 # Ranges of what is drawn for each scan, uniformly; see `Scanner`.
-NOISE_RANGE_HU, CUPPING_RANGE_HU, NEEDLE_RANGE_HU = (25.0, 60.0), (20.0, 80.0), (7000.0, 11000.0)
+PSF_RANGE_MM = (0.3, 0.45)
+BLOOM_RANGE = (0.05, 0.15)
+STREAKS_RANGE = (0.4, 0.9)
+NOISE_RANGE_HU = (25.0, 60.0)
+CUPPING_RANGE_HU = (20.0, 80.0)
+NEEDLE_RANGE_HU = (7000.0, 11000.0)
 BEVEL_SD_DEG = 2.0  # deviation of the one needle's bevel from its nominal angle, degrees
 
 

@@ -35,9 +35,10 @@ if TYPE_CHECKING:
     from needlefit.studies.run import Run
 
 SHOWN_METHOD = "fitted"  #: the method of a run whose parameters are shown
-#: parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
-#: offset
-DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
+# Parameters of all layers of an undescribed medium: the paper's softer material.
+DEFAULT_MU_PA = 2e5  # Pa
+DEFAULT_ALPHA = 1.0
+DEFAULT_BEVEL_MM = 0.05  # mm: roughly the paper's bevel offset
 
 
 @dataclass(frozen=True)

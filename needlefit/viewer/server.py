@@ -30,8 +30,8 @@ KERNEL_FILES = ("needle.js", "memory.js", "kernel.wasm")
 LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 1024  #: size limit of a message; the largest from the page are steps
 TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
-#: time in which a request must have come whole, s, and pause between two looks at the connections
-REQUEST_TIMEOUT_S, CHECK_INTERVAL_S = 10.0, 1.0
+REQUEST_TIMEOUT_S = 10.0  #: time in which a request must have come whole, s
+CHECK_INTERVAL_S = 1.0  #: pause between two looks at the connections, s
 CLOSE_NO_TOKEN = 4401  #: code for closing a socket of which the token is missing or wrong
 
 #: headers of every answer: the page runs only code of this server, and connects only to it

@@ -20,9 +20,11 @@ from needlefit.datasets.insertion import Insertion, split_boundary_sd
 DepthTreatment = Literal["fixed", "linear"]
 
 DEPTH_STEPS_SD = (-1.0, 1.0)  #: where an uncertain depth is simulated besides as measured, in SDs
-#: stand in place of a layer where what is shared is the tracker's frame, the bevel of one insertion that was
-#: measured at several depths, or slope and response to the guide of a group of runs
-FRAME, BEVEL, GROUP_SLOPE, GROUP_GAIN = -1, -2, -3, -4
+# These stand in place of a layer where something else is shared:
+FRAME = -1  #: the tracker's frame
+BEVEL = -2  #: the bevel of one insertion that was measured at several depths
+GROUP_SLOPE = -3  #: the slope of a group of runs
+GROUP_GAIN = -4  #: its response to the guide
 #: part of the guide's moves by which they are changed to simulate their effect, to both sides
 GAIN_STEP = 0.1
 ROLL_STEP_DEG = 5.0  #: by which a bevel's roll is changed to simulate its effect, to both sides

@@ -28,9 +28,10 @@ from needlefit.schemas.recipe import SampleRecord
 BLOCK_STEPS = 10  #: between two checks of convergence; the chain is stored at each
 INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
 CHECKED_DRAWS = 64  #: in which interpolated densities are checked in the end
-#: the mixture joins several fits to the draws by importance, each from other beginnings, so that none follows
-#: their noise; the rest is the wide one that these were drawn from, so that no place is proposed too rarely
-FITS, COMPONENTS, FITTED_SHARE = 6, 8, 0.9
+FITS = 6  #: to the draws by importance, from other beginnings each, so that none follows their noise
+COMPONENTS = 8  #: of each fit
+#: of the mixture; the rest is the wide one that the draws are of, so that no place is proposed too rarely
+FITTED_SHARE = 0.9
 
 
 def sample(

@@ -263,7 +263,8 @@ def predictive_check(rows: pd.DataFrame) -> Figure:
 
 # ---- profile likelihoods
 
-MAX_PANEL_COLUMNS, MAX_TICKS = 4, 4
+MAX_PANEL_COLUMNS = 4  # as many as a page is wide for
+MAX_TICKS = 4  # of an axis of so narrow a panel
 """Greatest number of panels in a row, and of labelled ticks on a logarithmic axis."""
 
 MAX_DEVIANCE = 6.5  # upper end of the panels' deviance axis

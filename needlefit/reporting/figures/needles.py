@@ -67,7 +67,10 @@ _SEPARATOR = "  ·  "
 _BEYOND_PANEL_MM = 1e4  # further than any panel reaches
 _MARGIN_BEFORE_ENTRY = 0.22  # share of the depth shown before the entry, where only what is inserted is shown
 _LETTER_WIDTH_IN = 0.06  # of 7.5 point type
-_LABEL_LETTER_IN, _LABEL_MARGIN_IN, _MODULUS_WIDTH_IN = 0.055, 0.05, 0.58  # inches, of 6.5 point type
+# Inches, of 6.5 point type.
+_LABEL_LETTER_IN = 0.055  # mean width of a letter
+_LABEL_MARGIN_IN = 0.05  # beside a label
+_MODULUS_WIDTH_IN = 0.58  # of a modulus with its unit
 
 
 # ---- layers and needle of a panel
@@ -308,9 +311,12 @@ def describe_state(
 
 _MIN_TILT = 0.01  # from here on a stretched y would show angles that are none
 _MAX_HEIGHT_IN = 8.5
-_HEAD_MARGIN_IN, _LINE_HEIGHT_IN = 0.1, 0.14  # above a panel, and of each line there
+_HEAD_MARGIN_IN = 0.1  # inches above a panel
+_LINE_HEIGHT_IN = 0.14  # inches of each line there
 _MAX_COLUMNS = 4  # each wide enough for the lines above its panel
-_MIN_PANEL_IN, _MIN_PANEL_WIDTH_IN = 0.25, 1.0  # where so many panels let the figure grow
+# Inches; so many panels that they would be smaller let the figure grow.
+_MIN_PANEL_IN = 0.25  # height
+_MIN_PANEL_WIDTH_IN = 1.0
 _TWO_LINES_IN = 0.4  # height that two lines of text in a panel take, with the needle beside them
 MAX_PANELS = 20
 """Number of panels of a figure; of more steps as many are shown at even distances, with the first and the
@@ -447,15 +453,17 @@ def _pad_lines(lines: Sequence[str], count: int) -> str:
 
 # ---- one state with its forces, in C
 
-_MAX_LOAD_FRACTION, _MAX_FORCE_FRACTION = 0.2, 0.25  # of the drawing's height: the largest load and tip force
+# Of the drawing's height.
+_MAX_LOAD_FRACTION = 0.2  # the largest load
+_MAX_FORCE_FRACTION = 0.25  # the tip force
 _ROOM_FRACTION = 0.6  # of the needle's height above and below it, for loads and what is written
 _MIN_BEND_FRACTION = 0.01  # of the depth: smaller deflections are not exaggerated further
-_MAX_HEIGHT_RATIO, _AXES_IN = 1.1, 0.6  # height over width; inches beside the panel
-_TIP_TEXT_WIDTH_IN, _LEGEND_COLUMN_WIDTH_IN = (
-    1.5,
-    1.35,
-)  # of the text on the tip; of the legend, on an average
-_ONE_LINE, _ORIGIN_LETTERS = 10_000, 22  # letters; of what states that data are synthetic
+_MAX_HEIGHT_RATIO = 1.1  # height of a panel over its width
+_AXES_IN = 0.6  # inches beside the panel
+_TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
+_LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
+_ONE_LINE = 10_000  # letters: no text is broken
+_ORIGIN_LETTERS = 22  # of what states that data are synthetic
 PRINT_WIDTHS_MM = (85.0, 174.0)  # of one column of a paper, and of two
 
 

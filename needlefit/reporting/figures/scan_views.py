@@ -14,13 +14,11 @@ from needlefit.reporting.labels import METHOD_COLOURS
 
 Floats = NDArray[np.float64]
 
-NEEDLE_COLOUR, ENTRY_COLOUR, LAYER_COLOUR, TIP_COLOUR, MARKER_COLOUR = (
-    METHOD_COLOURS["fitted"],
-    "#E69F00",
-    "#56B4E9",
-    "#C8102E",
-    "#009E73",
-)
+NEEDLE_COLOUR = METHOD_COLOURS["fitted"]
+ENTRY_COLOUR = "#E69F00"
+LAYER_COLOUR = "#56B4E9"
+TIP_COLOUR = "#C8102E"
+MARKER_COLOUR = "#009E73"
 
 _MAX_SHEET_DISTANCE_MM = 3.0  # mm: a marker's centre may lie so far from the slab that it is drawn over
 _OUTLINE_STEP_MM = 0.6  # mm between the dots of a layer's outline

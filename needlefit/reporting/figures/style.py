@@ -184,9 +184,14 @@ def draw_together() -> Iterator[Callable[[], None]]:
             path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
-LETTER_WIDTH_IN, _HANDLE_WIDTH_IN = 0.055, 0.3  # inches, of a legend's letters, and of mark and gaps
-# Inches: of a legend's line, a title, the numbers at an axis, its label, and between panels and at edges.
-_LEGEND_LINE_IN, TITLE_IN, TICKS_IN, LABEL_IN, GAP_IN = 0.16, 0.19, 0.2, 0.16, 0.12
+# Inches.
+LETTER_WIDTH_IN = 0.055  # of a legend's letters
+_HANDLE_WIDTH_IN = 0.3  # of a mark and its gaps
+_LEGEND_LINE_IN = 0.16  # height of a legend's line
+TITLE_IN = 0.19  # height of a title
+TICKS_IN = 0.2  # of the numbers at an axis
+LABEL_IN = 0.16  # of an axis' label
+GAP_IN = 0.12  # between panels, and at edges
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist], most: int) -> float:
@@ -280,8 +285,8 @@ def add_panel_mm(figure: Figure, place: tuple[float, float, float, float]) -> Ax
 
 Floats = NDArray[np.float64]
 
-LETTER_WIDTH_MM, MIN_LABEL_GAP_MM = 1.3, 1.5
-"""Width of a letter of 7 points and least space between two names, mm on paper."""
+LETTER_WIDTH_MM = 1.3  # mm on paper, of a letter of 7 points
+MIN_LABEL_GAP_MM = 1.5  # mm on paper, between two names
 
 
 def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:

@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid
 from needlefit.reporting.labels import INK, SERIES_COLOURS, medium_name
 
-MAX_ACROSS, PANEL_HEIGHT_IN = 4, 1.9
+MAX_ACROSS = 4  # panels in a row
+PANEL_HEIGHT_IN = 1.9  # inches
 
 
 def draw(tips: pd.DataFrame) -> Figure:
