@@ -113,7 +113,7 @@ def write_share(covered: pd.Series) -> str:
 
 
 def tabulate(rows: pd.DataFrame) -> str:
-    """Return the table as Markdown, a row for each interval and study, and a line for each study's plans."""
+    """Return two tables as Markdown: a row for each interval and study, and one for each study's plans."""
     lines = ["| interval of | study | in 50 % | in 95 % | width of 95 %, mm | trials |", f"|{'---|' * 6}"]
     planned = rows["interval"] == PLAN
     for (name, study), some in rows[~planned].groupby(["interval", "study"], sort=False):
@@ -121,9 +121,10 @@ def tabulate(rows: pd.DataFrame) -> str:
         shares, width = [write_share(one["covered"]) for one in own], own[-1]["width_mm"].median()
         cells = [*shares, "" if np.isnan(width) else f"{width:.1f}", str(len(own[-1]))]
         lines.append(f"| {name} | {study.removeprefix('study')} | {' | '.join(cells)} |")
+    lines += ["", "| plans, study | stated on average | reached | trials |", f"|{'---|' * 4}"]
     for study, some in rows[planned].groupby("study", sort=False):
-        reached = f"{write_share(some['covered'])} of {len(some)} reached"
-        lines.append(f"{PLAN}, {study}: {some['level'].mean():.0f} % stated on average, {reached}")
+        cells = [f"{some['level'].mean():.0f} %", write_share(some["covered"]), str(len(some))]
+        lines.append(f"| {study.removeprefix('study')} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
