@@ -13,6 +13,7 @@ from needlefit.cli.options import scene_record
 from needlefit.errors import ConfigError
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.predict import Draws
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.locate import find_file
@@ -251,6 +252,19 @@ def test_of_several_specimens_a_name_is_needed(job, monkeypatch):
     assert named.needle[-1, 1] == pytest.approx(modes["other"]) != pytest.approx(modes[one.specimen])
     assert np.median(named.across[:, -1, 0]) == pytest.approx(np.median(tips["other"]), rel=0.03)
     assert known.faults == known.draws_in(tune[1]).faults == ()
+
+
+def test_the_mode_of_a_sampled_posterior_is_the_minimum_near_its_best_draw(job):
+    names, problem = job.parameters.free, job.problem(job.folds[0])
+    values = [job.parameters.values(theta(job, bevel_mm=b)) for b in (0.07, 0.08, 0.09)]
+    draws = np.array([[[one[name] for name in names] for one in values]])
+    heights = np.array([[problem.log_posterior(theta(job, bevel_mm=b)) for b in (0.07, 0.08, 0.09)]])
+    ones = np.ones(len(names) + 1)
+    sampled = Posterior(names, draws, heights, ones[:1], ones, ones, wanted=1, burn_in=0, failures=0)
+    found = prediction.draw_parameters(job, None, Settings(inputs=Inputs(posterior=sampled)))
+    assert sampled.best == pytest.approx(draws[0, heights[0].argmax()])
+    slopes = [problem.log_posterior(found.mode + step * np.eye(len(names))[0]) for step in (-1e-2, 0.0, 1e-2)]
+    assert max(slopes) == slopes[1] > heights.max()
 
 
 @pytest.mark.usefixtures("few_draws")

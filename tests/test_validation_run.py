@@ -303,6 +303,23 @@ def test_the_papers_set_keeps_everything_but_its_bevel(several_fits: Run) -> Non
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
 
 
+def test_b_alone_leaves_all_else_at_the_median_of_its_prior(several_fits: Run) -> None:
+    starts = several_fits.frames["starts"].query("fit == 'b_alone'")
+    record = several_fits.metadata.medium
+    low, high = record.parameters["mu1_pa"].bounds
+    assert len(starts) == 2
+    np.testing.assert_allclose(starts["mu1_pa"], math.sqrt(low * high))
+    errors = several_fits.frames["errors"].query("boundaries == 'measured' and role == 'validate'")
+    assert set(errors.query("method == 'b_alone'")["insertion"]) == set(errors["insertion"])
+
+
+def test_our_prediction_is_the_fit_through_the_layers_that_it_meets(several_fits: Run) -> None:
+    errors = several_fits.frames["errors"].query("role == 'validate'").set_index("insertion")
+    ours, fit = (errors[errors["method"] == name] for name in ("prediction", "fitted"))
+    planned = fit[fit["boundaries"] == ("planned" if (fit["boundaries"] == "planned").any() else "measured")]
+    np.testing.assert_allclose(ours["te_mm"], planned["te_mm"].loc[ours.index])
+
+
 @pytest.mark.sweep
 def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
