@@ -18,7 +18,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-import reference_model as reference
 from complex_step import follow
 from mechanics_cases import random_case
 from solver_checks.beams import FOUNDED, LOADED
@@ -32,6 +31,7 @@ from solver_checks.refinement import (
     measure_spacing,
 )
 
+from needlefit.mechanics import reference
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import make_lattice
@@ -109,7 +109,7 @@ def list_rows(cases: int, seed: int) -> Iterator[Row]:
         yield "limit of small $C_{\\mathrm{int}}$, path angle", f"tip at 1 mm; order: {name}", found
     rng = np.random.default_rng(seed)
     what, largest = f"{cases} random schedules", max(measure_reference(rng) for _ in range(cases))
-    yield f"`reference_model.py`, {what}", "deflection", f"{show(largest)} mm"
+    yield f"`reference.py`, {what}", "deflection", f"{show(largest)} mm"
     largest = max(measure_balance(rng) for _ in range(cases))
     yield f"balance, {what}", "sum of the forces over their sizes", show(largest)
     few = max(1, cases // 4)  # complex steps through dense matrices take seconds a case

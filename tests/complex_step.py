@@ -11,12 +11,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import reference_model as reference
 
+from needlefit.mechanics import reference
 from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, make_lattice, make_moves, make_stops
+from needlefit.mechanics.plan import Lattice, list_stops, make_lattice
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
 
@@ -68,7 +68,7 @@ def follow(
     lattice = lattice or make_lattice(steps, rules)
     still = np.zeros(2, dtype=complex)
     c, rays, tip, slopes, cut = {0: still}, {}, (0.0, still, still), {}, still
-    for stop in make_stops(make_moves(steps, needle.length), lattice):
+    for stop in list_stops(steps, lattice, needle.length):
         if stop.starts_ray:
             rays[stop.ray] = *tip[:2], rules.tangent * tip[2]
             if rules.path_angle:
@@ -125,7 +125,7 @@ def _equilibrium(inputs, nodes, x_c, y_c, u, held, rules):
         mu, shape = inputs.mu[layer], inputs.shape[:, layer]
         k = mu * inputs.law.k(lam, *shape)
         # the tangent may be real: it is exact where the real part has converged
-        dk = mu * reference.differentiate_modulus(inputs.law, lam.real, *shape.real)
+        dk = mu * inputs.law.dk_dstretch(lam.real, *shape.real)
         away = e / np.where(size == 0, 1, size)[:, None]
         steep = np.sum(slope**2, axis=1)
         g = 1 - gamma * steep / (1 + steep)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import reference_model as reference
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 from refusals import refusal
 
 from needlefit.errors import ModelError
+from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice

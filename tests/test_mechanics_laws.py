@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import reference_model as reference
 from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
 from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import native
+from needlefit.mechanics import native, reference
 from needlefit.mechanics.batch import Batch, linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reference_model as reference
 from mechanics_cases import NEEDLE, RULES, assert_close, assert_derivatives, assert_same_bits, random_case
 from refusals import refusal
 from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
 
 from needlefit.errors import ModelError
+from needlefit.mechanics import reference
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,

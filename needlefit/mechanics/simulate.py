@@ -41,7 +41,7 @@ def simulate(
 ) -> NeedleShape:
     """Insert the needle to `depth` (mm of inserted arc length) under constant inputs; return its shape in C.
 
-    The model of docs/model.md, by the kernel; `tests/reference_model.py` is the same model, line by line.
+    The same model as `mechanics.reference.simulate`, by the kernel.
 
     Raises ModelError if the needle is too short for the depth or the guides.
 

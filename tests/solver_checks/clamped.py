@@ -16,12 +16,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import reference_model as reference
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
-from needlefit.mechanics import native
+from needlefit.mechanics import native, reference
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.laws import Numbers
 from needlefit.mechanics.needle import Needle

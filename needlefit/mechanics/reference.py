@@ -12,10 +12,10 @@ import numpy as np
 
 from needlefit.arrays import Bools, Floats, Ints
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
-from needlefit.mechanics.laws import COMPLEX_STEP, LAWS, TissueLaw
+from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, make_moves, make_stops
+from needlefit.mechanics.plan import Lattice, TipStop, list_stops, make_lattice
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
@@ -49,7 +49,7 @@ def simulate_steps(
     track: dict[int, tuple[Floats, Floats]] = {}
     x_tip, u_tip, slope_tip, c_tip = 0.0, np.zeros(2), np.zeros(2), np.zeros(2)
     iterations = 0
-    for stop in make_stops(make_moves(steps, needle.length), lattice):
+    for stop in list_stops(steps, lattice, needle.length):
         if stop.starts_ray:
             if rules.path_angle:
                 if x_tip == 0:
@@ -199,15 +199,10 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return reached[np.searchsorted(edges, s)]
 
 
-def differentiate_modulus(law: TissueLaw, lam: Floats, *shape: Floats) -> Floats:
-    """Return dk/dlambda over mu, by a complex step."""
-    return law.k(lam + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
-
-
 def modulus(tissue: Tissue, layer: Ints, lam: Floats) -> tuple[Floats, Floats]:
     """Return k(lambda) and dk/dlambda at points in the given layers (section 3)."""
     law, mu, shape = LAWS[tissue.law], tissue.mu[layer], tissue.shape[:, layer]
-    return mu * law.k(lam, *shape), mu * differentiate_modulus(law, lam, *shape)
+    return mu * law.k(lam, *shape), mu * law.dk_dstretch(lam, *shape)
 
 
 def bending_stiffness(nodes: Floats, EI: float) -> Floats:
