@@ -2,61 +2,69 @@
 
     python studies/recovery.py [--seeds 1:21] [--quick] [--out reports/recovery.png]
 
-The twin (the synthetic dataset) is made again with other random numbers, and every medium is fitted as the
-shipped fits do. A row has the truth (the geometric mean over what the fit learns from), the estimate (the
-posterior's median), whether its interval and the range of the least errors contain the truth, how far it is
-off, and whether the fit calls it determined. A run that was stopped goes on at its rows (CSV).
+The twin (the synthetic dataset) and the thin gel are made again with other random numbers, and every medium
+is fitted as the shipped fits do. A row has the truth (the mean over what the fit learns from), the estimate
+(the posterior's median), whether its interval and the range of the least errors contain the truth, how far it
+is off, and whether the fit calls it determined. Where `status` is "prior", the interval is the prior's, whose
+centre is the truth of every twin. A run that was stopped goes on at its rows (CSV).
 
 What came out of 20 twins (docs/fitting.md): 321 of 340 intervals of the posterior contain the truth.
 """
 
 import argparse
-import math
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
+from thin_gel import write_truth
 
 import needlefit
 from needlefit.api import make_twin
+from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
+from needlefit.inference.parameter_names import is_logarithmic, to_coordinate
 
-MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
-WIDTH = 3.92  # of a Gaussian 95 % interval, in standard deviations
+TWIN_MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
+MEDIA = (*TWIN_MEDIA, "thin_gel")
 
 
-def fit_twin(seed: int, media: tuple[str, ...], recipe: dict) -> list[dict]:
-    """Return a row for each medium and free parameter of one twin."""
+def fit_truth(seed: int, media: tuple[str, ...], recipe: dict) -> list[dict]:
+    """Return a row for each medium and each of its parameters that has a true value, of one seed."""
     rows = []
     with TemporaryDirectory() as folder:
-        twin = make_twin(folder, seed, media)
+        twin = make_twin(Path(folder) / "twin", seed, TWIN_MEDIA)
+        thin = write_truth(Path(folder) / "thin_gel", seed)
         for medium in media:
-            run = needlefit.fit(twin, medium, tune={"medium": medium}, recipe=recipe)
-            truth = run.metadata.truth
-            least = run.frames["parameters"].query("method == 'fitted_metric'").set_index("parameter")
-            fitted = run.frames["parameters"].query("method == 'fitted' and status == 'free'")
+            of_twin = medium in TWIN_MEDIA
+            run = needlefit.fit(twin if of_twin else str(thin), medium, recipe=recipe)
+            found = run.frames["parameters"]
+            ranges = found[found["method"] == "fitted_metric"].set_index("parameter")[["low", "high"]]
+            fitted = found[(found["method"] == "fitted") & found["status"].isin(["free", "prior"])]
             for row in fitted.to_dict("records"):
-                if (name := row["parameter"]) in truth:
-                    ends = least.loc[name, ["low", "high"]] if name in least.index else (math.nan, math.nan)
-                    scores = score(row, truth[name]) | {"in_range": min(ends) <= truth[name] <= max(ends)}
+                if (name := row["parameter"]) in run.metadata.truth:
+                    scores = score(row, run.metadata.truth[name], *ranges.loc[name])
                     rows.append({"seed": seed, "fit": medium, **scores})
     return rows
 
 
-def score(row: dict, truth: float) -> dict:
+def score(row: dict, truth: float, range_low: float, range_high: float) -> dict:
     """Return how far an estimate is from the truth (Pa, mm)."""
-    value = row["median"] if pd.notna(row.get("median")) else row["value"]
-    low, high = row["interval_low"], row["interval_high"]
-    off = math.log(value / truth)
+    name, low, high = (row[key] for key in ("parameter", "interval_low", "interval_high"))
+    value = row["median"] if pd.notna(row["median"]) else row["value"]
+    place = [to_coordinate(name, one) for one in (low, value, high, truth)]
     return {
-        "parameter": row["parameter"],
+        "parameter": name,
+        "status": row["status"],
         "truth": truth,
         "value": value,
         "low": low,
         "high": high,
         "covered": low <= truth <= high,
-        "factor": math.exp(abs(off)),
-        "deviations": off / (math.log(high / low) / WIDTH),
+        "range_low": range_low,
+        "range_high": range_high,
+        "in_range": range_low <= truth <= range_high,
+        "deviations": (place[1] - place[3]) / ((place[2] - place[0]) / (2 * NORMAL_95_HALF_WIDTH_SD)),
         "determined": row["determined"],
     }
 
@@ -70,7 +78,6 @@ def summarize(rows: pd.DataFrame) -> pd.DataFrame:
         seeds=("seed", "nunique"),
         covered=("covered", "sum"),
         in_range=("in_range", "sum"),
-        median_factor=("factor", "median"),
         largest_deviation=("deviations", lambda values: values.abs().max()),
         determined=("yes", "sum"),
         determined_and_missed=("missed", "sum"),
@@ -79,25 +86,34 @@ def summarize(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw(rows: pd.DataFrame, path: Path) -> None:
-    """Save estimate over truth of every seed, with its interval, by medium and parameter."""
-    names = list(rows.groupby(["fit", "parameter"], sort=False).groups)
-    figure, axes = plt.subplots(figsize=(6, 1 + 0.28 * len(names)))
-    for _, row in rows.iterrows():
-        at = names.index((row["fit"], row["parameter"])) + 0.6 * (row["seed"] % 20) / 20 - 0.3
-        colour = "#1b6ca8" if row["covered"] else "#c0392b"
-        axes.plot([row["low"] / row["truth"], row["high"] / row["truth"]], [at, at], color=colour, lw=0.6)
-        axes.plot(row["value"] / row["truth"], at, ".", ms=3, color=colour)
-    axes.axvline(1, color="0.5", lw=0.8)
-    axes.set(xscale="log", xlabel="estimate / truth (red: interval misses)")
-    axes.set_yticks(range(len(names)), [" ".join(one).removesuffix("_pa") for one in names])
-    axes.invert_yaxis()
+    """Save the estimate of every seed beside its truth, with its interval and range; of what was searched."""
+    rows = rows[rows["status"] == "free"]
+    is_factor = rows["parameter"].map(is_logarithmic)
+    sizes = [part.groupby(["fit", "parameter"]).ngroups for part in (rows[is_factor], rows[~is_factor])]
+    figure, axes = plt.subplots(
+        2, 1, figsize=(6, 2 + 0.28 * sum(sizes)), height_ratios=sizes, layout="constrained"
+    )
+    for ax, part in zip(axes, (rows[is_factor], rows[~is_factor]), strict=True):
+        names = list(part.groupby(["fit", "parameter"], sort=False).groups)
+        compare = np.divide if ax is axes[0] else np.subtract
+        for _, row in part.iterrows():
+            at = names.index((row["fit"], row["parameter"])) + 0.6 * (row["seed"] % 20) / 20 - 0.3
+            colour = "#1b6ca8" if row["covered"] else "#c0392b"
+            ax.plot(compare([row["range_low"], row["range_high"]], row["truth"]), [at, at], "0.85", lw=0.6)
+            ax.plot(compare([row["low"], row["high"]], row["truth"]), [at, at], color=colour, lw=0.6)
+            ax.plot(compare(row["value"], row["truth"]), at, ".", ms=3, color=colour)
+        ax.axvline(compare(1, 1), color="0.5", lw=0.8)
+        ax.set_yticks(range(len(names)), [" ".join(one).removesuffix("_pa") for one in names])
+        ax.invert_yaxis()
+    axes[0].set(xscale="log", xlim=(1e-3, 1e3), xlabel="estimate / truth (red: interval misses; grey: range)")
+    axes[1].set(xlabel="estimate - truth")
     figure.savefig(path, dpi=150, bbox_inches="tight")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", help="FIRST:END of the twins' seeds (default 1:21, with --quick 1:2)")
-    parser.add_argument("--quick", action="store_true", help="one twin, one medium, two starts")
+    parser.add_argument("--quick", action="store_true", help="one seed, chicken and thin gel, two starts")
     parser.add_argument("--out", type=Path, default=Path("reports/recovery.png"))
     options = parser.parse_args()
     media, recipe = (MEDIA[3:], {"starts": 2}) if options.quick else (MEDIA, {})
@@ -106,14 +122,15 @@ def main() -> None:
     table = options.out.with_suffix(".csv")
     rows = pd.read_csv(table) if table.is_file() else pd.DataFrame(columns=["seed"])
     for seed in sorted(set(range(first, end)) - set(rows["seed"])):
-        rows = pd.concat([rows, pd.DataFrame(fit_twin(seed, media, recipe))], ignore_index=True)
+        rows = pd.concat([rows, pd.DataFrame(fit_truth(seed, media, recipe))], ignore_index=True)
         rows.to_csv(table, index=False)
-        print(f"twin {seed} is fitted", flush=True)
+        print(f"seed {seed} is fitted", flush=True)
     found = summarize(rows)
     draw(rows, options.out)
     print(found.to_string(index=False, float_format="%.2f"))
-    counts = f"{rows['covered'].sum()} in intervals, {rows['in_range'].sum()} in ranges"
-    print(f"{len(rows)} parameters: {counts}. Figure: {options.out}, rows: {table}")
+    free = rows[rows["status"] == "free"]
+    counts = f"{free['covered'].sum()} in intervals, {free['in_range'].sum()} in ranges"
+    print(f"{len(free)} free parameters: {counts}. Figure: {options.out}, rows: {table}")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from needlefit.inference.likelihood.observation import points_covariance, pose_m
 from needlefit.inference.likelihood.observations import OBSERVATIONS, read_points
 from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM, append_sensors
 from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
-from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, find_bevel_factors
+from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
@@ -228,9 +228,10 @@ def _make_straight_insertion(
 
 
 def find_true_value(problem: Problem, name: str, seed: int, population: TrueSpread | None = None) -> float:
-    """Return the geometric mean of a parameter over specimens, layers and bevels that a fit learns from.
+    """Return the mean of a parameter over specimens, layers and bevels that a fit learns from.
 
-    NaN for what the truth has not: hyperparameters, exponents, the angle of a cut, needles of other data.
+    The geometric mean, of exponents the arithmetic one. NaN for what the truth has not: hyperparameters, the
+    angle of a cut, needles of other data; and for exponents of a population, which does not draw them.
     """
     planned = {one.id: one for one in list_designs()}
     if any(one.id not in planned for one in problem.insertions):
@@ -242,9 +243,20 @@ def find_true_value(problem: Problem, name: str, seed: int, population: TrueSpre
         known = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in drawn]
         return float(np.exp(np.mean(np.log(known))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
-    layers = [int(one.removeprefix("mu").removesuffix("_pa")) - 1 for one in same if one.startswith("mu")]
-    known = [specimen.mu[layer] for specimen in specimens for layer in layers if layer < len(specimen.mu)]
-    return float(1e6 * np.exp(np.mean(np.log(known)))) if known else math.nan
+    quantity = dimension(name)
+    if quantity == "modulus":
+        known = _list_true(same, "mu", [specimen.mu for specimen in specimens])
+        return float(1e6 * np.exp(np.mean(np.log(known)))) if known else math.nan
+    if quantity == "alpha" and population is None:
+        known = _list_true(same, "alpha", [specimen.alpha for specimen in specimens])
+        return float(np.mean(known)) if known else math.nan
+    return math.nan
+
+
+def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -> list[float]:
+    """Return the true values of the layers that `names` name, of all specimens (layers,)."""
+    layers = [int(one.removeprefix(prefix).removesuffix("_pa")) - 1 for one in names]
+    return [float(own[layer]) for own in specimens for layer in layers if layer < len(own)]
 
 
 def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Problem | None:

@@ -124,9 +124,10 @@ def _find_truth(job: Job) -> dict[str, float]:
     path = job.dataset.path / "dataset.toml" if job.dataset.path.is_dir() else job.dataset.path
     if job.dataset.origin != "synthetic" or len(job.folds) > 1 or not path.is_file():
         return {}
-    seed = read_toml(path).get("truth_seed")
+    stated = read_toml(path)
+    seed, known = stated.get("truth_seed"), stated.get("truth", {})
     if not isinstance(seed, int):
-        return {}
+        return {name: float(known[name]) for name in job.parameters.names if name in known}
     problem = job.problem(job.folds[0])
     known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
     return {name: value for name, value in known.items() if math.isfinite(value)}
