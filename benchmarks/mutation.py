@@ -71,6 +71,12 @@ AREAS = {
         ("inference/sampling/importance.py",),
         ("inference_importance", "inference_specimens", "inference_golden"),
     ),
+    "errors": Area(
+        ("inference/error_tolerance.py", "inference/error_fit.py"),
+        ("inference_error_fit",),
+    ),
+    "held": Area(("inference/held_parameters.py",), ("inference_held",)),
+    "judge": Area(("studies/judge.py",), ("judge",)),
     "metrics": Area(
         ("metrics", "geometry/curves.py"), ("inference_problem", "plugins", "geometry", "reporting_tables")
     ),

@@ -24,27 +24,30 @@ import needlefit
 from needlefit.api import make_twin
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.inference.parameter_names import is_logarithmic, to_coordinate
+from needlefit.project.locate import find_file
 
 TWIN_MEDIA = ("phantom1", "phantom2", "phantom3", "chicken")
-MEDIA = (*TWIN_MEDIA, "thin_gel")
+FITS = (*TWIN_MEDIA, "thin_gel")
 
 
-def fit_truth(seed: int, media: tuple[str, ...], recipe: dict) -> list[dict]:
-    """Return a row for each medium and each of its parameters that has a true value, of one seed."""
+def fit_truth(seed: int, fits: tuple[str, ...], recipe: dict) -> list[dict]:
+    """Return a row for each fit and each of its parameters that has a true value, of one seed."""
     rows = []
-    with TemporaryDirectory() as folder:
-        twin = make_twin(Path(folder) / "twin", seed, TWIN_MEDIA)
-        thin = write_truth(Path(folder) / "thin_gel", seed)
-        for medium in media:
-            of_twin = medium in TWIN_MEDIA
-            run = needlefit.fit(twin if of_twin else str(thin), medium, recipe=recipe)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        make_twin(folder / "twin", seed, TWIN_MEDIA)
+        write_truth(folder / "thin_gel", seed)
+        for fit in fits:
+            shipped = find_file("fit", fit).read_text(encoding="utf-8")
+            (folder / f"{fit}.toml").write_text(shipped.replace('dataset = "', f'dataset = "{folder}/'))
+            run = needlefit.fit(folder / f"{fit}.toml", recipe=recipe)
             found = run.frames["parameters"]
             ranges = found[found["method"] == "fitted_metric"].set_index("parameter")[["low", "high"]]
             fitted = found[(found["method"] == "fitted") & found["status"].isin(["free", "prior"])]
             for row in fitted.to_dict("records"):
                 if (name := row["parameter"]) in run.metadata.truth:
                     scores = score(row, run.metadata.truth[name], *ranges.loc[name])
-                    rows.append({"seed": seed, "fit": medium, **scores})
+                    rows.append({"seed": seed, "fit": fit, **scores})
     return rows
 
 
@@ -86,8 +89,7 @@ def summarize(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def draw(rows: pd.DataFrame, path: Path) -> None:
-    """Save the estimate of every seed beside its truth, with its interval and range; of what was searched."""
-    rows = rows[rows["status"] == "free"]
+    """Save the estimate of every seed beside its truth, with its interval and its range."""
     is_factor = rows["parameter"].map(is_logarithmic)
     sizes = [part.groupby(["fit", "parameter"]).ngroups for part in (rows[is_factor], rows[~is_factor])]
     figure, axes = plt.subplots(
@@ -116,19 +118,18 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one seed, chicken and thin gel, two starts")
     parser.add_argument("--out", type=Path, default=Path("reports/recovery.png"))
     options = parser.parse_args()
-    media, recipe = (MEDIA[3:], {"starts": 2}) if options.quick else (MEDIA, {})
+    fits, recipe = (FITS[3:], {"starts": 2}) if options.quick else (FITS, {})
     first, end = map(int, (options.seeds or ("1:2" if options.quick else "1:21")).split(":"))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     table = options.out.with_suffix(".csv")
     rows = pd.read_csv(table) if table.is_file() else pd.DataFrame(columns=["seed"])
     for seed in sorted(set(range(first, end)) - set(rows["seed"])):
-        rows = pd.concat([rows, pd.DataFrame(fit_truth(seed, media, recipe))], ignore_index=True)
+        rows = pd.concat([rows, pd.DataFrame(fit_truth(seed, fits, recipe))], ignore_index=True)
         rows.to_csv(table, index=False)
         print(f"seed {seed} is fitted", flush=True)
-    found = summarize(rows)
-    draw(rows, options.out)
-    print(found.to_string(index=False, float_format="%.2f"))
     free = rows[rows["status"] == "free"]
+    draw(free, options.out)
+    print(summarize(free).to_string(index=False, float_format="%.2f"))
     counts = f"{free['covered'].sum()} in intervals, {free['in_range'].sum()} in ranges"
     print(f"{len(free)} free parameters: {counts}. Figure: {options.out}, rows: {table}")
 

@@ -144,6 +144,21 @@ def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance(
     assert (wide.low, wide.high) == (p.lower[0], p.upper[0]) and wide.at_bound == (True, True)
 
 
+def test_steps_that_lead_out_of_the_limit_turn_back():
+    """Of the thin gel the errors are far from linear in alpha: steps of its length lead from one side to the other.
+
+    By scipy's SLSQP from five starts, and by its COBYQA from three, mu lies within 4574 to 6402 Pa.
+    """
+    data, record = read(find_file("dataset", "thin_gel")), find_file("medium", "thin_gel")
+    freed = Parameters.from_record(load(record, MediumRecord)).holding(())
+    p = make_problem(data, data.insertions, load(record, MediumRecord), WeightsRecord()).with_parameters(freed)
+    least = p.parameters.theta({"mu1_pa": 5764.51, "alpha1": 3.08068, "bevel_mm": 0.0320374})
+    nothing = np.empty((0, len(least)))
+    found = find_error_ranges(p, least, 0.0262705, nothing, 1, TaskStop(never_stop))
+    ends = {one.name: (math.exp(one.low), math.exp(one.high)) for one in found}
+    assert ends["mu1_pa"] == pytest.approx((4574.0, 6402.0), rel=0.01)
+
+
 def test_the_ranges_are_joint_along_the_ridge_of_modulus_and_bevel():
     p, tolerance = two_layers(), 0.05
     theta = np.array(p.parameters.theta(TRUTH))

@@ -26,7 +26,7 @@ from needlefit.project.tasks import TaskStop
 
 MAX_STEPS = 16  #: evaluations of f with derivatives, at most, of one end from one start
 SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
-#: of the tolerance, by which f may exceed the limit on the way: the next step leads back
+#: of the tolerance, by which f may exceed the limit on the way: the next steps lead back, each nearer to it
 MAX_EXCESS = 1.0
 #: of theta_k (of a logarithm: a factor of 1.01), below which steps end, and a bound is reached
 MIN_PROGRESS = 0.01
@@ -134,7 +134,7 @@ class _EndSearch:
         problem, k, side = self.problem, self.k, self.side
         bound = float((problem.upper if side > 0 else problem.lower)[k])
         theta, radius, best = self.start, FIRST_RADIUS, self.start
-        at = self._evaluate(theta)
+        at, largest = self._evaluate(theta), MAX_EXCESS
         for _ in range(MAX_STEPS):
             if at is None or abs(bound - best[k]) < MIN_PROGRESS:
                 break
@@ -142,16 +142,17 @@ class _EndSearch:
             ahead = np.clip(theta + step, problem.lower, problem.upper)
             trial = self._evaluate(ahead)
             excess = math.inf if trial is None else (trial.total - self.limit) / self.tolerance
-            progress = side * (ahead[k] - best[k])
-            if excess <= SLACK and progress > 0:
-                best = ahead
-            if excess <= MAX_EXCESS:
-                theta, at = ahead, trial
-                radius *= 2 if excess <= SLACK else 1
+            if excess <= SLACK:
+                progress = side * (ahead[k] - best[k])
+                best = ahead if progress > 0 else best
+                if progress < MIN_PROGRESS:
+                    break
+                theta, at, largest = ahead, trial, MAX_EXCESS
+                radius *= 2
+            elif excess < largest:
+                theta, at, largest = ahead, trial, excess
             else:
                 radius = 0.25 * float(np.max(np.abs(step)))
-            if excess <= SLACK and progress < MIN_PROGRESS:
-                break
         return best
 
     def _evaluate(self, theta: Floats) -> WeightedDistances | None:
