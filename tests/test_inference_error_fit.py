@@ -10,6 +10,7 @@ from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, p
 from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.read import read
 from needlefit.datasets.select import MIN_GROUPS
 from needlefit.inference.error_fit import examine_errors, find_error_ranges
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
@@ -18,8 +19,11 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.shape import sample_inserted_points
+from needlefit.project.locate import find_file
 from needlefit.project.progress import never_stop
 from needlefit.project.tasks import TaskStop
+from needlefit.project.toml import load
+from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -145,13 +149,13 @@ def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance(
 
 
 def test_steps_that_lead_out_of_the_limit_turn_back():
-    """Of the thin gel the errors are far from linear in alpha: steps of its length lead from one side to the other.
+    """Errors of the thin gel are far from linear in alpha: long steps lead from one side to the other.
 
     By scipy's SLSQP from five starts, and by its COBYQA from three, mu lies within 4574 to 6402 Pa.
     """
-    data, record = read(find_file("dataset", "thin_gel")), find_file("medium", "thin_gel")
-    freed = Parameters.from_record(load(record, MediumRecord)).holding(())
-    p = make_problem(data, data.insertions, load(record, MediumRecord), WeightsRecord()).with_parameters(freed)
+    data = read(find_file("dataset", "thin_gel"))
+    record = load(find_file("medium", "thin_gel"), MediumRecord)
+    p = make_problem(data, data.insertions, record, WeightsRecord()).holding(())
     least = p.parameters.theta({"mu1_pa": 5764.51, "alpha1": 3.08068, "bevel_mm": 0.0320374})
     nothing = np.empty((0, len(least)))
     found = find_error_ranges(p, least, 0.0262705, nothing, 1, TaskStop(never_stop))
