@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import math
 import os
 import re
 import signal
@@ -15,8 +16,10 @@ from docs_scripts import load_script
 import needlefit
 from needlefit import api
 from needlefit.errors import ConfigError
+from needlefit.inference import held_parameters, optimize
 from needlefit.project.locate import find_file, shipped_folder
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies import fold_draws
 from needlefit.studies.kinds import prediction
 
 TUNE = {"insertions": ["chicken-04"]}
@@ -107,6 +110,34 @@ def test_a_freed_alpha_is_drawn_and_predicted_with(world, monkeypatch, tmp_path)
     assert predicted.kind == "prediction" and len(predicted.frames["forecast"]) > 10
     with pytest.raises(ConfigError, match="mu1"):
         needlefit.fit(found, free=["mu1"])  # is free there
+
+
+@pytest.mark.usefixtures("few_draws")
+def test_alpha_is_freed_where_draws_alone_show_that_it_moves_points(dataset, monkeypatch):
+    moved = []
+
+    def record(*given):
+        found = held_parameters.measure_shifts(*given)
+        moved.append(found["alpha1"].in_noise)
+        return found
+
+    monkeypatch.setattr(optimize, "measure_shifts", record)
+    monkeypatch.setattr(fold_draws, "measure_shifts", record)
+    monkeypatch.setattr(fold_draws, "SHIFT_DRAWS", 20)
+
+    def fit(**changes):
+        run = needlefit.fit(dataset, "chicken", tune=TUNE, recipe=RECIPE, name="one", jobs=1, **changes)
+        return run.frames["parameters"].query("method == 'fitted'").set_index("parameter")
+
+    assert fit().loc["alpha1", "status"] == "prior"
+    at_fit, over_draws = moved
+    assert 0 < at_fit < over_draws < 0.1
+    monkeypatch.setattr(held_parameters, "MAX_HIDDEN_SHIFT", (at_fit + over_draws) / 2)
+    freed, asked = fit(), fit(free=["alpha1"])
+    assert moved[2:] == [at_fit, over_draws]  # of the fit that asked for it nothing is held
+    assert freed.loc["alpha1", "status"] == "free" and math.isnan(freed.loc["alpha1", "tip_shift_mm"])
+    numbers = ["value", "median", "sd", "interval_low", "interval_high"]
+    pd.testing.assert_frame_equal(freed[numbers], asked[numbers])
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -125,7 +125,7 @@ def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn()
     along = find_taken_off(p)
     excess = np.linalg.norm(tip) - math.sqrt(max(tip @ tip - (tip @ along) ** 2, 0.0))
     assert estimate(p, theta).by_insertions == pytest.approx(excess, rel=0.01)
-    fewer = replace(p, insertions=tuple(made[: MIN_GROUPS - 1]))
+    fewer = replace(p, insertions=tuple(made[: 2 * (MIN_GROUPS - 1)]))
     assert math.isnan(estimate(fewer, theta).by_insertions)
 
 
