@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.read import read
 from needlefit.datasets.select import MIN_GROUPS
+from needlefit.inference import error_tolerance
 from needlefit.inference.error_fit import examine_errors, find_error_ranges
 from needlefit.inference.error_tolerance import ErrorTolerance, estimate_tolerance
 from needlefit.inference.fit import Fit
@@ -125,8 +126,26 @@ def test_insertions_that_are_alike_give_one_excess_however_often_each_is_drawn()
     along = find_taken_off(p)
     excess = np.linalg.norm(tip) - math.sqrt(max(tip @ tip - (tip @ along) ** 2, 0.0))
     assert estimate(p, theta).by_insertions == pytest.approx(excess, rel=0.01)
-    fewer = replace(p, insertions=tuple(made[: 2 * (MIN_GROUPS - 1)]))
+    fewer = replace(p, insertions=tuple(made[: MIN_GROUPS - 1]))
     assert math.isnan(estimate(fewer, theta).by_insertions)
+
+
+def test_the_tolerance_by_insertions_is_the_quantile_over_groups_drawn_again(monkeypatch):
+    monkeypatch.setattr(error_tolerance, "REPLICATES", 500)
+    made = [
+        measure(TRUTH | {"bevel_mm": b}, medium(), replace(one_needle(), id=str(k), specimen=str(k)))
+        for k, b in enumerate((0.055, 0.065, 0.089, 0.106, 0.118))
+    ]
+    p = bevel_alone(made, Noise())
+    theta = np.array(p.parameters.theta(TRUTH))
+    at = p.distances(theta)
+    off, slope = at.off[at.weights > 0], at.slopes[at.weights > 0, :, 0]
+    steps = np.linspace(-1.0, 1.0, 2001)
+    tips = np.linalg.norm(off + steps[:, None, None] * slope, axis=2)  # (steps, insertions)
+    times = np.random.default_rng(1).multinomial(5, np.full(5, 0.2), size=20_000)
+    errors = times @ tips.T / 5
+    known = np.quantile(errors[:, 1000] - errors.min(axis=1), 0.95)
+    assert estimate(p, theta).by_insertions == pytest.approx(known, rel=0.02)
 
 
 def test_the_smallest_tolerance_is_a_hundredth_of_the_objective():
@@ -143,9 +162,13 @@ def test_the_ranges_end_where_the_errors_exceed_the_least_ones_by_the_tolerance(
     (found,) = find_error_ranges(p, theta, tolerance, np.empty((0, 1)), 1, TaskStop(never_stop))
     excess = [p.objective(np.array([end])) - p.objective(theta) for end in (found.low, found.high)]
     assert excess == pytest.approx([tolerance, tolerance], rel=0.03)
-    assert found.low < theta[0] < found.high and found.at_bound == (False, False)
+    assert p.lower[0] < found.low < theta[0] < found.high < p.upper[0]
     (wide,) = find_error_ranges(p, theta, 100.0, np.empty((0, 1)), 1, TaskStop(never_stop))
-    assert (wide.low, wide.high) == (p.lower[0], p.upper[0]) and wide.at_bound == (True, True)
+    assert (wide.low, wide.high) == (p.lower[0], p.upper[0])
+    # b moves the tip in proportion: from a bound the errors fall to the truth, and rise again as far
+    (from_bound,) = find_error_ranges(p, p.lower, 0.01, np.empty((0, 1)), 1, TaskStop(never_stop))
+    assert from_bound.low == p.lower[0]
+    assert math.exp(from_bound.high) == pytest.approx(2 * TRUTH["bevel_mm"] - 1e-3, rel=0.05)
 
 
 def test_steps_that_lead_out_of_the_limit_turn_back():

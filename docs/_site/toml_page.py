@@ -31,7 +31,7 @@ EXAMPLES = {
     "study": ("studies/study3.toml", "studies/stereo_insertions.toml", "studies/guided_tip.toml"),
     "fit": ("configs/fits/phantom1.toml",),
     "medium": ("configs/media/phantom2.toml",),
-    "dataset": ("data/twin/dataset.toml", "data/twin_turned/dataset.toml"),
+    "dataset": ("data/twin/dataset.toml", "data/twin_turned/dataset.toml", "data/thin_gel/dataset.toml"),
     "tracks_dataset": ("data/guided_tips/dataset.toml",),
     "scene": ("configs/scenes/phantom1.toml", "configs/scenes/figure1.toml"),
 }

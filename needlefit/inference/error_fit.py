@@ -35,12 +35,14 @@ EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
 
 @dataclass(frozen=True)
 class ErrorRange:
-    """The least and the largest value of one parameter within the tolerance, in its coordinate of theta."""
+    """The least and the largest value of one parameter within the tolerance, in its coordinate of theta.
+
+    An end that a bound of the parameter sets is that bound.
+    """
 
     name: str
     low: float
     high: float
-    at_bound: tuple[bool, bool]  #: whether a bound of the parameter ends it
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,10 @@ def find_error_ranges(
     for k, name in enumerate(problem.names):
         if (k, -1) in ends and (k, 1) in ends:
             low, high = float(ends[k, -1][k]), float(ends[k, 1][k])
-            bounds = float(problem.lower[k]), float(problem.upper[k])
-            at_bound = low - bounds[0] < MIN_PROGRESS, bounds[1] - high < MIN_PROGRESS
-            low, high = bounds[0] if at_bound[0] else low, bounds[1] if at_bound[1] else high
-            found.append(ErrorRange(name, low, high, at_bound))
+            lower, upper = float(problem.lower[k]), float(problem.upper[k])
+            low = lower if low - lower < MIN_PROGRESS else low
+            high = upper if upper - high < MIN_PROGRESS else high
+            found.append(ErrorRange(name, low, high))
     return tuple(found)
 
 

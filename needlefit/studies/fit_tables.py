@@ -466,9 +466,15 @@ def tabulate_percentiles(run: Run) -> pd.DataFrame:
 
 
 def lay_out_chains(run: Run) -> TableLayout:
-    """Return one row per fold and parameter that emcee sampled: how its walkers converged."""
+    """Return one row per fold and parameter that emcee sampled: how its walkers converged.
+
+    Parameters that are held have no chain: their draws are of the prior.
+    """
+    parameters = run.frames["parameters"]
+    held = set(parameters.loc[parameters["status"] == "prior", "parameter"])
     rows = [
         {**row, "parameter": format_bare_symbol(row["parameter"])}
         for row in to_records(tabulate_percentiles(run))
+        if row["parameter"] not in held
     ]
     return _lay_out(Table("chains", rows, ("fold", "parameter", *CHAIN_COLUMNS), groups=("fold",), heads=1))

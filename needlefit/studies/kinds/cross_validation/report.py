@@ -113,7 +113,7 @@ def describe_computation(run: Run) -> Computation:
         [goals[name] for name in dict.fromkeys(searched["minimized"])],
         source,
         recipe.sample.walkers if source == "posterior" else None,
-        None if draws.empty else int(draws["ess"].min()),
+        None if draws.empty else round(draws["ess"].min()),
     )
 
 
