@@ -12,7 +12,7 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.held_parameters import central_range, draw_held, log_prior_integral, measure_shifts
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.identifiability.precision import posterior_sds
-from needlefit.inference.likelihood.observations import SimulatedCurve
+from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed
 from needlefit.inference.parameters import Parameters
@@ -69,6 +69,21 @@ def test_the_shift_is_that_of_needles_simulated_at_both_ends(held):
     bare = problem(held.medium, exact, noise=Noise(point_sd=most / 0.25))
     (found,) = measure_shifts(bare, theta[None]).values()
     assert found.in_noise == pytest.approx(0.25, rel=1e-3) and not found.is_hidden
+
+
+def test_points_are_compared_with_the_standard_deviations_of_their_own_errors(held):
+    """Errors of the pose are common to all points of a needle; each counts in the SD of every point."""
+    one = held.insertions[1]
+    sds = np.sqrt(np.diag(make_observation(held.dataset, one).covariance()))
+    assert sds[-1] > 1.5 * sds[0]
+    alphas = (1.0, *central_range(held.parameters, "alpha1"))
+    sets = [TRUTH | {"alpha1": alpha, "alpha2": -alpha} for alpha in alphas]
+    shapes = [sample_inserted_points(predict(values, held.medium, one), 101) for values in sets]
+    points = [shape[-len(sds) :, 1] for shape in shapes]
+    expected = np.max(np.abs(np.subtract(points[1:], points[0])) / sds)
+    alone = problem(held.medium, [one], noise=NOISE)
+    (found,) = measure_shifts(alone, held.parameters.theta(TRUTH)[None]).values()
+    assert found.in_noise == pytest.approx(expected, rel=0.02)
 
 
 def test_each_of_three_parameters_has_its_own_shift():
