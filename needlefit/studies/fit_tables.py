@@ -470,7 +470,7 @@ def lay_out_chains(run: Run) -> TableLayout:
 
     Parameters that are held have no chain: their draws are of the prior.
     """
-    parameters = run.frames["parameters"]
+    parameters = FitFrames.of(run).parameters
     held = set(parameters.loc[parameters["status"] == "prior", "parameter"])
     rows = [
         {**row, "parameter": format_bare_symbol(row["parameter"])}
