@@ -24,10 +24,12 @@ from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.slsqp import find_farthest_step
 from needlefit.project.tasks import TaskStop
 
-MAX_STEPS = 16  #: evaluations of f with derivatives, at most, of one end from one start
+MAX_STEPS = 24  #: evaluations of f with derivatives, at most, of one end from one start
 SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
-#: of the tolerance, by which f may exceed the limit on the way: the next steps lead back, each nearer to it
+#: of the tolerance, by which f may exceed the limit on the way: later steps lead back. No step is taken that
+#: leads neither farther nor back.
 MAX_EXCESS = 1.0
+SMALL_EXCESS = 0.1  #: of the tolerance, up to which the next step may be twice as long
 #: of theta_k (of a logarithm: a factor of 1.01), below which steps end, and a bound is reached
 MIN_PROGRESS = 0.01
 EXAMINED_DRAWS = 64  #: draws of the posterior, at most, of which f is evaluated
@@ -136,26 +138,28 @@ class _EndSearch:
         problem, k, side = self.problem, self.k, self.side
         bound = float((problem.upper if side > 0 else problem.lower)[k])
         theta, radius, best = self.start, FIRST_RADIUS, self.start
-        at, largest = self._evaluate(theta), MAX_EXCESS
+        at = self._evaluate(theta)
         for _ in range(MAX_STEPS):
             if at is None or abs(bound - best[k]) < MIN_PROGRESS:
                 break
             step = self._step(at, theta, radius)
             ahead = np.clip(theta + step, problem.lower, problem.upper)
-            trial = self._evaluate(ahead)
-            excess = math.inf if trial is None else (trial.total - self.limit) / self.tolerance
+            trial, farther = self._evaluate(ahead), side * (ahead[k] - theta[k]) > MIN_PROGRESS
+            excess = math.inf if trial is None else self._exceed(trial)
             if excess <= SLACK:
                 progress = side * (ahead[k] - best[k])
                 best = ahead if progress > 0 else best
                 if progress < MIN_PROGRESS:
                     break
-                theta, at, largest = ahead, trial, MAX_EXCESS
-                radius *= 2
-            elif excess < largest:
-                theta, at, largest = ahead, trial, excess
-            else:
+            if excess > MAX_EXCESS or not (excess <= SLACK or farther or excess < self._exceed(at)):
                 radius = 0.25 * float(np.max(np.abs(step)))
+                continue
+            theta, at = ahead, trial
+            radius *= 2 if excess <= SMALL_EXCESS else 1
         return best
+
+    def _exceed(self, at: WeightedDistances) -> float:
+        return (at.total - self.limit) / self.tolerance
 
     def _evaluate(self, theta: Floats) -> WeightedDistances | None:
         try:
@@ -171,7 +175,7 @@ class _EndSearch:
 
         def excess(step: Floats) -> tuple[float, Floats]:
             moved = at.move(step)
-            return (moved.total - self.limit) / self.tolerance, moved.differentiate() / self.tolerance
+            return self._exceed(moved), moved.differentiate() / self.tolerance
 
         low = np.maximum(self.problem.lower - theta, -radius)
         high = np.minimum(self.problem.upper - theta, radius)
