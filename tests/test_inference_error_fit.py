@@ -18,6 +18,7 @@ from needlefit.inference.error_tolerance import ErrorTolerance, estimate_toleran
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
+from needlefit.inference.parameters import without_prior
 from needlefit.inference.problem import Problem, make_problem
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.locate import find_file
@@ -184,6 +185,18 @@ def test_steps_that_lead_out_of_the_limit_turn_back():
     found = find_error_ranges(p, least, 0.0262705, nothing, 1, TaskStop(never_stop))
     ends = {one.name: (math.exp(one.low), math.exp(one.high)) for one in found}
     assert ends["mu1_pa"] == pytest.approx((4574.0, 6402.0), rel=0.01)
+
+
+def test_a_flat_valley_is_followed_to_the_bound():
+    """With mu of the first layer of phantom 3 at its bound scipy's L-BFGS-B finds errors within the limit."""
+    data = read(find_file("dataset", "twin"))
+    made = tuple(one for one in data.insertions if one.medium == "phantom3")
+    record = load(find_file("medium", "phantom3"), MediumRecord)
+    p = make_problem(data, made, record, WeightsRecord())
+    p = p.with_parameters(without_prior(p.parameters))
+    least, tolerance = np.array([6.90775528, 15.5795441, -2.78893071]), 0.06482
+    found = find_error_ranges(p, least, tolerance, np.empty((0, 3)), 1, TaskStop(never_stop))
+    assert (found[0].low, found[0].high) == (p.lower[0], p.upper[0])
 
 
 def test_the_ranges_are_joint_along_the_ridge_of_modulus_and_bevel():
