@@ -8,7 +8,7 @@ is fitted as the shipped fits do. A row has the truth (the mean over what the fi
 Where `status` is "prior", the interval is the prior's, whose centre is the truth of every twin. A run that
 was stopped goes on at its rows (CSV).
 
-What came out of 20 seeds (docs/fitting.md): of 400 truths 383 lie in intervals of the posterior, 400 in ranges.
+What came out of 20 seeds (docs/fitting.md): of 400 truths 383 lie in intervals, all in ranges.
 """
 
 import argparse
