@@ -2,7 +2,7 @@
 
     python studies/in_space.py [--studies study1,study2,study3,study4,study5]
 
-Each study is run in one plane and in space. Printed are mean tip errors of the predictive medians on held-out
+Each study is run in one plane and in space. Printed are mean tip errors of our predictions on held-out
 insertions, and how many tips lie in their 95 % intervals, as the rows of a table in Markdown. What came out:
 docs/studies.md, *Turned needles*.
 """

@@ -76,7 +76,7 @@ def write_truth(folder: Path, seed: int) -> Path:
 
 
 def predict_half(folder: Path, compared: str) -> pd.DataFrame:
-    """Return one row per predicted needle: errors of the predictive median in space, and coverage."""
+    """Return one row per predicted needle: errors of our prediction in space, and coverage."""
     names = [f"turned-{n:02d}" for n in range(1, 13)]
     study = {"schema": 2, "dataset": str(folder), "medium": "turned", "same_specimen": True}
     study |= {"compared": compared, "tune": {"insertions": names[::2]}}
