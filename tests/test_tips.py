@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import TWIN
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, medium
 from refusals import refusal
 
@@ -75,6 +76,13 @@ def test_the_density_is_that_of_a_normal_deviation_across() -> None:
     variance = 0.05**2 + 0.1**2 + (60.0 * 0.002) ** 2 + (0.1 * slope) ** 2
     assert known.covariance()[0, 0] == pytest.approx(variance, rel=1e-9)
     assert known.whitening[0, 0] == pytest.approx(1 / np.sqrt(variance), rel=1e-9)
+
+
+def test_a_tip_alone_is_compared_beside_cross_sections_of_the_scan() -> None:
+    data = read(TWIN / "dataset.toml")
+    one = next(one for one in data.insertions if one.sections is not None)
+    assert len(make_observation(data, one).covariance()) > 1
+    assert make_observation(data, replace(one, observed="tip")).covariance().shape == (1, 1)
 
 
 def test_a_tip_has_an_error_across_and_no_error_along_the_needle() -> None:

@@ -110,8 +110,9 @@ def make_observation(
     errors = StatedErrors(dataset, stated, likelihood, insertions, model_error, smoothed)
     if likelihood.measurement == "curvature":
         return OBSERVATIONS["curvature"].observe(insertion, errors)
-    # the cross-sections are what the points were drawn through
+    # the cross-sections are what the points were drawn through, and stand in their place alone
     has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
+    has_sections = has_sections and insertion.observed == "points"
     found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
     if insertion.curvature is None or insertion.observed == "curvature":
         return found
