@@ -130,7 +130,7 @@ def test_of_several_folds_values_and_intervals_are_enveloped():
     two = {"fold": "two", "median": 0.2, "interval_low": 0.15, "interval_high": 0.25}
     folds = [{**row, **one}, {**row, **two, "determined": "only together"}]
     (cells,) = lay_out_parameters(results.with_frames(parameters=pd.DataFrame(folds))).rows
-    assert cells[1] == "0.1 to 0.2 (0.08 to 0.25)" and cells[2] == "only together"
+    assert cells[2] == "0.1 to 0.2 (0.08 to 0.25)" and cells[3] == "only together"
 
 
 def test_pivoted_rows_have_a_column_for_each_place():

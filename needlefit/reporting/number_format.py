@@ -91,7 +91,7 @@ def format_to_error(value: float, error: float | None) -> str:
     """
     if error is None or not error > 0:
         return f"{value:.2g}"
-    return f"{value:.{min(2, max(0, math.floor(-math.log10(error / 2))))}f}"
+    return f"{value:z.{min(2, max(0, math.floor(-math.log10(error / 2))))}f}"
 
 
 def format_signed_mm(value: float | None, digits: int = 2) -> str:

@@ -25,6 +25,7 @@ COMMANDS: Mapping[str, str] = {
     "other_medium_missed": "",
     "curve_closer": "explain closer-than-curves",
     "curve_as_good": "explain closer-than-curves",
+    "not_clearly_closer": "explain closer-than-curves",
     "closer_undecided": "explain closer-than-curves",
     "margin_unstated": "explain closer-than-curves",
     "intervals_miss": "explain coverage",
@@ -136,4 +137,6 @@ def _find_against_curves(curves: Finding, noise: Finding | None) -> str:
         return "curve_as_good" if noise and noise.passed else "curve_closer"
     if curves.needles is None:
         return "closer_undecided"
-    return "margin_unstated" if curves.margin_mm is None else "curve_as_good"
+    if curves.margin_mm is None:
+        return "margin_unstated"
+    return "not_clearly_closer" if curves.is_below else "curve_as_good"

@@ -21,6 +21,7 @@ Status = Literal["none", "pass", "warn", "fail"]
 STATUSES: tuple[Status, ...] = ("none", "pass", "warn", "fail")
 
 VERDICTS_KEY, CHECKS_KEY = "verdicts", "checks"  #: of `--json`
+MAX_NAMED_NEEDLES = 3  #: on any one of which a verdict hangs; of more their number is printed
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class Finding:
     margin_mm: float | None = None  #: difference of tip errors that counts as none
     needles: int | None = None  #: compared with a reference
     closer: int | None = None  #: of these, on which the model is closer
-    hangs_on: str = ""  #: needles without any one of which the outcome is another, with commas
+    hangs_on: str = ""  #: needles of which, if one is left out, the outcome is another, with commas
     tips: int | None = None  #: that have an interval
     missing: int = 0  #: held-out tips that have none
     covered: bool | None = None  #: of intervals: whether tips lie in them; None: one trial
@@ -91,7 +92,7 @@ class Finding:
     width_error_mm: float | None = None  #: its Monte Carlo standard error
     max_width_mm: float | None = None
     deflection_mm: float | None = None  #: median of the tips' deflections
-    beyond: int | None = None  #: tips that deflect more than their predictive medians
+    beyond: int | None = None  #: tips that deflect more than the middle of their intervals, the median
 
     @property
     def is_below(self) -> bool:
@@ -102,6 +103,12 @@ class Finding:
     def equals_noise(self) -> bool:
         """Whether an error over that of the noise is one, as far as it is printed."""
         return self.value is not None and is_printed_as_one(self.value)
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether intervals are wider than what is required."""
+        width, limit = self.width_mm, self.max_width_mm
+        return width is not None and limit is not None and width > limit
 
     @property
     def pattern(self) -> str:

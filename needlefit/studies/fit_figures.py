@@ -14,7 +14,7 @@ from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import join_trials
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.judge import find_closest_curve
+from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
 from needlefit.studies.run import Run
 
 # ---- insertions
@@ -99,12 +99,19 @@ def draw_first_page(run: Run, role: str) -> Drawing:
 
 
 def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
-    """Yield the tip errors of our method, the closest curve and the paper's parameters; the paper's means."""
+    """Yield the tip errors of our method, the curve of the verdict and the paper's parameters; its means.
+
+    A closest curve that is no reference of this verdict stands too, in hindsight.
+    """
     group, frames = scores.pool_insertions(run, role), FitFrames.of(run)
     assert group is not None
-    curve, method = find_closest_curve(group), frames.method
+    judged, curve, method = judge(run, group), find_closest_curve(group), frames.method
     names = {method: "our prediction" if role == "validate" else "our fit"}
-    names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
+    if judged is not None and judged.curve:
+        names[judged.curve] = labels.method_name(judged.curve)
+    if curve and curve not in (*names, *REFERENCES):
+        names[curve] = f"{labels.method_name(curve)}, in hindsight"
+    names["hand_tuned"] = labels.method_name("hand_tuned")
     for key, name in names.items():
         rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):
@@ -145,7 +152,7 @@ def draw_groups(runs: Sequence[Run]) -> Drawing:
 
 
 def _list_group_errors(run: Run) -> Iterator[Row]:
-    """Yield every tip error of a group, the mean of the closest curve and of the paper, and the noise."""
+    """Yield every tip error of a group, the mean of the compared curve and of the paper, and the noise."""
     frames = FitFrames.of(run)
     errors = frames.select_errors("validate", method=frames.method)
     for group in scores.list_held_out_groups(run):
@@ -156,8 +163,8 @@ def _list_group_errors(run: Run) -> Iterator[Row]:
         about = {"group": f"{name}, {layers}", "origin": run.origin}
         for tip in to_records(scores.select_group(errors, group)[["insertion", scores.TE]]):
             yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[scores.TE]}
-        curve = find_closest_curve(group)
-        means = {"curve": group.get(scores.TE, method=curve) if curve else None}
+        judged = judge(run, group)
+        means = {"curve": judged and judged.curve_mm}
         means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(scores.TE, "floor")}
         yield from ({**about, "mark": mark, scores.TE: mean} for mark, mean in means.items() if mean)
 

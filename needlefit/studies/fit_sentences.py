@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from needlefit.reporting.text import KindText
-
-MAX_NAMED_NEEDLES = 3  #: on any one of which a verdict hangs; of more their number is printed
+from needlefit.studies.answer import MAX_NAMED_NEEDLES
 
 RULES: Mapping[str, Callable[[Any], object]] = {
     # what was fitted and predicted
@@ -35,6 +34,11 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "closest_curve": lambda v: (
         not (v.judged.has_reference or v.judged.curve_is_closer or v.judged.curve_mm is None)
     ),
+    "curve_as_good": lambda v: not v.judged.is_closer,
+    "not_clearly_closer": lambda v: v.judged.is_closer,
+    "below_margin": lambda v: v.judged.outcome == "as close" and v.judged.is_within_margin,
+    "tracks_as_good": lambda v: v.tracks.rms_mm >= v.tracks.curve_mm,
+    "tracks_not_clearly_closer": lambda v: v.tracks.rms_mm < v.tracks.curve_mm,
     "tracks_closer": lambda v: v.tracks.closer is not None,
     # what the fit determined, for each word of `find_least_determined`
     "determined_within": lambda v: v.word == "yes" and v.intervals,
@@ -73,6 +77,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "paper_parameters": lambda v: v.printed,
     "population_spread": lambda v: v.population,
     "range_of_folds": lambda v: v.folds > 1,
+    "posterior_modes": lambda v: v.modes,
     "posterior_medians": lambda v: v.sources,
     "best_fit": lambda v: not v.sources,
     "and_least_errors": lambda v: v.metric,

@@ -39,7 +39,7 @@ from needlefit.studies.fit_frames import NEW_SPECIMEN, PREDICTION_METHOD, TUNED_
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
 from needlefit.studies.identification_tables import describe_prior
-from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
+from needlefit.studies.judge import MAX_NOISE_RATIO, NOISE_GUARD, REFERENCES, find_closest_curve, judge
 from needlefit.studies.run import Run
 
 
@@ -213,7 +213,8 @@ def lay_out_matrix(runs: Sequence[Run]) -> TableLayout:
         *("study", "medium", "layers", "insertions", "te_mm", "noise_of_te", "baseline_te_mm"),
         *("paper_te_mm", "verdict"),
     )
-    return _lay_out(Table("matrix", rows, columns), drop_empty=True)
+    table = Table("matrix", rows, columns)
+    return _lay_out(table, drop_empty=True, guard=NOISE_GUARD, max_ratio=MAX_NOISE_RATIO)
 
 
 #: by recipe that of the same fit whose specimens are of one batch
@@ -324,6 +325,7 @@ def _describe_parameter(name: str, rows: pd.DataFrame, truth: float | None) -> R
         own = f"{own}, {describe_prior(max(shifts, default=None))}"
     return {
         "parameter": label,
+        "mode": _join_range([row.value for row in ours if is_known(row.median)], unit),
         "posterior": own,
         "determined": "" if fixed else _format_determined(name, ours),
         "error_minimising": "" if fixed else _format_least_errors(errors, unit),
@@ -400,10 +402,11 @@ def lay_out_parameters(run: Run) -> TableLayout:
         label = row.pop("parameter")
         merged.setdefault(tuple(row.values()), {**row, "names": []})["names"].append(label)
     rows = [{**row, "parameter": ", ".join(row["names"])} for row in merged.values()]
-    columns = ("parameter", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
+    columns = ("parameter", "mode", "posterior", "determined", "error_minimising", "hand_tuned", "true_value")
     used = set(frames.parameters["draw_source"])
     values = {
         "folds": int(frames.parameters["fold"].nunique()),
+        "modes": any(row["mode"] for row in rows),
         "bounds": any(AT_BOUND in row["posterior"] for row in rows),
         "together": find_known_combination(run),
         "population": list_spreads(run),

@@ -76,7 +76,7 @@ class Comparison:
     margin_mm: float | None = None  #: difference of tip errors that counts as none; None: not stated
     needles: int = 0
     closer: int = 0  #: needles on which our error is smaller than that reference's
-    hangs_on: tuple[str, ...] = ()  #: needles without any one of which the outcome is another
+    hangs_on: tuple[str, ...] = ()  #: needles of which, if one is left out, the outcome is another
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,28 @@ class Judgement:
         return self.curve_mm is not None and self.curve_mm < self.error_mm
 
     @property
+    def is_closer(self) -> bool:
+        return self.curve_mm is not None and self.error_mm < self.curve_mm
+
+    @property
+    def is_within_margin(self) -> bool:
+        """Whether the tip errors of the model and of the closer reference differ by less than the margin."""
+        found = self.compared
+        if found is None or found.reference_mm is None or found.margin_mm is None:
+            return False
+        return abs(self.error_mm - found.reference_mm) < found.margin_mm
+
+    @property
+    def hangs_on_needles(self) -> bool:
+        """Whether the outcome is another if some one needle is left out."""
+        return self.compared is not None and bool(self.compared.hangs_on)
+
+    @property
     def status(self) -> Status:
-        """The status of the outcome; errors of more than twice the noise do not pass on one trial."""
+        """The status of the outcome; one trial passes only within twice the noise, and without any needle."""
         far = self.noise_ratio is not None and self.noise_ratio > MAX_NOISE_RATIO
-        return "warn" if self.outcome == "closer than both" and far else STATUS[self.outcome]
+        doubtful = far or self.hangs_on_needles
+        return "warn" if self.outcome == "closer than both" and doubtful else STATUS[self.outcome]
 
 
 def judge(run: Run, group: ScoredGroup) -> Judgement | None:
@@ -162,7 +180,7 @@ def compare_with_references(
     model is worse only where it errs by more than twice the noise, too: noise explains less than that.
 
     `errors` as in `judge_fits`. `noise_mm`: the noise floor of the metric; it is the margin, too, unless a
-    margin is stated. A difference that noise alone may make is within the margin (`NOISE_GUARD`).
+    margin is stated, but a difference that noise alone may make is always within it (`NOISE_GUARD`).
     """
     finite = errors.replace([np.inf, -np.inf], np.nan)
     table = finite.pivot(index=["fold", "specimen", "hole", "insertion"], columns="method", values=metric)
@@ -173,7 +191,7 @@ def compare_with_references(
     holes = [table.index.get_level_values(name) for name in ("specimen", "hole")]
     needle = pd.Series(zip(*holes, strict=True), table.index)
     noise, needles = noise_mm or 0.0, needle.nunique()
-    margin = max(margin_mm or noise, NOISE_GUARD * noise / math.sqrt(needles))
+    margin = max(noise if margin_mm is None else margin_mm, NOISE_GUARD * noise / math.sqrt(needles))
     nearest = str(table[references].mean().idxmin())
     gaps = (table[nearest] - table[method]).groupby(needle).mean()
 
@@ -276,10 +294,14 @@ def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
 
 
 def check_curves(judged: Judgement) -> Finding:
-    """Return whether the model is closer than the curves that it was compared with."""
-    one = Finding(
-        Check.CURVES, CLOSER[judged.outcome], judged.error_mm, judged.curve_mm, judged.curve, judged.trials
-    )
+    """Return whether the model is closer than the curves that it was compared with.
+
+    That cannot be decided where the outcome is another if some one needle is left out.
+    """
+    closer = CLOSER[judged.outcome]
+    if closer and judged.hangs_on_needles:
+        closer = None
+    one = Finding(Check.CURVES, closer, judged.error_mm, judged.curve_mm, judged.curve, judged.trials)
     if (found := judged.compared) is None:
         return one
     return replace(

@@ -27,6 +27,7 @@ from needlefit.reporting.table_files import to_records, to_tidy, write_csv, writ
 from needlefit.reporting.text import KindText
 from needlefit.studies.advice import name_doubt
 from needlefit.studies.answer import (
+    MAX_NAMED_NEEDLES,
     Advice,
     Answer,
     Check,
@@ -47,6 +48,9 @@ _CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
     "curves_tested": lambda v: v.needles is None,
     "references_compared": lambda v: v.needles is not None,
     "closer_on": lambda v: v.needles,
+    "hangs_on_needles": lambda v: v.hanging,
+    "one_of_few": lambda v: len(v.hanging) <= MAX_NAMED_NEEDLES,
+    "one_of_many": lambda v: len(v.hanging) > MAX_NAMED_NEEDLES,
     "no_curve": lambda v: not v.named,
     "below_curves": lambda v: v.named and v.needles is None,
     "below_references": lambda v: v.named and v.needles is not None,
@@ -63,6 +67,9 @@ _CHECK_RULES: Mapping[str, Callable[[Any], object]] = {
     "some_covered": lambda v: v.value is not None and v.trials == 1,
     "share_95": lambda v: v.value is not None and v.trials != 1,
     "width_limit": lambda v: v.value is not None,
+    "tips_missed": lambda v: v.covered is False,
+    "and_width": lambda v: v.covered is False and v.is_wide,
+    "width_exceeded": lambda v: v.is_wide,
     "none_required": lambda v: v.trials == 1,
     "share_50": lambda v: v.trials != 1,
     "no_doubts": lambda v: v.passed,
@@ -166,11 +173,18 @@ def lay_out_checks(answer: Answer) -> TableLayout | None:
 
 
 def _word_check(one: Finding, part: str = "") -> str:
-    """Return the question of a check, or what was "_found" or is "_required"."""
+    """Return the question of a check, or what was "_found", is "_required" or "_failed"."""
     doubts = [name_doubt(kind) for kind in one.named.split(", ")] if one.check is Check.DATA else []
     return CHECKS.sentence(
         f"{one.check}{part}",
-        {**vars(one), "equals_noise": one.equals_noise, "pattern": one.pattern, "doubts": doubts},
+        {
+            **vars(one),
+            "equals_noise": one.equals_noise,
+            "is_wide": one.is_wide,
+            "pattern": one.pattern,
+            "hanging": one.hangs_on.split(", ") if one.hangs_on else [],
+            "doubts": doubts,
+        },
     )
 
 
@@ -178,9 +192,14 @@ def recall(run: Run) -> str:
     """Return how a run's verdict opens, and the checks that failed: they stand before uses of its fit."""
     answer = find_kind(run.kind).report.answer(run)
     opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
-    failed = [_word_check(one) for one in answer.checks if one.passed is False]
+    failed = [_word_check(one, _find_failed(one)) for one in answer.checks if one.passed is False]
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
     return f"{run.name}: {mark_faults(run.faults)}{opening.rstrip('.')}.{words}"
+
+
+def _find_failed(one: Finding) -> str:
+    """Return the part of a failed check that is recalled: what failed, of one that asks for two things."""
+    return "_failed" if CHECKS.has(f"{one.check}_failed") else ""
 
 
 def subtitle(run: Run) -> str:

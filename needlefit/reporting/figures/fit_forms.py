@@ -200,7 +200,7 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
 
 
 def errors_by_group(marks: pd.DataFrame) -> Figure:
-    """Draw a line for each group: single tip errors, the means of the closest curve and of the paper, noise.
+    """Draw a line for each group: single tip errors, the means of the compared curve and of the paper, noise.
 
     `marks` has a row per `group` and `mark` ("tip", "curve", "paper", "noise"), with its `te_mm`.
     """
@@ -209,7 +209,7 @@ def errors_by_group(marks: pd.DataFrame) -> Figure:
     axes = figure.add_subplot()
     looks: dict[str, tuple[str, dict[str, Any]]] = {
         "noise": ("measurement noise", {"color": lighten(GREY, 0.6), "lw": 6, "solid_capstyle": "butt"}),
-        "curve": ("closest curve, mean", {"color": GREY, "marker": "|", "ms": 9, "mew": 1.4, "lw": 0}),
+        "curve": ("compared curve, mean", {"color": GREY, "marker": "|", "ms": 9, "mew": 1.4, "lw": 0}),
         "paper": (
             "paper, own needles",
             {"mec": PAPER_COLOUR, "marker": "D", "ms": 3.6, "mfc": "white", "lw": 0},

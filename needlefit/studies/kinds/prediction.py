@@ -44,6 +44,7 @@ from needlefit.project.toml import find_named
 from needlefit.project.unit_warnings import extrapolation_warnings, scene_warnings
 from needlefit.reporting.figures import Drawing, Look, Panel
 from needlefit.reporting.labels import METHOD_COLOURS
+from needlefit.reporting.number_format import format_to_error, is_known
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
@@ -452,6 +453,8 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "new_specimen": lambda v: v.specimen == "others",
     "fitted_specimen": lambda v: v.specimen == "same",
     "named_specimen": lambda v: v.specimen not in ("training only", "others", "same"),
+    "assumed_new": lambda v: v.specimen in ("training only", "others"),
+    "assumed_fitted": lambda v: v.specimen not in ("training only", "others"),
     "fit_judged": lambda v: v.fit_verdict,
     "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
     "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),
@@ -536,12 +539,26 @@ def tabulate_prediction(run: Run) -> list[Table]:
     frame = run.frames["forecast"]
     places = [round(part * (len(frame) - 1)) for part in PRINTED_DEPTHS]
     rows = [
-        {key.removeprefix("needle_"): value for key, value in row.items()}
+        {key.removeprefix("needle_"): value for key, value in _round_ends(row).items()}
         for row in to_records(frame.iloc[places])
     ]
     columns = ["s_mm", "predicted_mm", *(f"range_{100 * level:.0f}_mm" for level in INTERVAL_PROBABILITIES)]
     columns += ["z_predicted_mm", "z_range_95_mm"] if "needle_z_predicted_mm" in frame else []
     return [Table("forecast", rows, columns)]
+
+
+def _round_ends(row: Row) -> Row:
+    """Return a row whose ends of intervals are texts, rounded by their Monte Carlo errors.
+
+    Ends of 50 % intervals err less than those of 95 %, and are rounded alike.
+    """
+    ends = {
+        name: row[error]
+        for axis, level, end in itertools.product(AXES, ("50", "95"), ("low", "high"))
+        if (error := f"needle_{axis}95_{end}_error_mm") in row
+        and is_known(row[name := f"needle_{axis}{level}_{end}_mm"])
+    }
+    return row | {name: format_to_error(row[name], error).replace("-", "−") for name, error in ends.items()}
 
 
 def draw_prediction(run: Run) -> dict[str, Drawing]:

@@ -84,8 +84,8 @@ def find_advice(
     intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
     doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
-    if role == "tune" and "curve_as_good" in found:
-        found.remove("curve_as_good")  # curves were fitted to the same needles
+    if role == "tune":  # curves were fitted to the same needles
+        found = [one for one in found if one not in ("curve_as_good", "not_clearly_closer")]
     if run.faults or run.interrupted:
         found.append("not_converged")
     found += map(classify_doubt, doubts)
