@@ -35,6 +35,7 @@ START = {
 }
 """Command lines that print others."""
 VALUES = {
+    "specimen": "others",
     **{"dataset": "needles", "doubt": "copy", "doubt_title": "two insertions are the same"},
     **{"other_medium": "phantom1", "curve": "a straight line", "width": 13.0, "gain": 3.6},
     **{"target": "meat", "replicates": 2, "tip": "31.5,1.0", "scan": "sample"},

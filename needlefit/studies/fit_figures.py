@@ -14,7 +14,7 @@ from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.coverage import join_trials
 from needlefit.studies.fit_frames import FitFrames
-from needlefit.studies.judge import REFERENCES, find_closest_curve, judge
+from needlefit.studies.judge import judge
 from needlefit.studies.run import Run
 
 # ---- insertions
@@ -99,19 +99,13 @@ def draw_first_page(run: Run, role: str) -> Drawing:
 
 
 def _list_tip_errors(run: Run, role: str) -> Iterator[Row]:
-    """Yield the tip errors of our method, the curve of the verdict and the paper's parameters; its means.
-
-    A closest curve that is no reference of this verdict stands too, in hindsight.
-    """
+    """Yield the tip errors of our method, the compared curve, the paper's parameters; the paper's means."""
     group, frames = scores.pool_insertions(run, role), FitFrames.of(run)
     assert group is not None
-    judged, curve, method = judge(run, group), find_closest_curve(group), frames.method
+    judged, method = judge(run, group), frames.method
     names = {method: "our prediction" if role == "validate" else "our fit"}
-    if judged is not None and judged.curve:
-        names[judged.curve] = labels.method_name(judged.curve)
-    if curve and curve not in (*names, *REFERENCES):
-        names[curve] = f"{labels.method_name(curve)}, in hindsight"
-    names["hand_tuned"] = labels.method_name("hand_tuned")
+    curve = "" if judged is None else judged.curve
+    names |= {name: labels.method_name(name) for name in (curve, "hand_tuned") if name}
     for key, name in names.items():
         rows = frames.select_errors(role, method=key, converged=True)
         for row in to_records(rows[["fold", "insertion", scores.TE]]):

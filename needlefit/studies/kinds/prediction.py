@@ -53,7 +53,7 @@ from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.advice import advise
+from needlefit.studies.advice import NEW_SPECIMENS, advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.explorer import choose_drawn
@@ -453,8 +453,8 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "new_specimen": lambda v: v.specimen == "others",
     "fitted_specimen": lambda v: v.specimen == "same",
     "named_specimen": lambda v: v.specimen not in ("training only", "others", "same"),
-    "assumed_new": lambda v: v.specimen in ("training only", "others"),
-    "assumed_fitted": lambda v: v.specimen not in ("training only", "others"),
+    "assumed_new": lambda v: v.specimen in NEW_SPECIMENS,
+    "assumed_fitted": lambda v: v.specimen not in NEW_SPECIMENS,
     "fit_judged": lambda v: v.fit_verdict,
     "fit_changed": lambda v: v.fit_changed and not v.fit_verdict,
     "fit_unvalidated": lambda v: not (v.fit_changed or v.fit_verdict),
@@ -520,7 +520,7 @@ def _advise_on_fit(run: Run) -> Advice | None:
         finding = "tip_predicted"
     axes = ("x_mm", "needle_predicted_mm", "needle_z_predicted_mm")
     place = ",".join(f"{tip[axis]:.2f}" for axis in axes if axis in tip)
-    values = {"target": (target := run.record.target), "tip": place}
+    values = {"target": (target := run.record.target), "tip": place, "specimen": stated.specimen}
     if target.endswith("/") or ("/" in target and not target.endswith(".toml")):
         values["run"] = target  # the folder of a run, wherever it is
     return advise([finding], values, stated.fit_run or "")
