@@ -4,8 +4,10 @@
 
 with the metric objective f (docs/fitting.md, "Error-minimising fit"). The ranges are joint: while theta_k
 goes to an end, all others go where f lets it. An end is found by steps: nlopt's SLSQP solves the problem with
-the distances of f made linear, within a radius, and the next step starts where f was evaluated. It begins at
-the least f, and once more at the draw of the posterior that lies farthest out within the limit.
+the distances of f made linear, within a radius, and the next step starts where f was evaluated. The first
+search of an end begins at the outermost point within the limit of those known: the least f, and draws of the
+posterior. Steps stay in one valley of f, and there may be several. So further searches begin where those of
+other ends ended, until all of these points have been tried.
 """
 
 import math
@@ -22,8 +24,11 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.inference.slsqp import find_farthest_step
+from needlefit.project.progress import Stop
 from needlefit.project.tasks import TaskStop
 
+MAX_ROUNDS = 5  #: of searches, at most: each begins at the ends that the one before found
+APART = 0.5  #: of a logarithm or an alpha: of points nearer one another one begins searches
 MAX_STEPS = 24  #: evaluations of f with derivatives, at most, of one end from one start
 SLACK = 0.02  #: of the tolerance, by which f may exceed the limit at an end
 #: of the tolerance, by which f may exceed the limit on the way: later steps lead back. No step is taken that
@@ -53,7 +58,7 @@ class ErrorMinimisingFit:
 
     fit: Fit  #: the search; its objective is the least, mm
     tolerance: ErrorTolerance
-    ranges: tuple[ErrorRange, ...]  #: of each free parameter within the tolerance; fewer after a stop
+    ranges: tuple[ErrorRange, ...]  #: of each free parameter within the tolerance; none after a stop
 
 
 def examine_errors(
@@ -72,42 +77,47 @@ def examine_errors(
     """
     callbacks, least = Callbacks() if callbacks is None else callbacks, np.array(fit.theta)
     tolerance = estimate_tolerance(problem, stated, least, rng)
-    stop = TaskStop(callbacks.stop)
-    ranges = find_error_ranges(problem, least, tolerance.value, draws, callbacks.jobs, stop)
+    ranges = find_error_ranges(problem, least, tolerance.value, draws, callbacks.jobs, callbacks.stop)
     return ErrorMinimisingFit(fit, tolerance, ranges)
 
 
 def find_error_ranges(
-    problem: Problem, least: Floats, tolerance: float, draws: Floats, jobs: int, stop: TaskStop
+    problem: Problem, least: Floats, tolerance: float, draws: Floats, jobs: int, stop: Stop
 ) -> tuple[ErrorRange, ...]:
-    """Return the range of each free parameter, in the order of theta; fewer after a stop.
+    """Return the range of each free parameter, in the order of theta; none after a stop.
 
     `least` (P,) has the least f, `tolerance` is in mm, `draws` (B, P) are of the posterior.
     """
     limit = problem.objective(least) + tolerance
-    known = _list_inside(problem, draws[:EXAMINED_DRAWS], limit, jobs)
-    inside = np.concatenate([least[None], known])
-    searches = [
-        _EndSearch(problem, k, side, limit, tolerance, start)
-        for k in range(len(least))
-        for side in (-1, 1)
-        for start in _choose_starts(inside, k, side)
-    ]
-    ends: dict[tuple[int, int], Floats] = {}
-    for number, theta in run_side_by_side(_EndSearch.run, searches, jobs, stop):
-        search = searches[number]
-        place = search.k, search.side
-        if place not in ends or search.side * (theta[search.k] - ends[place][search.k]) > 0:
-            ends[place] = theta
-    found = []
-    for k, name in enumerate(problem.names):
-        if (k, -1) in ends and (k, 1) in ends:
-            low, high = float(ends[k, -1][k]), float(ends[k, 1][k])
-            lower, upper = float(problem.lower[k]), float(problem.upper[k])
-            low = lower if low - lower < MIN_PROGRESS else low
-            high = upper if upper - high < MIN_PROGRESS else high
-            found.append(ErrorRange(name, low, high))
-    return tuple(found)
+    inside = [least, *_list_inside(problem, draws[:EXAMINED_DRAWS], limit, jobs)]
+    ends = [_End(k, side) for k in range(len(least)) for side in (-1, 1)]
+    searches = [_EndSearch(problem, end, limit, tolerance, max(inside, key=end.reach)) for end in ends]
+    begun: list[Floats] = []  # where searches of all ends began
+    for _ in range(MAX_ROUNDS):
+        found = dict(run_side_by_side(_EndSearch.run, searches, jobs, TaskStop(stop)))
+        inside += [found[number] for number in sorted(found)]
+        outermost = {end: max(inside, key=end.reach) for end in ends}
+        starts: list[Floats] = []
+        for theta in outermost.values():
+            if _is_apart(theta, [*begun, *starts]):
+                starts.append(theta)
+        begun += starts
+        searches = [
+            _EndSearch(problem, end, limit, tolerance, start)
+            for end, theta in outermost.items()
+            if not end.is_at_bound(problem, theta)
+            for start in starts
+            if _is_apart(start, [theta])
+        ]
+    if stop():
+        return ()
+    values = [end.value(problem, theta) for end, theta in outermost.items()]
+    return tuple(map(ErrorRange, problem.names, values[::2], values[1::2]))
+
+
+def _is_apart(theta: Floats, others: Sequence[Floats]) -> bool:
+    """Return whether theta (P,) lies farther from each of the others than `APART` along some parameter."""
+    return all(np.max(np.abs(theta - other)) > APART for other in others)
 
 
 def _list_inside(problem: Problem, draws: Floats, limit: float, jobs: int) -> Floats:
@@ -116,38 +126,52 @@ def _list_inside(problem: Problem, draws: Floats, limit: float, jobs: int) -> Fl
     return draws[values <= limit].reshape(-1, len(problem.names))
 
 
-def _choose_starts(inside: Floats, k: int, side: int) -> Sequence[Floats]:
-    """Return the least point, and another one that lies farther out."""
-    outermost = inside[np.argmax(side * inside[:, k])]
-    return [inside[0]] if outermost is inside[0] or outermost[k] == inside[0, k] else [inside[0], outermost]
+@dataclass(frozen=True)
+class _End:
+    """One end of the range of parameter `k`: `side` is -1 for its least value, 1 for its largest."""
+
+    k: int
+    side: int
+
+    def reach(self, theta: Floats) -> float:
+        """Return how far out theta (P,) lies."""
+        return self.side * float(theta[self.k])
+
+    def bound(self, problem: Problem) -> float:
+        return float((problem.upper if self.side > 0 else problem.lower)[self.k])
+
+    def is_at_bound(self, problem: Problem, theta: Floats) -> bool:
+        return abs(self.bound(problem) - theta[self.k]) < MIN_PROGRESS
+
+    def value(self, problem: Problem, theta: Floats) -> float:
+        """Return the end that theta (P,) sets, the bound where it is reached."""
+        return self.bound(problem) if self.is_at_bound(problem, theta) else float(theta[self.k])
 
 
 @dataclass(frozen=True)
 class _EndSearch:
-    """The search for the end of parameter `k` toward `side`, from theta `start` (P,) within the limit."""
+    """The search for an end, from theta `start` (P,) within the limit."""
 
     problem: Problem
-    k: int
-    side: int
+    end: _End
     limit: float  #: of f, mm
     tolerance: float  #: mm
     start: Floats
 
     def run(self) -> Floats:
         """Return the outermost theta (P,) found within the limit."""
-        problem, k, side = self.problem, self.k, self.side
-        bound = float((problem.upper if side > 0 else problem.lower)[k])
+        problem, end = self.problem, self.end
         theta, radius, best = self.start, FIRST_RADIUS, self.start
         at = self._evaluate(theta)
         for _ in range(MAX_STEPS):
-            if at is None or abs(bound - best[k]) < MIN_PROGRESS:
+            if at is None or end.is_at_bound(problem, best):
                 break
             step = self._step(at, theta, radius)
             ahead = np.clip(theta + step, problem.lower, problem.upper)
-            trial, farther = self._evaluate(ahead), side * (ahead[k] - theta[k]) > MIN_PROGRESS
+            trial, farther = self._evaluate(ahead), end.reach(ahead) - end.reach(theta) > MIN_PROGRESS
             excess = math.inf if trial is None else self._exceed(trial)
             if excess <= SLACK:
-                progress = side * (ahead[k] - best[k])
+                progress = end.reach(ahead) - end.reach(best)
                 best = ahead if progress > 0 else best
                 if progress < MIN_PROGRESS:
                     break
@@ -169,9 +193,9 @@ class _EndSearch:
         return found if np.isfinite(found.total) and np.all(np.isfinite(found.slopes)) else None
 
     def _step(self, at: WeightedDistances, theta: Floats, radius: float) -> Floats:
-        """Return the step (P,) that leads `k` farthest where the distances are linear."""
+        """Return the step (P,) that leads farthest toward the end where the distances are linear."""
         along = np.zeros(len(theta))
-        along[self.k] = self.side
+        along[self.end.k] = self.end.side
 
         def excess(step: Floats) -> tuple[float, Floats]:
             moved = at.move(step)
