@@ -14,6 +14,7 @@ from needlefit.studies.answer import Check, Verdict, worst_status
 from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
     REFERENCES,
+    check_curves,
     compare_with_curves,
     compare_with_references,
     join_trials,
@@ -123,6 +124,16 @@ def test_the_verdict_states_what_it_is_made_of(fitted, straight, status):
     assert verdict.numbers["te_over_floor"] == pytest.approx(verdict.numbers["te_mm"] / 0.22)
     assert verdict.numbers["baseline"] == "straight" and verdict.numbers["paper_te_mm"] == 2.19
     assert verdict.numbers["baseline_te_mm"] == pytest.approx(straight[0], abs=straight[1] / 8)
+
+
+def test_a_verdict_that_hangs_on_one_needle_does_not_pass():
+    results = with_tip_errors(study(4), **{**CURVES, "fitted": (0.1, 0.0)})
+    sure = judge(results, pool_insertions(results))
+    hanging = replace(sure, compared=replace(sure.compared, hangs_on=("n4",)))
+    assert [(one.status, check_curves(one).passed) for one in (sure, hanging)] == [
+        ("pass", True),
+        ("warn", None),
+    ]
 
 
 def test_our_prediction_is_judged_where_there_is_one():

@@ -149,6 +149,11 @@ PASSED = {one: Finding(one, True, named="straight") for one in Check}
         ({Check.NOISE: {"passed": False}}, False, "beyond_noise"),
         ({Check.CURVES: {"passed": None}}, False, "closer_undecided"),
         ({Check.CURVES: {"passed": None, "needles": 6, "margin_mm": 0.1}}, False, "curve_as_good"),
+        (
+            {Check.CURVES: {"passed": None, "needles": 6, "margin_mm": 0.1, "value": 0.2, "threshold": 0.25}},
+            False,
+            "not_clearly_closer",
+        ),
         ({Check.CURVES: {"passed": None, "needles": 6}}, False, "margin_unstated"),
         ({Check.CURVES: {"passed": None, "named": ""}}, False, None),  # nothing was compared
         ({Check.INTERVALS: {"passed": False}, Check.NOISE: {"passed": False}}, False, "intervals_wide"),
