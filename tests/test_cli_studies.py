@@ -173,8 +173,8 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert " reports/" not in out and "'mine out/" in out
-    assert "μ₁ · b^1.9" in out
+    assert " reports/" not in out and "mine out/mine-tune/" in out
+    assert "μ₁ · b^1.9" in " ".join(out.split())
 
 
 def test_tune_searches_and_fixes_parameters_by_name_and_its_folder_has_these_names(stub, capsys):
