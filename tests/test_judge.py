@@ -14,6 +14,8 @@ from needlefit.studies.answer import Check, Verdict, worst_status
 from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
     REFERENCES,
+    Comparison,
+    Judgement,
     check_curves,
     compare_with_curves,
     compare_with_references,
@@ -86,6 +88,16 @@ def test_a_word_that_hangs_on_one_needle_names_it():
     found = compare([0.1, 0.9, 0.1, 0.1], [0.2, 0.2, 0.2, 1.0], [3.0] * 4)
     assert (found.outcome, found.hangs_on, found.closer) == ("as close", ("n2",), 3)
     assert compare([0.1], [0.9], [0.9]).hangs_on == ()
+
+
+@pytest.mark.parametrize(
+    ("reference", "margin", "within"),
+    [(0.26, 0.16, True), (0.26, 0.14, False), (0.01, 0.11, True), (None, 0.16, False), (0.26, None, False)],
+)
+def test_a_difference_below_the_margin_is_within_it(reference, margin, within):
+    found = Comparison("as close", "straight", reference, margin, 16, 9, ())
+    judged = Judgement("as close", 0.11, 0.7, "straight", reference, 1, 1, found)
+    assert judged.is_within_margin is within and not replace(judged, compared=None).is_within_margin
 
 
 def test_depths_of_one_hole_are_one_needle():
