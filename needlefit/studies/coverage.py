@@ -10,6 +10,11 @@ from needlefit.arrays import Floats
 from needlefit.inference.predict import Proportion, estimate_proportion
 from needlefit.reporting.table_files import Row
 
+#: Monte Carlo standard error of the width of the 95 % interval of a tip
+WIDTH_ERROR_COLUMN = "tip_95_width_error_mm"
+#: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
+AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
+
 
 def join_trials(rows: pd.DataFrame) -> list[int]:
     """Return the trial of each row: rows of the same fold, specimen or hole are of one trial."""
@@ -35,10 +40,6 @@ def measure_tips(predictive: pd.DataFrame, which: str) -> "pd.Series[float]":
     y, z = f"tip_{which}_mm", f"tip_z_{which}_mm"
     across = predictive[y].abs()
     return across.combine(predictive[z], math.hypot) if z in predictive else across
-
-
-#: Monte Carlo standard error of the width of the 95 % interval of a tip
-WIDTH_ERROR_COLUMN = "tip_95_width_error_mm"
 
 
 def median_width(predictive: pd.DataFrame) -> float:

@@ -38,7 +38,7 @@ from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
-from needlefit.studies.coverage import WIDTH_ERROR_COLUMN, estimate_width_after_one
+from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
 from needlefit.studies.job import Job
 from needlefit.studies.prediction_scores import (
@@ -55,8 +55,6 @@ from needlefit.studies.score import Row
 #: a Monte Carlo standard error above this part of the interval's width
 DRAW_STRIDE, MAX_END_ERROR = 2, 0.05
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
-#: expected width of the 95 % interval of the tip after one measured insertion into the new specimen
-AFTER_ONE_COLUMN = "tip_95_width_after_one_mm"
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
 #: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the
 #: smallest simultaneous band that holds the measured shape; `points_in_95`: whether the pointwise band does.

@@ -406,11 +406,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         what = f"{share} are outside what the model assumes (slopes, shortening, compression)"
         fix = "read the bands with care; `needlefit simulate` of the scene names what is exceeded"
         warned.append(ResultWarning("validity", what, fix=fix))
-    depths, unfitted = (
-        [one.depth for one in job.folds[0].tune],
-        found.across.shape[2] - job.dataset.directions,
-    )
-    warned += extrapolation_warnings(scene.depth, depths, z_unfitted=unfitted > 0)
+    depths = [one.depth for one in job.folds[0].tune]
+    z_unfitted = found.across.shape[2] > job.dataset.directions
+    warned += extrapolation_warnings(scene.depth, depths, z_unfitted=z_unfitted)
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     if changed:

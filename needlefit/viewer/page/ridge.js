@@ -13,7 +13,7 @@ const PAD = { left: 48, right: 8, top: 22, bottom: 28 }; // px
 const GRID = [15, 11]; // needles along b and along the modulus
 const WITHIN = [0.01, 0.99]; // quantiles of the draws that the plane shows, at least
 const LEAST = [1.6, 5]; // and factors from the fit, of b and of the modulus, within which a valley is seen
-const LEVELS = [1, 2, 4]; // times the error that is as good as that of the fit
+const LEVELS = [1, 2, 4]; // times the largest error within the tolerance of the fit
 const SNAP = 40; // px from the valley
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowDown: [0, -1], ArrowUp: [0, 1] };
 const PART = 1.05; // factor of the modulus, a key
@@ -82,7 +82,7 @@ async function makeRidge(into, steer, kernel) {
     return one.place[0] + share * (other.place[0] - one.place[0]);
   }
 
-  /** The part of the valley about the fit that is as good as the fit; null where there is none. */
+  /** The part of the valley about the fit within the tolerance of its error; null where there is none. */
   function findEqual() {
     const near = Math.round(((origin[1] - ranges[1][0]) / (ranges[1][1] - ranges[1][0])) * (GRID[1] - 1));
     const good = (at) => valley[at]?.error <= level;

@@ -16,6 +16,7 @@ from needlefit.studies import fit_figures, fit_tables
 from needlefit.studies import scored_groups as scores
 from needlefit.studies.advice import advise, classify_doubt, find_failures, list_doubts, name_doubt
 from needlefit.studies.answer import Advice, Answer, Check, Finding, Status, Verdict
+from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
@@ -80,7 +81,7 @@ def find_advice(
     role = frames.role
     by_check = {one.check: one for one in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
-    gain = frames.predictive["tip_95_width_after_one_mm"].astype(float).median()
+    gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
     intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
     doubts = list_doubts(run.warnings)[:1]
     found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
