@@ -230,16 +230,19 @@ def test_the_page_is_accessible(page, chromium, size) -> None:  # noqa: F811
             assert box["y"] >= -1 and box["y"] + box["height"] <= height + 1
 
 
-WIDTHS = (320, 390, 768, 1024, 1280, 1440)  # px of a window
-CUT = """[...document.querySelectorAll(".first .wide:has(table)")].filter((one) =>
+WIDTHS = (320, 390, 768, 1024, 1200, 1280, 1440)  # px of a window
+PAGE_ONE = ".first .wide:has(table)"
+CUT = """(tables) => [...document.querySelectorAll(tables)].filter((one) =>
   one.scrollWidth > one.clientWidth).map((one) => one.ariaLabel)"""
 
 
 @NO_BROWSER
 def test_no_table_of_page_one_is_wider_than_its_column(page, chromium) -> None:  # noqa: F811
     with open_offline(chromium, page) as window:
-        assert window.locator(".first .wide:has(table)").count() >= 2
+        assert window.locator(PAGE_ONE).count() >= 2
         for width in WIDTHS:
             window.set_viewport_size({"width": width, "height": 900})
             window.wait_for_timeout(100)
-            assert window.evaluate(CUT) == [], width
+            # on the narrowest the table of methods, of four columns, is scrolled to the side
+            tables = PAGE_ONE if width < 390 else f"{PAGE_ONE}, #methods"
+            assert window.evaluate(CUT, tables) == [], width
