@@ -20,7 +20,6 @@ from needlefit.project.input_files import parse_toml
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import FileKind, file_label, find_file, is_path, read_toml
 from needlefit.schemas.base import MISSING_KEY, FileRecord
-from needlefit.schemas.former_keys import find_former_key
 
 R = TypeVar("R", bound=BaseModel)
 F = TypeVar("F", bound=FileRecord)
@@ -121,8 +120,6 @@ def _describe_fault(place: Location, errors: list[ErrorDetails], kind: type[Base
     if errors[0]["type"] == "extra_forbidden":
         table = _find_record(kind, place[:-1])
         known = [one.alias or name for name, one in table.model_fields.items()] if table else []
-        if table and (former := find_former_key(table, str(place[-1]))):
-            return ConfigError(f"key `{key}` is one of an earlier version", fix=former, key=key)
         near = difflib.get_close_matches(str(place[-1]), known, n=1, cutoff=0.5)
         what = f"key `{key}` is unknown" + (f"; did you mean `{near[0]}`?" if near else "")
         expected = f"one of {', '.join(known)}" if known else ""
