@@ -69,9 +69,13 @@ class NeedlefitError(Exception):
         what, *more = (re.sub(r"\n +", " ", part) for part in parts)
         return cls(what, **dict(zip(more[::2], more[1::2], strict=True)))
 
+    def replace(self, **parts: str | Path) -> Self:
+        """Return the same error with some of its parts changed."""
+        return type(self)(**vars(self) | parts)
+
     def at(self, where: str | Path) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
-        return type(self)(self.what, where=where, expected=self.expected, fix=self.fix, key=self.key)
+        return self.replace(where=where)
 
 
 def printable(text: str) -> str:

@@ -11,7 +11,7 @@ from pydicom.uid import ExplicitVRLittleEndian, RTStructureSetStorage, generate_
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
 
-from needlefit.datasets.faults import Fault
+from needlefit.errors import DataError
 from needlefit.imaging.layers import extract_label_surfaces
 from needlefit.imaging.scans import LayerSource, parse_layer_source
 from needlefit.imaging.segmentations import read_labels
@@ -111,7 +111,7 @@ def test_segments_are_chosen_by_name_in_any_file(tmp_path):
     assert fat.into == 1 and fat.mesh.bounds[0] @ [1, 0, 0] == pytest.approx(0, abs=0.1)
     source = parse_layer_source("s.dcm=segments:Body, Core", tmp_path)
     assert source == LayerSource(path, segments=("Body", "Core"))
-    assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), Fault)
+    assert isinstance(parse_layer_source("s.dcm=solid:2", tmp_path), DataError)
 
 
 def test_points_are_left_out_and_open_or_damaged_contours_refused(tmp_path):

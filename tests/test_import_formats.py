@@ -11,7 +11,7 @@ from import_cases import plan_import
 from refusals import refusal
 from scipy.io import savemat
 
-from needlefit.datasets.faults import Fault, as_error, merge_like
+from needlefit.datasets.faults import as_error, merge_like
 from needlefit.datasets.formats import find_format
 from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.files import WORKBOOK_FILE, read_content
@@ -485,11 +485,15 @@ def test_many_faults_of_one_kind_are_one_line_with_a_count(tmp_path):
     assert len(error.what) < 150
 
 
+def _note(where, what, expected="", fix=""):
+    return DataError(what, where=where, expected=expected, fix=fix)
+
+
 def test_faults_are_merged_by_file_and_kind():
-    few = [Fault(f"/d/a.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(3)]
-    many = [Fault(f"/d/b.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(30)]
-    other = [Fault(f"/d/b.csv:{n}", f"cell {n}", "a name", "fix it") for n in range(2)]
-    bare = [Fault(f"/d/b.csv:{n}", "is wrong") for n in range(9)]
+    few = [_note(f"/d/a.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(3)]
+    many = [_note(f"/d/b.csv:{n}", f"cell {n}", "a number", "fix it") for n in range(30)]
+    other = [_note(f"/d/b.csv:{n}", f"cell {n}", "a name", "fix it") for n in range(2)]
+    bare = [_note(f"/d/b.csv:{n}", "is wrong") for n in range(9)]
     merged = merge_like([*few, *many, *other, *bare])
     assert [one.where for one in merged] == [
         *(f"/d/a.csv:{n}" for n in range(3)),
@@ -499,6 +503,6 @@ def test_faults_are_merged_by_file_and_kind():
     assert (
         "29" in merged[3].what and "has 44 faults" in as_error([*few, *many, *other, *bare], Path("/d")).what
     )
-    curves = [Fault("/d/a.mat, point 1", f"curve c{n} is short", "5", "add some") for n in range(9)]
+    curves = [_note("/d/a.mat, point 1", f"curve c{n} is short", "5", "add some") for n in range(9)]
     (one,) = merge_like(curves)
     assert "8" in one.what and "curve c1" in one.what

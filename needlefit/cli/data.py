@@ -5,7 +5,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -235,6 +235,7 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
         screen.print_note(f"next: {shlex.join(('needlefit', command, name))}")
 
 
+FAULT_PARTS = ("where", "what", "expected", "fix")  # of a fault as JSON
 MAX_NAMED_NEEDLES = 8
 MAX_EXPECTED_SD = 3.0  #: off the plane of the bevel, in standard deviations, up to which errors explain it
 
@@ -275,7 +276,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
                 "needles": {name: one.model_dump() for name, one in needles.items()},
                 "holes": holes,
                 "out_of_plane": [{"id": name, "tip_mm": mm, "tip_sds": sds} for name, mm, sds in planes],
-                "faults": [asdict(fault) for fault in faults],
+                "faults": [{key: getattr(one, key) for key in FAULT_PARTS} for one in faults],
                 WARNINGS_KEY: to_rows(found.warnings),
             }
         )

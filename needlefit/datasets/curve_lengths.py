@@ -16,6 +16,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.layers import ListedInsertion, find_length_tolerance
 from needlefit.datasets.planes import MAX_NAMED_INSERTIONS
+from needlefit.errors import refusal
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
@@ -75,9 +76,11 @@ def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_colum
     found = [one for one in every if one.is_beyond]
     for one in found:
         cause, fix = _find_cause(one, found, every, f"`{depth_column}`")
-        what = f"is {one.length:.2f} mm long, but `{depth_column}` is {one.depth:.2f}. {cause}"
-        where = one.listed.points.where()
-        yield Fault(where, what, f"the inserted length, within {one.limit:.1f} mm", fix)
+        yield refusal(f"""is {one.length:.2f} mm long, but `{depth_column}` is {one.depth:.2f}.
+                {cause}
+            expected: the inserted length, within {one.limit:.1f} mm
+            fix: {fix}
+            where: {one.listed.points.where()}""")
 
 
 def find_length_warnings(

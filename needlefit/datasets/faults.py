@@ -1,33 +1,19 @@
-"""Faults found in a dataset, and the error that lists them."""
+"""Faults found in a dataset: errors that are noted, so that one run lists them all, and not raised.
+
+A fault states the file, and the line if it is known, what was expected there, and how to fix it.
+"""
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needlefit.errors import DataError, NeedlefitError
 
+Fault = NeedlefitError  # one that is noted
+
 MAX_LIKE_FAULTS = 3  # faults of one kind that are listed one by one
 MAX_LISTED_PLACES = 5  # places that are listed of more
 _PLACE = re.compile(r"(?::(?=\d)|, (?=(?:line|point|row|sheet) ))(?P<place>[^/]*)$")  # behind a file's name
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One fault in a dataset: `where` (file, line if known), `what`, what was `expected`, how to `fix` it."""
-
-    where: str
-    what: str
-    expected: str = ""
-    fix: str = ""
-
-    def __str__(self) -> str:
-        return str(as_error([self], Path(self.where)))
-
-
-def from_error(error: NeedlefitError, where: str = "") -> Fault:
-    """Return the fault that an error describes; `where` is used if the error names no place."""
-    return Fault(error.where or where, error.what, error.expected, error.fix)
 
 
 def merge_like(faults: Sequence[Fault]) -> list[Fault]:
@@ -53,7 +39,7 @@ def _merge(group: Sequence[Fault]) -> Sequence[Fault]:
         listed[0] = f"lines {listed[0]}"
     more = ", ..." if len(others) > len(listed) else ""
     return [
-        replace(first, what=f"{first.what}; and {len(others)} more of this kind: {', '.join(listed)}{more}")
+        first.replace(what=f"{first.what}; and {len(others)} more of this kind: {', '.join(listed)}{more}")
     ]
 
 
@@ -61,7 +47,6 @@ def as_error(faults: Sequence[Fault], path: Path) -> DataError:
     """Return one error that lists all faults found in `path`."""
     merged = merge_like(faults)
     if len(merged) == 1:
-        (fault,) = merged
-        return DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
+        return DataError(**vars(merged[0]))
     listed = "\n".join(str(fault) for fault in merged)
     return DataError(f"has {len(faults)} faults\n{listed}", where=path)

@@ -37,6 +37,7 @@ from needlefit.datasets.columns import (
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.needles import find_unknown_needle
+from needlefit.errors import refusal
 from needlefit.geometry.frames import Frame
 from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, list_needles, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
@@ -75,9 +76,12 @@ def add_turns(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fault])
     for row, (depth, roll), where in _iterate_beside(rows, table, TURN_COLUMNS, found):
         own = turns.setdefault(row.id, [])
         if not (own[-1][0] if own else 0.0) < depth < row.depth:
-            what = f"turns {row.id} at {depth:g} mm"
-            expected = f"depths that increase between 0 and {row.depth:g} mm"
-            found.append(Fault(where, what, expected, "correct depth_mm, or remove the line"))
+            found.append(
+                refusal(f"""turns {row.id} at {depth:g} mm
+                expected: depths that increase between 0 and {row.depth:g} mm
+                fix: correct depth_mm, or remove the line
+                where: {where}""")
+            )
         own.append((depth, math.radians(roll)))
     return [replace(row, turns=tuple(turns.get(row.id, ()))) for row in rows]
 
@@ -88,18 +92,33 @@ def add_curvature(rows: Sequence[InsertionRow], table: CsvTable, found: list[Fau
     for row, values, where in _iterate_beside(rows, table, CURVATURE_COLUMNS, found):
         (s, y, z, sd), own = values, curvature.setdefault(row.id, [])
         if not MIN_SENSOR_MM <= s <= row.depth - MIN_SENSOR_MM:
-            expected = f"{MIN_SENSOR_MM:g} to {row.depth - MIN_SENSOR_MM:g} mm from the tip"
-            fix = "correct s_mm: from the tip, inside the tissue"
-            found.append(Fault(where, f"has a sensor at {s:g} mm", expected, fix))
+            found.append(
+                refusal(f"""has a sensor at {s:g} mm
+                expected: {MIN_SENSOR_MM:g} to {row.depth - MIN_SENSOR_MM:g} mm from the tip
+                fix: correct s_mm: from the tip, inside the tissue
+                where: {where}""")
+            )
         elif not sd > 0:
-            fix = "state the standard deviation of the curvature, 1/mm"
-            found.append(Fault(where, f"has sd_1_per_mm {sd:g}", "a number above 0", fix))
+            found.append(
+                refusal(f"""has sd_1_per_mm {sd:g}
+                expected: a number above 0
+                fix: state the standard deviation of the curvature, 1/mm
+                where: {where}""")
+            )
         elif max(abs(y), abs(z)) > MAX_CURVATURE:
-            what, expected = f"has a curvature of {max(abs(y), abs(z)):g} 1/mm", f"at most {MAX_CURVATURE:g}"
-            found.append(Fault(where, what, expected, "state it in 1/mm: divide 1/m by 1000"))
+            found.append(
+                refusal(f"""has a curvature of {max(abs(y), abs(z)):g} 1/mm
+                expected: at most {MAX_CURVATURE:g}
+                fix: state it in 1/mm: divide 1/m by 1000
+                where: {where}""")
+            )
         elif s in (one[0] for one in own):
-            what = f"states the curvature of {row.id} at {s:g} mm again"
-            found.append(Fault(where, what, "one line for each sensor", "remove the line"))
+            found.append(
+                refusal(f"""states the curvature of {row.id} at {s:g} mm again
+                expected: one line for each sensor
+                fix: remove the line
+                where: {where}""")
+            )
         own.append(values)
     read = {name: np.array(values) for name, values in curvature.items()}
     return [replace(row, curvature=read.get(row.id)) for row in rows]
@@ -117,8 +136,12 @@ def _iterate_beside(
         if name in known:
             yield known[name], values[n], table.where(n)
         else:
-            fix = "correct the id, or remove the line"
-            found.append(Fault(table.where(n), f"is of insertion {name!r:.60}", "an id of the table", fix))
+            found.append(
+                refusal(f"""is of insertion {name!r:.60}
+                expected: an id of the table
+                fix: correct the id, or remove the line
+                where: {table.where(n)}""")
+            )
 
 
 def _is_finite(row: InsertionRow) -> bool:
@@ -158,8 +181,13 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
         if all(both) or not any(both):
-            what = f"states bevel_side {both[1]!r:.20} and bevel_roll_deg {both[0]!r:.20}"
-            found.append(Fault(table.where(n), what, "one of the two, 0 too", "fill one of the two cells"))
+            found.append(
+                refusal(f"""states bevel_side {both[1]!r:.20} and bevel_roll_deg
+                    {both[0]!r:.20}
+                expected: one of the two, 0 too
+                fix: fill one of the two cells
+                where: {table.where(n)}""")
+            )
     sources = texts("pose_source") if pose_known else ["none"] * len(ids)
     return [
         InsertionRow(
@@ -198,10 +226,12 @@ def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[fl
         fault = f"has {len(depths)} depths, more than {MAX_LAYERS - 1}"
     elif not (fault := boundaries_fault(depths)):
         return depths
-    expected = f"depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}"
-    fix = "correct the cell, or leave it empty: the boundaries of the medium"
-    what = f"{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}"
-    found.append(Fault(table.where(row), what, expected, fix))
+    found.append(
+        refusal(f"""{describe_column(table.names, BOUNDARIES_COLUMN)} {fault}
+        expected: depths from the entry on, mm, such as 18;36, or {NO_BOUNDARY}
+        fix: correct the cell, or leave it empty: the boundaries of the medium
+        where: {table.where(row)}""")
+    )
     return None
 
 
@@ -223,38 +253,57 @@ def _to_int(value: float) -> int:
 def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
     if not ID_PATTERN.fullmatch(row.id):
-        expected = "at most 100 letters, digits, `.`, `_`, `-`: it names a file"
-        yield Fault(where, f"id is {row.id!r}", expected, "rename it, and its centreline with it")
+        yield refusal(f"""id is {row.id!r}
+            expected: at most 100 letters, digits, `.`, `_`, `-`: it names a file
+            fix: rename it, and its centreline with it
+            where: {where}""")
     for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):
         if (value or name == "specimen") and (fault := name_fault(value)):
-            yield Fault(where, f"{name} is {value!r}: {fault}", EXPECTED_NAME, "rename it")
+            yield refusal(f"""{name} is {value!r}: {fault}
+                expected: {EXPECTED_NAME}
+                fix: rename it
+                where: {where}""")
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
-        fix = "correct it, or add a table [media.NAME] to dataset.toml"
-        yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", fix)
+        yield refusal(f"""medium {row.medium!r} is unknown
+            expected: one of {listed}
+            fix: correct it, or add a table [media.NAME] to dataset.toml
+            where: {where}""")
     yield from _find_boundaries_fault(row, where, record)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
-        what = "layers or layers_alternative is not a count"
-        yield Fault(where, what, "a whole number from 1", "count the layers that the needle went through")
+        yield refusal(f"""layers or layers_alternative is not a count
+            expected: a whole number from 1
+            fix: count the layers that the needle went through
+            where: {where}""")
     if row.side not in (1, -1):
-        what = "bevel_side is unknown"
-        yield Fault(where, what, "+1 (toward +y of C) or -1", "write 1 or -1, or leave the cell empty: +1")
+        yield refusal(f"""bevel_side is unknown
+            expected: +1 (toward +y of C) or -1
+            fix: write 1 or -1, or leave the cell empty: +1
+            where: {where}""")
     if row.roll is not None and record.frame.pose == "free":
-        what = "a roll is stated for a shape of unknown pose"
-        yield Fault(where, what, "no bevel_roll_deg", 'remove it, or state poses (pose = "known")')
+        yield refusal(f"""a roll is stated for a shape of unknown pose
+            expected: no bevel_roll_deg
+            fix: remove it, or state poses (pose = "known")
+            where: {where}""")
     elif row.roll is not None and row.bevel is None:
-        fix = f"fill {', '.join(BEVEL_COLUMNS)}: the direction of a roll of 0"
-        yield Fault(where, "bevel_roll_deg is stated without its direction of 0", "a direction", fix)
+        yield refusal(f"""bevel_roll_deg is stated without its direction of 0
+            expected: a direction
+            fix: fill {", ".join(BEVEL_COLUMNS)}: the direction of a roll of 0
+            where: {where}""")
     for name, (field, default) in NUMBER_COLUMNS.items():
         if "_sd_" in name and default is not None and (getattr(row, field) or 0.0) < 0:
-            expected = "a standard deviation, 0 or more"
             fix = "remove the sign, or leave the cell empty"
             fix += "" if math.isnan(default) else f": {default:g}"
-            yield Fault(where, f"{name} is negative", expected, fix)
+            yield refusal(f"""{name} is negative
+                expected: a standard deviation, 0 or more
+                fix: {fix}
+                where: {where}""")
     if row.boundary_shared_sd is not None and row.boundary_shared_sd > row.boundary_sd:
-        what = f"{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm, {row.boundary_sd:g}"
-        expected = "the part of boundary_sd_mm that all insertions into the specimen share"
-        yield Fault(where, what, expected, "correct one of them, or leave the cell empty")
+        yield refusal(f"""{SHARED_COLUMN} is {row.boundary_shared_sd:g}, more than boundary_sd_mm,
+                {row.boundary_sd:g}
+            expected: the part of boundary_sd_mm that all insertions into the specimen share
+            fix: correct one of them, or leave the cell empty
+            where: {where}""")
     yield from _find_depth_faults(row, where, record)
     yield from _find_pose_faults(row, where, record)
 
@@ -264,9 +313,10 @@ def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord)
     if row.boundaries is None or medium is None or not medium.surfaces:
         return
     column = describe_column(record.insertions.columns, BOUNDARIES_COLUMN)
-    what = f"{column} is stated, and medium {row.medium} has surfaces"
-    fix = f"leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml"
-    yield Fault(where, what, "either surfaces or depths of the boundaries", fix)
+    yield refusal(f"""{column} is stated, and medium {row.medium} has surfaces
+        expected: either surfaces or depths of the boundaries
+        fix: leave the cell empty, or remove media.{row.medium}.surfaces in dataset.toml
+        where: {where}""")
 
 
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
@@ -277,42 +327,54 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
     length, guide = needles[row.needle].length_mm, row.guide_distance
     depth_mm = describe_column(record.insertions.columns, "depth_mm")
     if row.depth <= 0:
-        fix = "give the length from the entry to the tip, without a sign"
-        yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", fix)
+        yield refusal(f"""{depth_mm} is {row.depth:g}
+            expected: an inserted length above 0
+            fix: give the length from the entry to the tip, without a sign
+            where: {where}""")
     elif row.depth < MIN_DEPTH_MM:
-        what = f"{depth_mm} is {row.depth:g}: this looks like metres"
-        yield Fault(where, what, "millimetres", "multiply the column by 1000")
+        yield refusal(f"""{depth_mm} is {row.depth:g}: this looks like metres
+            expected: millimetres
+            fix: multiply the column by 1000
+            where: {where}""")
     if row.depth >= length:
-        what = f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long"
-        expected = "a depth smaller than the needle's length, both in mm"
         key = f"{needle_key(row.needle)}.length_mm"
-        yield Fault(where, what, expected, f"correct {key} in dataset.toml, or {depth_mm}")
+        yield refusal(f"""{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long
+            expected: a depth smaller than the needle's length, both in mm
+            fix: correct {key} in dataset.toml, or {depth_mm}
+            where: {where}""")
     if guide is not None and not 0 < guide <= length - row.depth:
-        what = f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle"
-        expected = "above 0, and within the needle outside the tissue"
-        yield Fault(where, what, expected, "correct it, or leave the cell empty: held at its base")
+        yield refusal(f"""guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g}
+                mm needle
+            expected: above 0, and within the needle outside the tissue
+            fix: correct it, or leave the cell empty: held at its base
+            where: {where}""")
 
 
 def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
-        what = f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}"
-        yield Fault(where, what, "a direction, or three empty cells", "fill all three, or none")
+        yield refusal(f"""{", ".join(BEVEL_COLUMNS)} are {row.bevel.tolist()}
+            expected: a direction, or three empty cells
+            fix: fill all three, or none
+            where: {where}""")
     if row.patient is not None and np.isnan(row.patient.origin).any():
-        expected = "six numbers, or six empty cells: as [frame] lps_to_world states"
-        what = f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part"
-        yield Fault(where, what, expected, "fill all six, or none")
+        yield refusal(f"""{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part
+            expected: six numbers, or six empty cells: as [frame] lps_to_world states
+            fix: fill all six, or none
+            where: {where}""")
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
-        expected = f"one of {', '.join(POSE_SOURCES[:-1])}"
-        fix = 'state where the entry pose comes from; where there is none, frame.pose is "free"'
-        yield Fault(where, f"pose_source is {row.pose_source!r}", expected, fix)
+        yield refusal(f"""pose_source is {row.pose_source!r}
+            expected: one of {", ".join(POSE_SOURCES[:-1])}
+            fix: state where the entry pose comes from; where there is none, frame.pose is "free"
+            where: {where}""")
     length = float(np.linalg.norm(row.direction))
     if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         fix = "divide the three numbers by their length" if length else "give the direction of insertion"
-        yield Fault(
-            where, f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", fix
-        )
+        yield refusal(f"""entry direction has length {length:.4g}
+            expected: a unit vector (entry_dx, _dy, _dz)
+            fix: {fix}
+            where: {where}""")
 
 
 def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
@@ -320,12 +382,16 @@ def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
         if name.casefold() in first:
-            what = f"id {name!r} stands on line {first[name.casefold()]} already"
-            fix = "rename one of the two, and its centreline with it, or remove the row that is there twice"
-            yield Fault(table.where(n), what, "a different id for every insertion", fix)
+            yield refusal(f"""id {name!r} stands on line {first[name.casefold()]} already
+                expected: a different id for every insertion
+                fix: rename one of the two, and its centreline with it, or remove the row that is
+                    there twice
+                where: {table.where(n)}""")
         first.setdefault(name.casefold(), int(table.lines[n]))
     spelled: dict[str, str] = {}
     for n, name in enumerate(table.cells.get("specimen", ())):
         if (other := spelled.setdefault(name.casefold(), name)) != name:
-            fix = "write both alike, or give them names that differ"
-            yield Fault(table.where(n), f"specimen is {name!r}, and {other!r} above", "one spelling", fix)
+            yield refusal(f"""specimen is {name!r}, and {other!r} above
+                expected: one spelling
+                fix: write both alike, or give them names that differ
+                where: {table.where(n)}""")

@@ -7,6 +7,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
 from needlefit.datasets.insertion import Dataset
+from needlefit.errors import refusal
 from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
@@ -36,11 +37,17 @@ def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
     for cell, needle in list_needles(record).items():
         table = needle_key(cell)
         if (modulus := needle.youngs_modulus_gpa or 0.0) > MAX_MODULUS_GPA:
-            key, expected = f"{table}.youngs_modulus_gpa", "GPa: about 200 for steel, 40 to 80 for nitinol"
-            yield Fault(locate_key(file, key), f"{key} is {modulus:g}", expected, "write it in GPa")
+            key = f"{table}.youngs_modulus_gpa"
+            yield refusal(f"""{key} is {modulus:g}
+                expected: GPa: about 200 for steel, 40 to 80 for nitinol
+                fix: write it in GPa
+                where: {locate_key(file, key)}""")
         if (other := keys.setdefault(needle.name, table)) != table:
-            key, what = f"{table}.name", f"{table} and {other} are both named {needle.name}"
-            yield Fault(locate_key(file, key), what, "a name of its own for each needle", "rename one")
+            key = f"{table}.name"
+            yield refusal(f"""{table} and {other} are both named {needle.name}
+                expected: a name of its own for each needle
+                fix: rename one
+                where: {locate_key(file, key)}""")
 
 
 # How the words of an import's decision begin that is not from a file.
@@ -94,9 +101,10 @@ def _is_still(stated: str, value: float) -> bool:
 def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
     """Yield the fault of a cell of column `needle` whose needle `dataset.toml` does not describe."""
     if cell not in list_needles(record):
-        expected = f"one of {', '.join(record.needles) or '(none)'}, or an empty cell: [needle]"
-        fix = f"correct it, or add a table [{needle_key('NAME')}] to dataset.toml"
-        yield Fault(where, f"needle {cell!r:.60} is unknown", expected, fix)
+        yield refusal(f"""needle {cell!r:.60} is unknown
+            expected: one of {", ".join(record.needles) or "(none)"}, or an empty cell: [needle]
+            fix: correct it, or add a table [{needle_key("NAME")}] to dataset.toml
+            where: {where}""")
 
 
 def summarize_needles(dataset: Dataset) -> dict[str, NeedleMetadata]:

@@ -84,8 +84,9 @@ def set_compared(
     """
     if torsional_friction and any(one.turns for one in insertions):
         if stated == "plane":
-            why = "torsional friction leads needles that were turned out of their planes"
-            raise ConfigError(why, expected='"space", or no torsional_friction_n of the medium')
+            raise ConfigError.of("""torsional friction leads needles that were turned out of their
+                    planes
+                expected: "space", or no torsional_friction_n of the medium""")
         stated = "space"
     flat = any(one.directions == 1 for one in insertions)
     if stated == "space" and (flat or dataset.pose == "free"):

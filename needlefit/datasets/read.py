@@ -19,7 +19,7 @@ from needlefit.datasets.dataset_warnings import (
     find_scatter_warnings,
     find_side_warnings,
 )
-from needlefit.datasets.faults import Fault, as_error, from_error
+from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
 from needlefit.datasets.insertion import DEFAULT_MEASUREMENT, Dataset, Insertion, Noise, find_free_reach
@@ -75,7 +75,7 @@ class _Reading:
         try:
             return read_table(path)
         except DataError as error:
-            self.faults.append(from_error(error))
+            self.faults.append(error)
             return None
 
 
@@ -91,7 +91,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         record = load(file, TrackDatasetRecord) if of_tracks else load(file, DatasetRecord)
         reading = _Reading(file, record, root or find_folder(record, file))
     except (ConfigError, DataError) as error:
-        return Inspection(None, (from_error(error),))
+        return Inspection(None, (error,))
     if root is None:
         reading.faults += find_checksum_faults(record.checksums, reading.root)
     reading.faults += find_record_faults(record, file)
@@ -100,7 +100,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     if reading.faults:  # each once, without warnings about their places
         places = {fault.where for fault in reading.faults}
         remaining = tuple(one for one in reading.warnings if one.where not in places)
-        return Inspection(None, tuple(dict.fromkeys(reading.faults)), remaining)
+        return Inspection(None, tuple({str(one): one for one in reading.faults}.values()), remaining)
     names = sorted(str(path.relative_to(reading.root)) for path in files)
     sources = DatasetFiles(file.absolute(), reading.root.absolute(), tuple(names))
     needles = [
@@ -144,12 +144,17 @@ def find_record_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
     shapes = isinstance(record, DatasetRecord)
     yield from find_needle_faults(record, file)
     if not shapes and record.noise.point_sd_mm <= 0:  # every fit of tip tracks samples a posterior
-        key, what = "noise.point_sd_mm", "no noise of the readings is stated"
-        yield Fault(locate_key(file, key), what, "a standard deviation above 0, mm", f"write {key}")
+        key = "noise.point_sd_mm"
+        yield refusal(f"""no noise of the readings is stated
+            expected: a standard deviation above 0, mm
+            fix: write {key}
+            where: {locate_key(file, key)}""")
     for key in ("noise.heading_sd_deg", "noise.slope_sd_deg"):
         if shapes and getattr(record.noise, key.removeprefix("noise.")) > 0:
-            what, expected = f"{key} is of tip tracks", "pose_angle_sd_deg in the table of insertions"
-            yield Fault(locate_key(file, key), what, expected, "remove the key")
+            yield refusal(f"""{key} is of tip tracks
+                expected: pose_angle_sd_deg in the table of insertions
+                fix: remove the key
+                where: {locate_key(file, key)}""")
     if isinstance(record, DatasetRecord):
         yield from find_media_faults(record, file)
 
@@ -230,8 +235,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
             yield ListedInsertion(reduced, row, where, points)
         except DataError as error:
-            fault = from_error(error, where)
-            found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
+            found.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 
 
 def _take_rows(table: CsvTable, rows: list[int] | NDArray[np.int64]) -> CsvTable:
@@ -259,9 +263,12 @@ class _Centerlines:
             # not str.format, whose attributes and widths a dataset from elsewhere could misuse
             names = [_FIELD.sub(lambda part, row=row: str(row[part[1]]), template) for row in keys]
         except KeyError:
-            what = f"insertions.id_template is {template!r}"
-            expected = f"text with {{...}} around columns of group_by: {', '.join(group_by)}"
-            found.append(Fault(f"{path}:1", what, expected, "use only these names in it"))
+            found.append(
+                refusal(f"""insertions.id_template is {template!r}
+                expected: text with {{...}} around columns of group_by: {", ".join(group_by)}
+                fix: use only these names in it
+                where: {path}:1""")
+            )
             names = []
         ids = np.array(names, dtype=object)
         self.long, self.groups = table, {name: np.flatnonzero(ids == name) for name in dict.fromkeys(names)}
@@ -272,9 +279,13 @@ class _Centerlines:
             for name, rows in self.groups.items():
                 other = np.flatnonzero(text[rows] != text[rows[0]])
                 if len(other):
-                    what = f"column `{column}` changes within insertion {name}"
-                    fix = "fix the cells, or distinguish the insertions by this column too (group_by)"
-                    found.append(Fault(table.where(int(rows[other[0]])), what, "one value", fix))
+                    found.append(
+                        refusal(f"""column `{column}` changes within insertion {name}
+                        expected: one value
+                        fix: fix the cells, or distinguish the insertions by this column too
+                            (group_by)
+                        where: {table.where(int(rows[other[0]]))}""")
+                    )
         return True
 
     def find(self, row: InsertionRow, patient: Frame, found: list[Fault]) -> Points | None:
@@ -285,9 +296,12 @@ class _Centerlines:
         lines = self.record.centerlines
         if lines.pattern is None:
             if self.long is None or row.id not in self.groups:
-                where, what = str(self.root / (lines.file or "")), f"has no rows of insertion {row.id}"
-                fix = "add them, or remove the insertion from the table"
-                found.append(Fault(where, what, "rows of every insertion", fix))
+                found.append(
+                    refusal(f"""has no rows of insertion {row.id}
+                    expected: rows of every insertion
+                    fix: add them, or remove the insertion from the table
+                    where: {self.root / (lines.file or "")}""")
+                )
                 return None
             return read_curve(_take_rows(self.long, self.groups[row.id]), lines.columns, found)
         path = self.root / lines.pattern.replace("{id}", row.id)
@@ -295,7 +309,7 @@ class _Centerlines:
             format_ = find_format(path) or FORMATS["csv"]
             points = format_.read_one(path, lines.columns, found)
         except DataError as error:
-            found.append(from_error(error))
+            found.append(error)
             return None
         if points is None or not format_.in_scan:
             return points
@@ -310,11 +324,14 @@ def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], f
             if record.frame.pose == "free":
                 find_free_reach(record.frame.drop_proximal_mm, one.insertion)
         except DataError as error:
-            yield from_error(error, locate_key(file, "frame.drop_proximal_mm"))
+            yield error.at(error.where or locate_key(file, "frame.drop_proximal_mm"))
         if not stated and one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
-            what = f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated"
-            fix = f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}"
-            yield Fault(one.where, what, "a standard deviation above 0, mm", fix)
+            yield refusal(f"""{one.insertion.id} has points whose sd_mm is 0, and no other noise
+                    is stated
+                expected: a standard deviation above 0, mm
+                fix: correct the column, or state noise.point_sd_mm in
+                    {locate_key(file, "noise.point_sd_mm")}
+                where: {one.where}""")
 
 
 # ---- tip tracks
@@ -335,8 +352,11 @@ def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[s
     table = reading.read_table(path)
     tracks = [] if table is None else list(parse_tracks(table, record, found, remarks))
     if not tracks and not found:
-        what = "no run is left: every one is marked invalid"
-        found.append(Fault(str(reading.file), what, "at least one valid run"))
+        found.append(
+            refusal(f"""no run is left: every one is marked invalid
+            expected: at least one valid run
+            where: {reading.file}""")
+        )
     if not found:
         noise, where = make_noise(record.noise), format_place(reading.file)
         column = record.tip_tracks.columns.get("bevel_side", "bevel_side")

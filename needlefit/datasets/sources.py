@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
-from needlefit.errors import DataError, NeedlefitError
+from needlefit.errors import NeedlefitError, refusal
 from needlefit.project.folders import list_all_files, sha256
 from needlefit.project.input_files import is_dir, is_file
 from needlefit.project.locate import read_toml
@@ -28,15 +28,18 @@ def find_folder(record: SourceRecord, path: Path) -> Path:
     if record.root is None:
         return path.parent
     if "$" in os.path.expandvars(record.root):
-        what = f"root is {record.root}, and that environment variable is not set"
-        where = str(path)
-        expected = "the variable, naming the folder that holds the dataset folders"
-        raise DataError(what, where=where, expected=expected, fix=record.how_to_get or "set it and run again")
+        raise refusal(f"""root is {record.root}, and that environment variable is not set
+            expected: the variable, naming the folder that holds the dataset folders
+            fix: {record.how_to_get or "set it and run again"}
+            where: {path}""")
     absolute, found = _match_folders(record.root, path)
     if len(found) != 1:
-        what = f"{len(found) or 'no'} folder{'s match' if found else ' matches'} root {record.root}"
         fix = "narrow root" if found else record.how_to_get or "check the path"
-        raise DataError(what, where=path, expected=f"one: {absolute}", fix=fix)
+        raise refusal(f"""{len(found) or "no"} folder{"s match" if found else " matches"} root
+                {record.root}
+            expected: one: {absolute}
+            fix: {fix}
+            where: {path}""")
     return found[0]
 
 
@@ -51,7 +54,7 @@ def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
 
 def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
     """Return the files of `folder` whose checksums differ from the listed ones."""
-    faults = []
+    faults = list[Fault]()
     for name, expected in checksums.items():
         file = folder / name
         what, fix = "there is no such file, but [checksums] lists it", "remove its line under [checksums]"
@@ -60,7 +63,12 @@ def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fau
                 continue
             what = "is not the file described: wrong checksum"
             fix = f"if the change is meant, write {actual} under [checksums]"
-        faults.append(Fault(str(file), what, f"sha256 {expected}", f"restore the file, or {fix}"))
+        faults.append(
+            refusal(f"""{what}
+            expected: sha256 {expected}
+            fix: restore the file, or {fix}
+            where: {file}""")
+        )
     return faults
 
 

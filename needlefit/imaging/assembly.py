@@ -1,7 +1,7 @@
 """Write reconstructions as a dataset, without those that `needlefit check` would refuse."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -228,8 +228,7 @@ def _find_faults(
     with TemporaryDirectory(prefix="needlefit-") as trial:
         assemble_dataset(Path(trial), reconstructions, recipe, description)
         return [
-            replace(
-                fault,
+            fault.replace(
                 where=fault.where.replace(f"{trial}/", ""),
                 fix=fault.fix.replace("dataset.toml", "the recipe"),  # what its user has written
             )

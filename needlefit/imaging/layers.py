@@ -20,7 +20,7 @@ from scipy.special import ndtri
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import make_id
-from needlefit.datasets.faults import Fault, as_error, from_error
+from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.layers import compute_depths, find_hole, find_surface_faults, make_file_fault
 from needlefit.errors import DataError, located, refusal
 from needlefit.geometry.crossings import find_crossings
@@ -160,14 +160,18 @@ def read_layers(
     segmented = next((source for source in scan.surfaces if source.is_segmentation), None)
     if segmented is not None and len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
-        what = f"lists a segmentation beside other surfaces: {names}"
-        found.append(Fault(str(segmented.path), what, "meshes, or one segmentation", "list it alone"))
+        found.append(
+            refusal(f"""lists a segmentation beside other surfaces: {names}
+            expected: meshes, or one segmentation
+            fix: list it alone
+            where: {segmented.path}""")
+        )
     elif segmented is not None:
         try:
             with explain_missing_packages():
                 surfaces += extract_label_surfaces(segmented.path, segmented.segments, frame_of_reference)
         except DataError as error:
-            found.append(from_error(error))
+            found.append(error)
     else:
         for source in scan.surfaces:
             numbers.append(place if source.into is None else source.into)
@@ -176,15 +180,21 @@ def read_layers(
                 surfaces.append(mesh)
     for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
         led = ", ".join(map(str, sorted(numbers)))
-        what = f"no surface leads into layer {missing}; they lead into {led}"
-        expected = "layers numbered without a gap: 1, where needles begin, then 2, 3, ..."
-        fix = "correct the number, e.g. file=sheet:2, or add the surface that is missing"
-        found.append(Fault(str(scan.volume), what, expected, fix))
+        found.append(
+            refusal(f"""no surface leads into layer {missing}; they lead into {led}
+            expected: layers numbered without a gap: 1, where needles begin, then 2, 3, ...
+            fix: correct the number, e.g. file=sheet:2, or add the surface that is missing
+            where: {scan.volume}""")
+        )
     for n, one in enumerate(surfaces):
         if any(np.array_equal(one.mesh.vertices, other.mesh.vertices) for other in surfaces[:n]):
-            what = f"lists the surface {one.name} twice: one layer would be left out"
-            expected = "a surface of its own for each layer"
-            found.append(Fault(str(scan.volume), what, expected, "name the file of the other layer"))
+            found.append(
+                refusal(f"""lists the surface {one.name} twice: one layer would be left
+                    out
+                expected: a surface of its own for each layer
+                fix: name the file of the other layer
+                where: {scan.volume}""")
+            )
     within = layers_in_scan(scan)
     world = tuple(transform_surface(one, patient) if within else one for one in surfaces)
     if grid is not None and within:  # those of the world may be larger than what was scanned
@@ -193,10 +203,14 @@ def read_layers(
             if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
                 # a mesh is called as its file, all others are of the first
                 own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
-                what = f"the surface {surface.name} lies outside the scan {scan.volume}"
-                fix = "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS"
-                file = str(next(own, scan.surfaces[0].path))
-                found.append(Fault(file, what, "surfaces and scan in one place", fix))
+                found.append(
+                    refusal(f"""the surface {surface.name} lies outside the scan
+                        {scan.volume}
+                    expected: surfaces and scan in one place
+                    fix: see whether it belongs to this scan, stands in its frame or the world's,
+                        in LPS or RAS
+                    where: {next(own, scan.surfaces[0].path)}""")
+                )
     if found:
         raise as_error(found, scan.volume)
     return world

@@ -165,6 +165,10 @@ class ScanRow:
         return [parse_layer_source(part, self.folder, self.where) for part in files]
 
 
+def _make_fault(where: str | Path, what: str, expected: str, fix: str) -> Fault:
+    return DataError(what, where=where, expected=expected, fix=fix)
+
+
 def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Fault:
     """Return the layer stated as `file`, `file=kind:into` or `file=segments:names`, or its fault.
 
@@ -174,7 +178,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     stated = match or chosen
     file = stated["file"].strip() if stated else text
     path = folder / file
-    fault = partial(Fault, where or str(path))
+    fault = partial(_make_fault, where or path)
     if not is_file(path) and "=" in file:
         expected = "file, file=sheet:2, file=solid:3 or file=segments:NAME,NAME"
         fix = "state the kind and the layer that it leads into, or leave both out"
@@ -318,8 +322,12 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         if name not in SCAN_COLUMNS:
             near = difflib.get_close_matches(str(name), SCAN_COLUMNS, n=1, cutoff=0.5)
             fix = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
-            known = f"one of {', '.join(SCAN_COLUMNS)}"
-            found.append(Fault(where, f"column `{name}` is unknown", known, fix))
+            found.append(
+                refusal(f"""column `{name}` is unknown
+                expected: one of {", ".join(SCAN_COLUMNS)}
+                fix: {fix}
+                where: {where}""")
+            )
     lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
     texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
     numbers = {name: parse_numbers(table, name, found, optional=True) for name in stated}
@@ -334,10 +342,14 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
         for n in lines
     ]
     if any(row.text["markers"] for row in rows):  # the worlds of the others would be others
-        what = "`markers` is empty, but other scans have some"
-        expected = "one world for all: markers for every scan, or for none"
-        fix = "add the markers' places, or put this scan into a table of its own"
-        found += [Fault(row.where, what, expected, fix) for row in rows if not row.text["markers"]]
+        found += [
+            refusal(f"""`markers` is empty, but other scans have some
+            expected: one world for all: markers for every scan, or for none
+            fix: add the markers' places, or put this scan into a table of its own
+            where: {row.where}""")
+            for row in rows
+            if not row.text["markers"]
+        ]
     return _build_scans(rows, found, path)
 
 
@@ -345,17 +357,20 @@ def _build_scans(rows: Sequence[ScanRow], found: list[Fault], path: Path) -> tup
     """Return the scans of rows; DataError listing the faults that were `found`, and all others."""
     unread = {fault.where for fault in found}
     for row in rows:
-        found += (Fault(row.where, *fault) for fault in _word_faults(row))
+        found += (_make_fault(row.where, *fault) for fault in _word_faults(row))
         found += (layer for layer in row.layers() if isinstance(layer, Fault))
         if row.where not in unread:
-            found += (Fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
+            found += (_make_fault(row.where, *fault) for bad, *fault in _number_checks(row) if bad)
     ids = [row.text["id"] or scan_id(Path(row.text["scan"])) for row in rows]
     first: dict[str, str] = {}
     for id_, row in zip(ids, rows, strict=True):
         if id_ in first and row.text["scan"]:
-            expected = "a different id for every scan: it names files of the dataset"
-            fix = "give each an id of its own in a table of scans"
-            found.append(Fault(row.where, f"has the id {id_}, as {first[id_]} has", expected, fix))
+            found.append(
+                refusal(f"""has the id {id_}, as {first[id_]} has
+                expected: a different id for every scan: it names files of the dataset
+                fix: give each an id of its own in a table of scans
+                where: {row.where}""")
+            )
         first.setdefault(id_, row.where)
     if found:
         raise as_error(found, path)
@@ -373,7 +388,12 @@ def make_scans(volumes: Sequence[Path], shared: ScanFiles = NO_FILES) -> tuple[S
     found: list[Fault] = []
     once = shared.fiducials or shared.mask or shared.series or shared.acquisition
     if len(volumes) > 1 and once:
-        found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", SCAN_TABLE_FIX))
+        found.append(
+            refusal(f"""is given for {len(volumes)} scans
+            expected: one scan
+            fix: {SCAN_TABLE_FIX}
+            where: {once}""")
+        )
     stated = {"surfaces": ";".join(shared.layers), "surfaces_in": shared.layers_in}
     for name in ("medium", "series", "acquisition", *FILES):
         stated[name] = str(getattr(shared, name) or "")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.project.input_files import open_regular
 
 MAX_ARCHIVE_BYTES = 8 * 2**30  # size of an archive: it may hold more than what is unpacked of it
@@ -25,7 +25,10 @@ def unpack_archive(path: Path, folder: Path, total_bytes: int, levels: int, fix:
     """
 
     def error(what: str) -> DataError:
-        return DataError(what, where=path, expected="a ZIP archive of one scan", fix=fix)
+        return refusal(f"""{what}
+            expected: a ZIP archive of one scan
+            fix: {fix}
+            where: {path}""")
 
     with open_regular(path, MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
@@ -52,9 +55,8 @@ def name_archive(path: Path, folder: Path) -> Iterator[None]:
     try:
         yield
     except DataError as error:
-        parts = {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}
         texts = {
             key: text.replace(f"{folder}/", f"{path}, ").replace(str(folder), str(path))
-            for key, text in parts.items()
+            for key, text in vars(error).items()
         }
         raise DataError(**texts | {"where": texts["where"] or str(path)}) from None

@@ -120,7 +120,7 @@ def write_answer(request: Mapping[str, Any], answers: IO[bytes]) -> None:
             _set_limits(request["memory"], request["seconds"])
         answer = {"value": reader(arrays, **request["arguments"]), "arrays": list(arrays)}
     except NeedlefitError as error:
-        answer = {"error": {key: getattr(error, key) for key in ("what", "where", "expected", "fix")}}
+        answer = {"error": vars(error)}
     except BaseException as error:  # whatever the bytes provoke; its text may quote them
         parts = {"what": f"cannot be read ({type(error).__name__})"}
         if isinstance(error, MemoryError) or getattr(error, "errno", 0) == errno.ENOMEM:

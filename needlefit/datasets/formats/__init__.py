@@ -67,8 +67,7 @@ def find_format(path: Path) -> FileFormat | None:
     longest = max((length for length, _ in known), default=0)
     found = [one for length, one in known if length == longest]
     if len(found) > 1:
-        raise ConfigError(
-            f"`{path.name}` may be of two file formats: {' and '.join(one.name for one in found)}",
-            fix="leave out the plugin of one of them",
-        )
+        raise ConfigError.of(f"""`{path.name}` may be of two file formats:
+                {" and ".join(one.name for one in found)}
+            fix: leave out the plugin of one of them""")
     return found[0] if found else None

@@ -92,14 +92,21 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], *, optional:
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
-        what = f"{describe_column(table.names, column)} {problem}"
         found.append(
-            Fault(table.where(row), what, f"a finite number, at most {MAX_COORDINATE:g}", "fix the cell")
+            refusal(f"""{describe_column(table.names, column)} {problem}
+            expected: a finite number, at most {MAX_COORDINATE:g}
+            fix: fix the cell
+            where: {table.where(row)}""")
         )
     if len(bad) > MAX_LISTED_CELLS:
         more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
-        what = f"{describe_column(table.names, column)} has {more} more such cells from here on"
-        found.append(Fault(f"{table.path}:{line}", what, "finite numbers", "fix the cells"))
+        found.append(
+            refusal(f"""{describe_column(table.names, column)} has {more} more such cells
+                from here on
+            expected: finite numbers
+            fix: fix the cells
+            where: {table.path}:{line}""")
+        )
     return values
 
 
@@ -115,8 +122,12 @@ def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) ->
     if column in table.cells and (table.cells[column] != "").any():
         sd = parse_numbers(table, column, found)
         for row in np.flatnonzero(sd < 0)[:MAX_LISTED_CELLS]:
-            what, fix = f"{column} is {sd[row]:g}", "fix the cell, or leave the whole column out"
-            found.append(Fault(table.where(int(row)), what, "a standard deviation, 0 or more, mm", fix))
+            found.append(
+                refusal(f"""{column} is {sd[row]:g}
+                expected: a standard deviation, 0 or more, mm
+                fix: fix the cell, or leave the whole column out
+                where: {table.where(int(row))}""")
+            )
     if len(found) > before:
         return None
     return Points(table.path, np.column_stack(values), table.lines, sd)
@@ -137,8 +148,12 @@ def note_missing_columns(table: CsvTable, wanted: Sequence[str], found: list[Fau
     """Note a fault for each column of `wanted` that is missing; return whether any was."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
-        expected = f"a column of that name; there are {list_columns(table.cells.columns)}"
-        found.append(Fault(f"{table.path}:1", f"column `{column}` is missing", expected, MISSING_COLUMN_FIX))
+        found.append(
+            refusal(f"""column `{column}` is missing
+            expected: a column of that name; there are {list_columns(table.cells.columns)}
+            fix: {MISSING_COLUMN_FIX}
+            where: {table.path}:1""")
+        )
     return bool(missing)
 
 

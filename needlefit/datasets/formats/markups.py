@@ -16,7 +16,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats import FileFormat, ReadCurves
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
-from needlefit.errors import DataError, refusal
+from needlefit.errors import refusal
 from needlefit.geometry.frames import PatientSystem, to_lps
 from needlefit.project.input_files import read_json, read_text
 
@@ -175,8 +175,10 @@ def _parse_markups(path: Path, table: Mapping[str, Any], number: int) -> Markups
     name = str(table.get("name") or path.name.removesuffix(".json").removesuffix(".mrk"))
     if not placed:
         what = f"list `{name}` is empty" + (f": its {len(unset)} points were never placed" if unset else "")
-        fix = "place its points in Slicer and save it again, or take another file"
-        raise DataError(what, where=path, expected="a list with points", fix=fix)
+        raise refusal(f"""{what}
+            expected: a list with points
+            fix: place its points in Slicer and save it again, or take another file
+            where: {path}""")
     labels, notes = (tuple(str(one.get(key) or "") for one in placed) for key in ("label", "description"))
     own: PatientSystem = "LPS" if system == "LPS" else "RAS"
     values = to_lps(UNITS_MM[unit] * np.array(positions, dtype=np.float64), own)

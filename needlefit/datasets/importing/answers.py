@@ -99,9 +99,10 @@ class Stated:
     def error(self, what: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""
         fix = fix or "correct it" + (f", or state {name_option(what)}" if what != "depth" else "")
-        return DataError(
-            f"{what} is {self.text[:60]!r} {self.unit}".strip(), where=self.where, expected=expected, fix=fix
-        )
+        return refusal(f"""{f"{what} is {self.text[:60]!r} {self.unit}".strip()}
+            expected: {expected}
+            fix: {fix}
+            where: {self.where}""")
 
 
 def add_stated(known: dict[str, Stated], stated: Mapping[str, Stated]) -> None:
@@ -159,7 +160,10 @@ class Answers:
             source, reason = ("answer", "") if found.text else (source, reason)
         if not found.text and not guess:
             fix = fix or f"state {' or '.join(name_option(what, one) for one in choices or ('',))}"
-            raise DataError(f"{what} is not clear: {reason}", where=where, expected=expected, fix=fix)
+            raise refusal(f"""{what} is not clear: {reason}
+                expected: {expected}
+                fix: {fix}
+                where: {where}""")
         found = found if found.text else Stated(guess)
         if choices and found.text not in choices:
             raise found.error(what, expected)

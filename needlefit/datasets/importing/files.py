@@ -27,7 +27,7 @@ from needlefit.datasets.importing.tables import (
 )
 from needlefit.datasets.importing.tips import add_needles_without_points
 from needlefit.datasets.points import MIN_POINTS, Points
-from needlefit.errors import ConfigError, DataError, refusal
+from needlefit.errors import ConfigError, refusal
 from needlefit.geometry.frames import RAS_TO_LPS
 from needlefit.geometry.surfaces import READ_SUFFIXES, read_coordinate_system, read_surface, transform_surface
 from needlefit.project.input_files import is_dir, is_file, path_exists
@@ -81,9 +81,11 @@ def read_content(
     if not content.curves:
         add_needles_without_points(content)
     if not 0 < len(content.curves) <= MAX_CURVES or len(content.files) == MAX_CURVES:
-        what = f"holds {len(content.curves)} curves of needles"
-        expected = f"1 to {MAX_CURVES} needles in files that end in {', '.join(list_import_suffixes())}"
-        raise DataError(what, where=paths[0], expected=expected, fix="name the files of their points, too")
+        raise refusal(f"""holds {len(content.curves)} curves of needles
+            expected: 1 to {MAX_CURVES} needles in files that end in
+                {", ".join(list_import_suffixes())}
+            fix: name the files of their points, too
+            where: {paths[0]}""")
     shapes = [one for one in content.curves if len(one.line) and not one.is_tip]
     if shapes and all(len(one.line) == 1 for one in shapes):
         names = join_names([one.name for one in shapes], 3)
@@ -95,8 +97,10 @@ def read_content(
     if faults := [fault for one in shapes for fault in one.points.find_faults(one.name)]:
         raise as_error(faults, paths[0])
     for name in content.columns.keys() - content.columns_found:
-        what = f"no table has a column {name!r}"
-        raise DataError(what, where=paths[0], expected="a header or a number", fix="correct --columns")
+        raise refusal(f"""no table has a column {name!r}
+            expected: a header or a number
+            fix: correct --columns
+            where: {paths[0]}""")
     curves: dict[str, ImportedCurve] = {}
     for one in content.curves:
         name = make_unique(make_id(one.name, "curve")[:MAX_NAME_CHARS], curves)

@@ -9,7 +9,7 @@ from needlefit.datasets.columns import make_id
 from needlefit.datasets.importing.answers import add_stated
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, NeedleRow
 from needlefit.datasets.importing.tables import CellTable
-from needlefit.errors import DataError
+from needlefit.errors import DataError, refusal
 from needlefit.project.locate import join_names
 
 MAX_NAME_CHARS = 60
@@ -107,10 +107,8 @@ def _read_numbers(name: str) -> str:
 
 def _refuse_table(rows: Sequence[NeedleRow], curves: Sequence[ImportedCurve]) -> DataError:
     names = join_names([*dict.fromkeys(row.needle for row in rows)], MAX_LISTED_NAMES)
-    expected = f"names of the curves: {join_names([one.name for one in curves], MAX_LISTED_NAMES)}"
-    return DataError(
-        f"no curve has a name of this table: {names}",
-        where=rows[0].where,
-        expected=expected,
-        fix="write the same names in both; or leave out this table, if it is about other needles",
-    )
+    return refusal(f"""no curve has a name of this table: {names}
+        expected: names of the curves:
+            {join_names([one.name for one in curves], MAX_LISTED_NAMES)}
+        fix: write the same names in both; or leave out this table, if it is about other needles
+        where: {rows[0].where}""")

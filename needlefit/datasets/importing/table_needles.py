@@ -18,7 +18,7 @@ from needlefit.datasets.importing.table_heads import (
 )
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
 from needlefit.datasets.importing.tables import CellTable, UnclearColumnsError
-from needlefit.errors import DataError, refusal
+from needlefit.errors import refusal
 
 SENSOR = ("sensor", "curvature y", "curvature z", "curvature sd")  # what a row of curvatures states
 MAX_LISTED_CHARS = 200  # of headers, or of a row, in a message
@@ -98,10 +98,10 @@ def _find_sensors(cells: CellTable, group: ColumnGroup) -> list[int]:
     words = {SENSOR[0]: (SENSOR[0], "sensor from base"), SENSOR[3]: (SENSOR[3], "point sd")}
     found = {one: [m for word in words.get(one, (one,)) for m in group.find(word)] for one in SENSOR}
     if lacking := [one for one, columns in found.items() if not columns]:
-        what = f"a table of curvatures lacks {', '.join(lacking)}"
-        expected = "columns s (from the tip, or from the base), kappa_y, kappa_z and sd"
-        fix = "name them with --columns " + ",".join(f'"{one}=HEADER"' for one in lacking)
-        raise DataError(what, where=cells.where(group.row), expected=expected, fix=fix)
+        raise refusal(f"""a table of curvatures lacks {", ".join(lacking)}
+            expected: columns s (from the tip, or from the base), kappa_y, kappa_z and sd
+            fix: name them with --columns {",".join(f'"{one}=HEADER"' for one in lacking)}
+            where: {cells.where(group.row)}""")
     return [columns[0] for columns in found.values()]
 
 

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,14 +108,15 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
     """Return a fault of the dataset in `folder` as one of the imported files, with a fix that works there."""
     name, _, line = Path(fault.where).as_posix().removeprefix(f"{folder.as_posix()}/").rpartition(":")
     if name not in places or not line.isdecimal():
-        return replace(fault, where=fault.where.replace(f"{folder}/", ""))
+        return fault.at(fault.where.replace(f"{folder}/", ""))
     place = places[name][int(line) - 2]  # below one header line
     # points of several needles may have been taken for one, where a column tells them apart
     is_joined = place.is_table and fault.what.startswith("goes back")
     hint = (
         "; or state the column that distinguishes needles with --columns needle=HEADER" if is_joined else ""
     )
-    return Fault(place.where, f"{place.subject}{fault.what}", fault.expected, f"{fault.fix}{hint}")
+    what, fix = f"{place.subject}{fault.what}", f"{fault.fix}{hint}"
+    return fault.replace(what=what, where=place.where, fix=fix)
 
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
