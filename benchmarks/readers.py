@@ -17,10 +17,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
+from scanner.write import write_volume
 from scipy.io import savemat
 
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import write_volume
 from needlefit.project.locate import shipped_folder
 
 VOXELS = 512

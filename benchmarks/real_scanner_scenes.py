@@ -35,11 +35,11 @@ from scanner.projection import (
     make_needle,
     render_volume,
 )
+from scanner.write import write_volume
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
-from needlefit.imaging.volume_files import write_volume
 from needlefit.project.random_streams import random_stream
 
 Floats = NDArray[np.float64]

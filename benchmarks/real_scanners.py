@@ -50,6 +50,7 @@ from real_scanner_scenes import (
     read_design,
     render_cached,
 )
+from scanner.render import densify
 from scipy.spatial import cKDTree
 
 from needlefit.errors import NeedlefitError
@@ -65,7 +66,6 @@ from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.tasks import LocalPool
 from needlefit.schemas.reconstruction import GuidePlateRecord, ReconstructionRecord
-from needlefit.synthetic.render import densify
 
 Floats = NDArray[np.float64]
 

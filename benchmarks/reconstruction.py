@@ -21,6 +21,16 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scanner.render import (
+    Needle3D,
+    Scanner,
+    ScannerTable,
+    Scene3D,
+    SceneMarkers,
+    bevel_side,
+    densify,
+    render_scan,
+)
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from skimage.morphology import skeletonize
@@ -32,16 +42,6 @@ from needlefit.imaging.needle.segmentation import Component, principal_axes, sel
 from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.design import PHANTOMS
-from needlefit.synthetic.render import (
-    Needle3D,
-    Scanner,
-    ScannerTable,
-    Scene3D,
-    SceneMarkers,
-    bevel_side,
-    densify,
-    render_scan,
-)
 
 Floats = NDArray[np.float64]
 

@@ -152,13 +152,13 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population:
     ConfigError
         If there is no insertion into such a medium.
     """
-    from needlefit.synthetic.build import build_unscanned
+    from needlefit.synthetic.build import build_dataset
     from needlefit.synthetic.design import POPULATION, list_designs
 
     plan = [one for one in list_designs() if not media or one.medium in media]
     if missing := set(media) - {one.medium for one in plan}:
         raise ConfigError(f"the twin has no insertions into {', '.join(sorted(missing))}")
-    return read(build_unscanned(Path(folder), seed, plan, population=POPULATION if population else None))
+    return read(build_dataset(Path(folder), seed, plan, population=POPULATION if population else None))
 
 
 def simulate_twin_needle(name: str, from_tip: ArrayLike) -> Floats:

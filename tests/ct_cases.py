@@ -1,12 +1,12 @@
 """A needle of known equation in a small synthetic scan."""
 
 import numpy as np
+from scanner.render import Needle3D, Scanner, Scene3D, densify, render_scan
 
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic.design import Phantom
-from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, densify, render_scan
 
 RECIPE = ReconstructionRecord(schema=2)
 SPACING = 0.46

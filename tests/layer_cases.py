@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scanner.write import write_volume
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import make_cylinder, make_sheet
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.imaging.volume_files import write_volume
 
 SPACING = 0.46
 TILTED = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()

@@ -70,7 +70,6 @@ CASES = {
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project"),
     "twin build": Case("twin build --out out/twin -q", "twin"),
-    "twin ct": Case("twin ct sample --out out/ct -q --jobs 1", "ct"),
     "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
@@ -276,7 +275,7 @@ def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path)
 
 
 def test_a_dataset_does_not_overwrite_its_scans(tmp_path, capsys):
-    """The folder of `twin ct` carries our stamp: but for its scans being inputs it could be replaced."""
+    """A folder of ours carries a stamp: but for its scans being inputs it could be replaced."""
     with replace_folder(tmp_path / "ct") as fresh:
         shutil.copytree(shipped_folder() / "data/sample_scan", fresh, dirs_exist_ok=True)
         (fresh / "needlefit.json").unlink(missing_ok=True)

@@ -14,6 +14,7 @@ import pytest
 from dicom_series import save_volume
 from made_again import read_files
 from reading_here import child_process_reader, read_here  # noqa: F401
+from scanner.write import write_volume
 from test_cli import run
 
 from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
@@ -22,7 +23,7 @@ from needlefit.datasets.read import read as read_dataset
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord

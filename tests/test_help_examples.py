@@ -16,12 +16,11 @@ from needlefit.project.locate import shipped_folder
 LESS = {
     "calibrate": ("--replicates", "2", "--jobs", "1"),
     "import": ("--yes",),
-    "twin ct": ("--jobs", "1"),
     "view": ("--no-browser",),
 }
 """Words that make an example shorter, or ask nothing."""
 CODES = {"calibrate": 5}  # too few replicates for a verdict
-SLOW = {"calibrate", "plan", "predict", "reconstruct", "tune", "twin ct", "validate"}
+SLOW = {"calibrate", "plan", "predict", "reconstruct", "tune", "validate"}
 
 
 def list_examples():

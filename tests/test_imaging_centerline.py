@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from refusals import refusal
+from scanner.render import Needle3D, SceneMarkers
 from scipy.ndimage import gaussian_filter, map_coordinates, shift, zoom
 
 from needlefit.errors import DataError
@@ -20,7 +21,6 @@ from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.project.toml import load
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.render import Needle3D, SceneMarkers
 
 FAR = np.array([200.0, 0.0, 0.0])
 SHAPES = {

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refusal
+from scanner.write import write_volume
 from test_cli import run
 from test_cli_reconstruct import MARKERS, VOLUME, two_needles
 
@@ -17,7 +18,7 @@ from needlefit.imaging.batch import reconstruct_needles
 from needlefit.imaging.corrections import AXIS_POINTS, correct_scans, make_control_points, read_corrections
 from needlefit.imaging.needle.segmentation import find_ends, find_tubes
 from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
-from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.reporting.scan_pages import write_refusal_page
 from needlefit.reporting.slicer_scene import write_control_points

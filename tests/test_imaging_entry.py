@@ -9,6 +9,7 @@ import pytest
 from layer_cases import save_mesh
 from numpy.testing import assert_allclose
 from refusals import refusal
+from scanner.write import write_volume
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
@@ -26,7 +27,6 @@ from needlefit.imaging.materials import find_steps, list_materials
 from needlefit.imaging.reconstruct import examine
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile
 from needlefit.imaging.scans import Corrections, LayerSource, Scan
-from needlefit.imaging.volume_files import write_volume
 
 FREE = 95.0
 

@@ -15,11 +15,12 @@ from pydicom.uid import (
     generate_uid,
 )
 from reading_here import child_process_reader, read_here  # noqa: F401
+from scanner.write import write_volume
 from test_imaging_volume_dicom import refused
 
 from needlefit.imaging import volume_files
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 OTHER = generate_uid(entropy_srcs=["other"])

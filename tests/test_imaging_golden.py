@@ -6,6 +6,7 @@ import ct_cases as cases
 import numpy as np
 import pytest
 from golden_numbers import assert_golden
+from scanner.render import SceneMarkers
 
 from needlefit.imaging import batch
 from needlefit.imaging.batch import ReconstructionBatch, reconstruct_all
@@ -16,7 +17,6 @@ from needlefit.imaging.volume import Volume
 from needlefit.project.encode import encode
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.reconstruction import ReconstructionRecord
-from needlefit.synthetic.render import SceneMarkers
 
 BALLS = cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]])
 

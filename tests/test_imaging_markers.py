@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, recipe, scan
 from refusals import refusal
+from scanner.render import ScannerTable, SceneMarkers
 from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
@@ -15,7 +16,6 @@ from needlefit.imaging.needle.segmentation import select_needle
 from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.spheres import SphereFit
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.synthetic.render import ScannerTable, SceneMarkers
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
 

@@ -9,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 from reading_here import child_process_reader, read_here  # noqa: F401 - fixtures
 from refusals import refusal
+from scanner.render import Needle3D
+from scanner.write import write_volume
 
 from needlefit.errors import DataError
 from needlefit.imaging.needle import segmentation
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.follow import follow_points, read_mask_points
 from needlefit.imaging.volume import to_patient
-from needlefit.imaging.volume_files import write_volume
-from needlefit.synthetic.render import Needle3D
 
 pytestmark = pytest.mark.usefixtures("read_here")
 

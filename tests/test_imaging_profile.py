@@ -6,6 +6,7 @@ import ct_cases as cases
 import numpy as np
 import pytest
 from refusals import refusal
+from scanner.render import Needle3D, Scanner, Scene3D, SceneMarkers, render_scan
 from scipy.special import ndtr
 
 from needlefit.errors import DataError
@@ -14,7 +15,6 @@ from needlefit.imaging.materials import find_rises, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.volume import require_hounsfield
 from needlefit.synthetic.design import Phantom
-from needlefit.synthetic.render import Needle3D, Scanner, Scene3D, SceneMarkers, render_scan
 
 S = np.arange(-30.0, 30.0, 0.5)
 

@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from reading_here import child_process_reader, read_here  # noqa: F401
 from refusals import refused_file
+from scanner.write import write_volume
 
 from needlefit.errors import DataError
 from needlefit.imaging.volume import Volume, doubt_air, to_index, to_patient
-from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.imaging.volume_files import read_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 

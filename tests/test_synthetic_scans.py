@@ -5,11 +5,11 @@ from pathlib import Path
 import ct_cases as cases
 import numpy as np
 from numpy.testing import assert_allclose
+from scanner import render, twin
 
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import THIS_PROCESS
-from needlefit.synthetic import design, render, scans
 from needlefit.synthetic.insertion import TWIN_SEED
 
 SHIPPED = shipped_folder() / "data" / "sample_scan"
@@ -28,7 +28,7 @@ def files(folder):
 
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
-    scans.write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, THIS_PROCESS, quiet)
+    twin.write_scans(tmp_path, [twin.SAMPLE_INSERTION], TWIN_SEED, THIS_PROCESS, quiet)
     ours = [path.relative_to(SHIPPED) for path in files(SHIPPED) if path.name != "needlefit.json"]
     assert ours == [path.relative_to(tmp_path) for path in files(tmp_path)]
     assert sum((SHIPPED / name).stat().st_size for name in ours) < 2_000_000
@@ -48,7 +48,7 @@ VOXEL = cases.SPACING**3
 
 def test_a_series_has_the_voxels_of_the_file_and_the_same_bytes_again(tmp_path):
     for name in ("a", "b"):
-        scans.render_insertion(tmp_path / name, design.SAMPLE_INSERTION, TWIN_SEED, dicom=True)
+        twin.render_insertion(tmp_path / name, twin.SAMPLE_INSERTION, TWIN_SEED, dicom=True)
     a, b = (files(tmp_path / name / "volumes") for name in ("a", "b"))
     assert len(a) > 100 and [one.read_bytes() for one in a] == [one.read_bytes() for one in b]
     series, file = read_volume(a[0].parent), read_volume(SHIPPED / "volumes" / "sample.nrrd")

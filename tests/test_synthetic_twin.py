@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from refusals import refusal
+from scanner.twin import build_scanned, expose
 from scipy.stats import kstest
 
 import needlefit
@@ -18,10 +19,9 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.project.locate import shipped_folder
 from needlefit.project.tasks import LocalPool
 from needlefit.synthetic import design
-from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import POPULATION, TRUE_MEDIA, list_designs, select_designs
 from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion, stated_frame
-from needlefit.synthetic.scans import WHOLE_BOX_SETUP, expose
+from needlefit.synthetic.scans import WHOLE_BOX_SETUP
 
 TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
@@ -38,7 +38,7 @@ def rebuilt(tmp_path_factory):
     """Insertions of the shipped twin, made again from the seed, through their scans."""
     folder, steps = tmp_path_factory.mktemp("rebuilt"), []
     plan = select_designs(FEW)
-    build_dataset(folder, TWIN_SEED, plan, LocalPool(2), progress=lambda *step: steps.append(step))
+    build_scanned(folder, TWIN_SEED, plan, LocalPool(2), progress=lambda *step: steps.append(step))
     assert steps[0] == ("reconstructing", 0, len(FEW))
     assert steps[-1] == (f"reconstructed {FEW[-1]}", len(FEW), len(FEW))
     return folder
@@ -70,7 +70,7 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt):
 
 @pytest.mark.sweep
 def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, tmp_path):
-    build_dataset(tmp_path, TWIN_SEED, select_designs(FEW[-1:]))
+    build_scanned(tmp_path, TWIN_SEED, select_designs(FEW[-1:]))
     file = f"centerlines/{FEW[-1]}.csv"
     assert (tmp_path / file).read_bytes() == (rebuilt / file).read_bytes()
 

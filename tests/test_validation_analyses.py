@@ -17,7 +17,7 @@ from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings
 from needlefit.studies.runner import run_tasks
-from needlefit.synthetic.build import build_unscanned
+from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import select_designs
 from tests.inference_cases import NEEDLE, insertion, medium
 
@@ -56,7 +56,7 @@ def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
     """Same truth, same places of the markers: what differs is what voxels add."""
     names = ("phantom2-03", "phantom3-05", "chicken-02")
-    found = {one.id: one for one in read(build_unscanned(tmp_path, 1, select_designs(names))).insertions}
+    found = {one.id: one for one in read(build_dataset(tmp_path, 1, select_designs(names))).insertions}
     scanned = {one.id: one for one in read(find_file("dataset", "twin")).insertions}
     for name in names:
         one, other = found[name], scanned[name]

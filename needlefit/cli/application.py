@@ -23,8 +23,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
     ("new project", data.new_project, "myproject"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
-    ("twin build", twin.build, "--out data/twin2 --seed 2"),
-    ("twin ct", twin.render_ct, "phantom2-14 --out twin_ct"),
+    ("twin build", twin.build, "--out twin2 --seed 2"),
     ("calibrate", studies.calibrate, "phantom1 --replicates 100"),
     ("paper", results.paper, ""),
 )
@@ -32,7 +31,7 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
 
 _GROUPS = {
     "new": "Write files to edit: a project, or a workbook.",
-    "twin": "Build the synthetic dataset, or render its CT volumes.",
+    "twin": "Build a synthetic dataset.",
 }
 
 _STYLE: dict[str, Any] = {"rich_markup_mode": None, "no_args_is_help": True}

@@ -1,4 +1,4 @@
-"""Read and write CT volumes: DICOM series, NRRD, NIfTI and MetaImage files; read ZIP archives of them."""
+"""Read CT volumes: DICOM series, NRRD, NIfTI and MetaImage files, ZIP archives of them; write NRRD files."""
 
 import os
 import sys
@@ -21,7 +21,6 @@ from needlefit.imaging.volume import (
     READABLE_VOLUMES,
     Volume,
     begins_as_dicom,
-    is_tilted,
     list_series_files,
     max_voxels,
 )
@@ -216,36 +215,12 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
             where: {path}""") from None
 
 
-def write_volume(volume: Volume, path: Path, description: str = "") -> None:
-    """Write a volume, whole or not at all; the same volume gives the same bytes.
+def write_nrrd(volume: Volume, path: Path) -> None:
+    """Write a volume to a .nrrd file, which is replaced, whole or not at all; the same bytes again.
 
-    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
-    `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
-
-    Values are kept to the bit (DICOM: in whole HU), as int16 if that is exact, compressed unless it is .nii.
-    NIfTI stores its geometry in single precision (1e-5 mm), the others in double.
-
-    DataError if the suffix is unknown, or a value is not finite. ConfigError if nothing can be written there,
-    or the packages that write scans are not installed.
+    Values are kept to the bit, as int16 if that is exact. ConfigError if nothing can be written there, or the
+    packages that write scans are not installed.
     """
-    path = Path(path)
-    if not np.isfinite(volume.values.min() + volume.values.max()):
-        raise refusal("""the volume holds values that are not finite
-            expected: numbers everywhere""")
-    if not path.suffix:
-        with explain_missing_packages():
-            from needlefit.imaging.dicom.write import write_series
-        write_series(volume, path, description)
-        return
-    if not path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
-        raise refusal(f"""{path.suffix} is no kind of volume that is written
-            expected: .nrrd, .nii, .nii.gz or .mha, or a folder for a DICOM series
-            where: {path}""")
-    nifti = ".nii" in path.name.lower()
-    if is_tilted(volume.direction) and nifti:  # SimpleITK straightens it
-        raise refusal(f"""the slices of the volume lean over one another, which is not written to NIfTI
-            expected: .nrrd or .mha
-            where: {path}""")
     with explain_missing_packages():
         import SimpleITK as sitk
 
@@ -255,8 +230,6 @@ def write_volume(volume: Volume, path: Path, description: str = "") -> None:
     image.SetOrigin(volume.origin.tolist())
     image.SetSpacing(volume.spacing.tolist())
     image.SetDirection(volume.direction.ravel().tolist())
-    if description:
-        image.SetMetaData("ITK_FileNotes" if nifti else "description", description)
     with replace_file(path) as fresh:  # higher levels of zlib cost ten times the time for a few per cent
         sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=1)
 

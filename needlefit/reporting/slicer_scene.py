@@ -18,7 +18,7 @@ from needlefit.imaging.corrections import LIST_NAME, list_control_points
 from needlefit.imaging.needle.segmentation import median_tissue_hu
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import write_volume
+from needlefit.imaging.volume_files import write_nrrd
 from needlefit.project.folders import replace_file
 from needlefit.reporting.labels import rgb
 from needlefit.reporting.slicer import INSERTED_COLOUR, LAYER_COLOUR, POINT_SIZE_MM, make_scan_markups
@@ -86,7 +86,7 @@ def write_slicer_scene(one: Reconstruction, volume: Volume, diameter: float, pat
             Path(folder) / "Data", ElementTree.Element("MRML", version="Slicer5.0.0", userTags="")
         )
         scene.folder.mkdir()
-        write_volume(volume, scene.folder / "scan.nrrd")
+        write_nrrd(volume, scene.folder / "scan.nrrd")
         shown = {"window": f"{WINDOW_HU:g}", "level": f"{median_tissue_hu(volume):g}"}
         shown |= {"autoWindowLevel": "0", "colorNodeID": "vtkMRMLColorTableNodeGrey"}
         volume_id = scene.add_stored("Volume", one.scan.id, "scan.nrrd", {}, shown)

@@ -192,16 +192,12 @@ def list_designs() -> tuple[InsertionDesign, ...]:
     return (*phantoms, *chicken)
 
 
-# A short insertion for the sample volume; it is none of the 47.
-SAMPLE_INSERTION = InsertionDesign("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
-
-
 def select_designs(names: Sequence[str]) -> tuple[InsertionDesign, ...]:
     """Return the insertions of these ids, in this order; all 47 if there are none.
 
     ConfigError if there is no such insertion; the nearest ids are listed.
     """
-    known = {planned.id: planned for planned in (*list_designs(), SAMPLE_INSERTION)}
+    known = {planned.id: planned for planned in list_designs()}
     for name in names:
         if name not in known:
             raise unknown_name_error("insertion of the twin", name, list(known), "")

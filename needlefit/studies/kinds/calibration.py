@@ -66,7 +66,7 @@ from needlefit.studies.simulated_data import (
     simulate_measurement,
 )
 from needlefit.studies.study_files import begin_run, prepare_target, prepare_with_held_out, target_name
-from needlefit.synthetic.build import build_unscanned
+from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import POPULATION, InsertionDesign, draw_specimen, list_designs
 
 HELD_OUT_TIP = "held_out_tip"  #: all held-out tips of a synthetic truth
@@ -321,7 +321,7 @@ def _draw_study(number: int, job: Job, designs: Sequence[InsertionDesign]) -> tu
             continue
         try:
             with TemporaryDirectory() as folder:
-                dataset = read(build_unscanned(Path(folder), seed, designs, population=POPULATION))
+                dataset = read(build_dataset(Path(folder), seed, designs, population=POPULATION))
         except ModelError:  # a needle that does not settle
             continue
         # the name keys the random numbers of predictions, which no two replicates share

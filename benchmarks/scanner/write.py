@@ -1,16 +1,40 @@
-"""Write a rendered volume as a DICOM series, as scanners write it: one file a slice."""
+"""Write volumes: NRRD, NIfTI and MetaImage files, and DICOM series as scanners write them, a file a slice."""
 
 import hashlib
 from pathlib import Path
 
 import numpy as np
-import SimpleITK
+import SimpleITK as sitk  # noqa: N813 - as its documentation calls it
 from pydicom.uid import CTImageStorage, generate_uid
 
 from needlefit.imaging.volume import Volume
-from needlefit.project.folders import replace_folder
+from needlefit.project.folders import replace_file, replace_folder
 
 DATE = "20000101"  # of every series: today's would change the bytes
+
+
+def write_volume(volume: Volume, path: Path, description: str = "") -> None:
+    """Write a volume, whole or not at all; the same volume gives the same bytes.
+
+    `path`: a .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder for a DICOM series.
+    `description`: what the volume is, e.g. that it is synthetic; stands in the file's header.
+
+    Values are kept to the bit (DICOM: in whole HU), as int16 if that is exact, compressed unless it is .nii.
+    NIfTI stores its geometry in single precision (1e-5 mm), the others in double.
+    """
+    if not path.suffix:
+        write_series(volume, path, description)
+        return
+    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
+        whole = volume.values.astype(np.int16)
+    image = sitk.GetImageFromArray(whole if np.array_equal(whole, volume.values) else volume.values)
+    image.SetOrigin(volume.origin.tolist())
+    image.SetSpacing(volume.spacing.tolist())
+    image.SetDirection(volume.direction.ravel().tolist())
+    if description:
+        image.SetMetaData("ITK_FileNotes" if ".nii" in path.name.lower() else "description", description)
+    with replace_file(path) as fresh:
+        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=1)
 
 
 def write_series(volume: Volume, folder: Path, description: str) -> None:
@@ -38,7 +62,7 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
         "0028|1053": "1",
         "0028|1054": "HU",
     }
-    writer = SimpleITK.ImageFileWriter()
+    writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
     with replace_folder(folder, is_result=False) as fresh:
         for k, plane in enumerate(numbers, start=1):
@@ -48,7 +72,7 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
                 "0020|0013": str(k),
                 "0020|0032": "\\".join(f"{x:.6f}" for x in corner),
             }
-            image = SimpleITK.GetImageFromArray(plane[None])
+            image = sitk.GetImageFromArray(plane[None])
             image.SetSpacing(volume.spacing.tolist())
             for tag, text in (series | place).items():
                 image.SetMetaData(tag, text)
