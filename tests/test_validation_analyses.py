@@ -65,7 +65,7 @@ def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
         assert one.deflection == pytest.approx(other.deflection, abs=0.3)
         np.testing.assert_allclose(one.boundaries, other.boundaries, atol=0.05)
         assert one.pose_shift_sd == pytest.approx(other.pose_shift_sd, rel=0.01)
-    assert "not scanned" in read(tmp_path).notes[0]
+    assert "Nothing was scanned" in read(tmp_path).notes[0]
 
 
 MOVED = replace(insertion(40.0), base_moved=8.0)

@@ -52,7 +52,7 @@ def simulate(
     depth: options.Depth = None,
     set_: options.Changes = None,
     recording: options.Recording = None,
-    plot: Annotated[Path | None, option("Draw the needle: .png, .pdf or .svg.", "FILE")] = None,
+    plot: Annotated[Path | None, option("Draw the final shape: .png, .pdf or .svg.", "FILE")] = None,
     csv: Annotated[
         Path | None, option("Write the final shape: position (mm), slope, load (N/mm).", "FILE")
     ] = None,
@@ -130,24 +130,29 @@ def simulate(
 def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
     """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
-    from needlefit.mechanics.session import NeedleState
+    from needlefit.mechanics.session import NeedleState, find_tip_force
     from needlefit.project.unit_warnings import scene_warnings
 
     title, scene = record.title or name, Scene.from_record(record, where)
     shapes = simulate_scene(scene)
 
-    def draw(path: Path) -> None:
-        from needlefit.reporting.figures.needles import draw_scene
+    last = NeedleState(shapes[-1], scene.steps[len(shapes) - 1], scene.tissue)
 
-        draw_scene(title, scene, shapes, path)
+    def draw(path: Path) -> bool:
+        from needlefit.reporting.figures.needles import draw_state
+
+        if last.shape.converged:
+            cell = scene.lattice.first_cell
+            force = find_tip_force(scene.needle, scene.tissue, scene.steps, cell, scene.rules)
+            draw_state(title, scene, last, path, force)
+        return last.shape.converged
 
     def write_table(path: Path) -> bool:
         from needlefit.reporting.shape_table import write_shape
 
-        shape = shapes[-1]
-        if shape.converged:
-            write_shape(scene, NeedleState(shape, scene.steps[len(shapes) - 1], scene.tissue), path)
-        return shape.converged
+        if last.shape.converged:
+            write_shape(scene, last, path)
+        return last.shape.converged
 
     def write_curves(path: Path) -> bool:
         from needlefit.reporting.slicer import write_simulated_needle

@@ -1,10 +1,10 @@
-"""Figures of needles in their layers: a scene after each of its steps, one state with its forces."""
+"""Draw a needle in its layers: one state, with its forces, in the constraint frame C."""
 
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,12 @@ from matplotlib.patches import Patch
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Step
-from needlefit.mechanics.scene import Entry, Scene
+from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.mechanics.simulate import Loads, compute_loads
 from needlefit.mechanics.torsion import find_roll
-from needlefit.reporting.figures.style import (
-    TEXT_WIDTH_IN,
-    choose_vertical_scale,
-    draw,
-    fit_height,
-    label_origin,
-)
+from needlefit.reporting.figures.style import choose_vertical_scale, draw, fit_height, label_origin
 from needlefit.reporting.labels import GREY, INK
 from needlefit.reporting.number_format import format_quantity
 
@@ -62,7 +56,6 @@ _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7a
 Span = tuple[float, float]
 
 _NAMES_IN_C = ("x along the entry (mm)", "y (mm)")
-_NAMES_IN_WORLD = ("x in the world (mm)", "y in the world (mm)")
 _SEPARATOR = "  ·  "
 _BEYOND_PANEL_MM = 1e4  # further than any panel reaches
 _MARGIN_BEFORE_ENTRY = 0.22  # share of the depth shown before the entry, where only what is inserted is shown
@@ -76,11 +69,11 @@ _MODULUS_WIDTH_IN = 0.58  # of a modulus with its unit
 # ---- layers and needle of a panel
 
 
-def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = False) -> dict[int, str]:
+def label_layers(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
     """Return the labels of the layers (counted from 0) that are wide enough on paper, in inches.
 
     All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
-    modulus stands below, or with `one_line` behind, where a layer has room for it.
+    modulus stands below, where a layer has room for it.
     """
     numbered = {i: f"layer {i + 1}" for i in widths}
     own = {i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()}
@@ -90,9 +83,8 @@ def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = Fal
             labels = names
             break
     for i, name in labels.items():
-        if widths[i] > _MODULUS_WIDTH_IN + _LABEL_LETTER_IN * len(name) * one_line:
-            modulus = format_quantity("mu_pa", scene.tissue.mu[i] * 1e6)
-            labels[i] = f"{name}{', ' if one_line else chr(10)}{modulus}"
+        if widths[i] > _MODULUS_WIDTH_IN:
+            labels[i] = f"{name}\n{format_quantity('mu_pa', scene.tissue.mu[i] * 1e6)}"
     return labels
 
 
@@ -101,16 +93,9 @@ def _see(points: Floats, above: bool) -> Floats:
     return points[:, [0, 2 if above else 1]]
 
 
-def _trace(entry: Entry, shape: NeedleShape, above: bool = False) -> Floats:
-    """Return points of the needle from base to tip in the world, (300, 2) mm."""
-    points = compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300))
-    return entry.to_world(_see(points, above))
-
-
-def _find_base(scene: Scene, step: Step, above: bool = False) -> Floats:
-    """Return the base's position in the world after a step; it is known even without a solution."""
-    at, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]
-    return scene.entry.to_world([[step.depth - scene.needle.length, at + stage * step.depth]])
+def _trace(shape: NeedleShape, above: bool = False) -> Floats:
+    """Return points of the needle from base to tip, (300, 2) mm."""
+    return _see(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)), above)
 
 
 def _find_guides(step: Step, above: bool = False) -> Floats:
@@ -124,80 +109,37 @@ def list_views(shapes: Sequence[NeedleShape]) -> tuple[bool, ...]:
     return (False, True) if any(shape.leaves_plane for shape in shapes) else (False,)
 
 
-def _find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
-    """Return limits in x and y that show all points (K, 2) with a margin, each `min_span` mm or wider."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    room = np.maximum(high - low, min_span)
-    flat = room < 0.2 * room.max()  # a flat drawing needs room for what is written beside the needle
-    margin = np.where(flat, 0.3, 0.05) * room
-    margin[0] = max(margin[0], 0.25 * room[1] - 0.5 * room[0])  # and a steep one for what is above
-    margin += 0.5 * (room - (high - low))
-    (left, bottom), (right, top) = low - margin, high + margin
-    return (float(left), float(right)), (float(bottom), float(top))
-
-
-def _draw_layers(
-    axes: Axes, scene: Scene, scale: float | None, one_line: bool = False, above: bool = False
-) -> None:
+def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
     """Shade the layers, the darker the stiffer; with a `scale` (inches per mm) label them."""
     stiffness = np.log10(scene.tissue.mu)
     decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
     edges = np.array([0.0, *scene.tissue.boundaries, _BEYOND_PANEL_MM])
-    far = _BEYOND_PANEL_MM
     for i, (top, bottom) in enumerate(pairwise(edges)):
-        corners = [(top, -far), (bottom, -far), (bottom, far), (top, far)]
         shade = _LAYER_COLOURS(float((stiffness[i] - stiffness.min()) / decades))
-        axes.fill(*scene.entry.to_world(corners).T, color=shade, lw=0, zorder=0)
-        line = scene.entry.to_world([(top, -far), (top, far)]).T
-        axes.plot(*line, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
-    axis = scene.entry.to_world([(-far, 0), (far, 0)]).T
-    axes.plot(*axis, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
+        axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
+        axes.axvline(top, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
+    axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
     if scale is None:
         return
-    level = 0.95 if above else 0.05  # of the panel
-    room = {i: _find_label_place(axes, scene.entry, span, level) for i, span in enumerate(pairwise(edges))}
-    places = {i: place for i, place in room.items() if place is not None}
-    labels = label_layers(scene, {i: length * scale for i, (_, length) in places.items()}, one_line)
-    along = _find_label_axis(scene.entry)
-    for i, ((x, y), _) in places.items():
+    shown = np.clip(edges, *axes.get_xlim())
+    room = dict(enumerate(np.diff(shown).tolist()))
+    least = 0.03 * (shown[-1] - axes.get_xlim()[0])
+    widths = {i: width * scale for i, width in room.items() if width > least}
+    for i, label in label_layers(scene, widths).items():
         axes.text(
-            x, y, labels[i], fontsize=6.5, linespacing=1.3,
-            ha="left" if along else "center", va="center" if along else "top" if above else "bottom",
+            (shown[i] + shown[i + 1]) / 2, 0.05, label, transform=axes.get_xaxis_transform(), fontsize=6.5,
+            linespacing=1.3, ha="center", va="bottom",
         )  # fmt: skip
-
-
-def _find_label_axis(entry: Entry) -> int:
-    """Return the axis of the panel's edge that the layers meet: 0 the lower one, 1 the left one."""
-    return 0 if abs(np.cos(entry.angle)) >= abs(np.sin(entry.angle)) else 1
-
-
-def _find_label_place(axes: Axes, entry: Entry, depths: Span, height: float) -> tuple[Span, float] | None:
-    """Return where a layer meets the panel's edge, and how long a line it can hold there, mm.
-
-    `height` is where beside the edge, as a part of the panel.
-    """
-    limits, along = (axes.get_xlim(), axes.get_ylim()), _find_label_axis(entry)
-    cos, sin = np.cos(entry.angle), np.sin(entry.angle)
-    (low, high), across = limits[along], limits[1 - along]
-    level = across[0] + height * (across[1] - across[0])
-    tops = entry.to_world([[depth, 0.0] for depth in depths])  # the boundaries run from there on
-    drift = (level - tops[:, 1 - along]) * (-sin / cos if along == 0 else -cos / sin)  # along (-sin, cos)
-    start, end = np.clip(np.sort(tops[:, along] + drift), low, high)
-    if end - start <= 0.03 * (high - low):
-        return None
-    middle = float(start + end) / 2
-    roomy = 1.0 if along == 0 else 2.5 if abs(cos) < 0.1 else 0.0  # lines are wider than high
-    return ((middle, level) if along == 0 else (level, middle)), float(end - start) * roomy
 
 
 def _draw_needle(
     axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False, points: bool = True
 ) -> None:
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
-    entry = scene.entry
     for guide in _find_guides(step, above):
-        axes.plot(*entry.to_world([guide])[0], zorder=5, **_LOOKS["guide"])
-    axes.plot(*_find_base(scene, step, above)[0], zorder=5, **_LOOKS["base"])
+        axes.plot(*guide, zorder=5, **_LOOKS["guide"])
+    at, stage = step.controls.base[3 * above], step.controls.base[3 * above + 2]  # known without a solution
+    axes.plot(step.depth - scene.needle.length, at + stage * step.depth, zorder=5, **_LOOKS["base"])
     if not shape.converged:
         axes.text(
             0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
@@ -207,8 +149,8 @@ def _draw_needle(
         return
     if points:
         places = _see(map_beam_points(shape, shape.constraints), above)
-        axes.plot(*entry.to_world(places).T, zorder=2, **_LOOKS["points"])
-    needle = _trace(entry, shape, above)
+        axes.plot(*places.T, zorder=2, **_LOOKS["points"])
+    needle = _trace(shape, above)
     axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
     axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
 
@@ -249,39 +191,23 @@ def _format_signed(value: float) -> str:
     return "0" if text in ("+0", "−0") else text
 
 
-def _describe_strength(bevel: Bevel, digits: str = "g") -> str:
+def _describe_strength(bevel: Bevel) -> str:
     """Return how strongly a bevel turns the cut: its offset b, or the angle of its cut."""
-    if bevel.cut_angle:
-        return f"θ {math.degrees(bevel.cut_angle):{digits}}°"
-    return f"b {bevel.offset:{digits}} mm"
+    return f"θ {math.degrees(bevel.cut_angle):.3g}°" if bevel.cut_angle else f"b {bevel.offset:.3g} mm"
 
 
-def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[str]:
-    """Return a description of the inputs that a step changed; the bevel of the first step is always included.
-
-    `frame` follows on each place.
-    """
-    found = []
-    held, past = now.controls, (before or Step(0.0, now.bevel)).controls
-    if before is None or before.bevel != now.bevel:
-        strength = _describe_strength(now.bevel)
-        changed = before is not None and _describe_strength(before.bevel) != strength
-        side = f"bevel {'left' if now.bevel.side > 0 else 'right'}"
-        if now.bevel.roll_deg % 180:
-            side = f"bevel rolled by {_format_signed(find_roll(now.bevel))}°"
-        found.append(f"{side}, {strength}" if changed else side)
-    if (held.base_y, held.base_slope) != (past.base_y, past.base_slope):
-        turned = held.base_slope != 0 or past.base_slope != 0
-        angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if turned else ""
-        found.append(f"base {_format_signed(held.base_y)} mm{frame}{angle}")
-    if before is not None:
-        new = (guide for guide in held.guides if guide not in past.guides)
-        found += [f"{guide.name or 'guide'} {_format_signed(guide.y)} mm{frame}" for guide in new]
-        kept = {guide.name for guide in held.guides}
-        found += [f"{guide.name or 'guide'} let go" for guide in past.guides if guide.name not in kept]
-    if held.tip != past.tip:
-        y = None if held.tip is None else _format_signed(held.tip.y)
-        found.append("tip let go" if y is None else f"tip tracked at {y} mm{frame}")
+def describe_inputs(step: Step) -> list[str]:
+    """Return a description of the bevel, and of what holds the needle elsewhere than on the entry's axis."""
+    held = step.controls
+    side = f"bevel {'left' if step.bevel.side > 0 else 'right'}"
+    if step.bevel.roll_deg % 180:
+        side = f"bevel rolled by {_format_signed(find_roll(step.bevel))}°"
+    found = [side]
+    if held.base_y or held.base_slope:
+        angle = f", {_format_signed(np.degrees(np.arctan(held.base_slope)))}°" if held.base_slope else ""
+        found.append(f"base {_format_signed(held.base_y)} mm{angle}")
+    if held.tip is not None:
+        found.append(f"tip tracked at {_format_signed(held.tip.y)} mm")
     return found
 
 
@@ -297,154 +223,14 @@ def describe_state(
     def force(name: str, newton: float) -> str:
         return _replace_minus(f"{name} {newton:+z.3f} N")
 
-    position = [f"{step.depth:.4g} mm deep", *describe_changes(None, step)]
-    position.append(_describe_strength(step.bevel, ".3g"))
+    position = [f"{step.depth:.4g} mm deep", *describe_inputs(step)]
+    position.append(_describe_strength(step.bevel))
     supports = [f"{force('base', found.base.force)}, {_replace_minus(f'{found.base.moment:+z.2f}')} N mm"]
     for n, (guide, held) in enumerate(zip(step.controls.guides, found.guides, strict=True), start=1):
         supports.append(force(guide.name or f"guide {n}", held.force))
     lines = [line for part in (position, supports) for line in textwrap.wrap(_SEPARATOR.join(part), letters)]
     tip = [_replace_minus(f"tip {_format_tip(state.shape)}")]
     return lines, tip if tip_force is None else [*tip, force("tip force", tip_force)]
-
-
-# ---- a scene after each of its steps
-
-_MIN_TILT = 0.01  # from here on a stretched y would show angles that are none
-_MAX_HEIGHT_IN = 8.5
-_HEAD_MARGIN_IN = 0.1  # inches above a panel
-_LINE_HEIGHT_IN = 0.14  # inches of each line there
-_MAX_COLUMNS = 4  # each wide enough for the lines above its panel
-# Inches; so many panels that they would be smaller let the figure grow.
-_MIN_PANEL_IN = 0.25  # height
-_MIN_PANEL_WIDTH_IN = 1.0
-_TWO_LINES_IN = 0.4  # height that two lines of text in a panel take, with the needle beside them
-MAX_PANELS = 20
-"""Number of panels of a figure; of more steps as many are shown at even distances, with the first and the
-last."""
-
-
-def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Path) -> None:
-    """Draw the needle, its layers and its constraint points, mm, to a .pdf, .png or .svg file.
-
-    A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
-    bevel that steers the needle, whole and in the world, a panel a step (of very many steps, some).
-    `shapes` are those after each step, up to the one that failed. Deflections are small beside depths: y is
-    stretched by the factor that its label states, by none where the needle bends enough. Needles in space are
-    drawn in C, each in two panels: from the side, and from above.
-
-    ConfigError if the ending of `path` is another one, or its folder does not exist.
-    """
-    steered = any(step.controls != Controls() for step in scene.steps)
-    whole = steered or len(scene.steps) > 1 or scene.depth == 0  # not in the tissue, it has no depth to show
-    draw(path, lambda: paint_steps(title, scene, shapes, whole))
-
-
-def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape], whole: bool = True) -> Figure:
-    """Return a figure with the needle after each step, one panel per shape, on shared axes in mm.
-
-    y is stretched by the factor that its label states, unless the entry is tilted. Of more than `MAX_PANELS`
-    steps, as many are shown and the title states it; each lists the changes since the one shown before. If
-    not `whole`, the needle is drawn in C from a little before the entry on.
-    """
-    views = list_views(shapes)
-    scene = replace(scene, entry=Entry()) if len(views) > 1 or not whole else scene
-    most = MAX_PANELS // len(views)
-    shown = np.linspace(0, len(shapes) - 1, min(len(shapes), most)).round().astype(int).tolist()
-    if len(shown) < len(shapes):
-        title = f"{title}{_SEPARATOR}{len(shown)} of {len(shapes)} steps"
-    earlier = [past for past in (None, *shown[:-1]) for _ in views]
-    shown = [n for n in shown for _ in views]
-    steps, shapes = [scene.steps[n] for n in shown], [shapes[n] for n in shown]
-    x, y = _find_limits_of_steps(scene, steps, shapes, whole)
-    width, height = x[1] - x[0], y[1] - y[0]
-    stacked = width >= 1.4 * height
-    grid = (len(shapes), 1) if stacked else (1, len(shapes))
-    tilted = abs(np.sin(scene.entry.angle)) > _MIN_TILT
-    factor = 1 if tilted or not stacked else choose_vertical_scale(0.8 * width / grid[0], height)
-    ratio = factor * height / width
-    heads = [
-        ["from above"] if n % len(views) else _compose_head(scene, shown[n], earlier[n], shape)
-        for n, shape in enumerate(shapes)
-    ]
-    longest = max(len(_SEPARATOR.join(head)) for head in heads) * _LETTER_WIDTH_IN
-    lines = 1 if stacked and longest < TEXT_WIDTH_IN - 0.6 else max(map(len, heads))
-
-    def find_panel_width(rows: int, columns: int) -> float:
-        tall = max(_MAX_HEIGHT_IN / rows - _HEAD_MARGIN_IN - _LINE_HEIGHT_IN * lines, _MIN_PANEL_IN)
-        return min(max((TEXT_WIDTH_IN - 0.6) / columns, _MIN_PANEL_WIDTH_IN), tall / ratio)
-
-    if stacked and find_panel_width(*grid) < longest:  # a column of panels would be narrower than their heads
-        lines = max(map(len, heads))
-        most = min(len(shapes), _MAX_COLUMNS)
-        grids = [(math.ceil(len(shapes) / columns), columns) for columns in range(1, most + 1)]
-        grid = max(grids, key=lambda one: find_panel_width(*one))
-    (rows, columns), panel = grid, find_panel_width(*grid)
-    above = _HEAD_MARGIN_IN + _LINE_HEIGHT_IN * lines
-    figure = Figure(figsize=(panel * columns + 0.6, rows * (panel * ratio + above) + 0.85))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for n in range(len(shapes), len(panels)):
-        panels[n].remove()
-        panels[n - columns].tick_params(labelbottom=True)  # now the last one of its column
-    low, up = (
-        panel * ratio < _TWO_LINES_IN,
-        y[0] + y[1] > 2 * scene.entry.y,
-    )  # more room above than below the axis
-    # labels stand where the needle is not; in a low panel of the world, where there is more room
-    above = (low and up) if whole else not up
-    for n, (axes, shape) in enumerate(zip(panels, shapes, strict=False)):
-        axes.set(xlim=x, ylim=y, aspect=factor)
-        _draw_layers(axes, scene, panel / width if n == 0 else None, low, above)
-        _draw_needle(axes, scene, steps[n], shape, above=bool(n % len(views)))
-        left = _SEPARATOR.join(heads[n][:-1] or heads[n]) if lines == 1 else _pad_lines(heads[n], lines)
-        axes.set_title(left, loc="left", pad=3)
-        if lines == 1 and len(heads[n]) > 1:
-            axes.set_title(heads[n][-1], loc="right", pad=3, color=COLOURS["tip"])
-    x_name, y_name = _NAMES_IN_WORLD if whole and len(views) == 1 else _NAMES_IN_C
-    y_name = "y, from above z (mm)" if len(views) > 1 else y_name
-    figure.supxlabel(x_name, fontsize=7.5)
-    y_name += "" if factor == 1 else f", drawn {factor}× as large as x"
-    short = len(y_name) * _LETTER_WIDTH_IN > figure.get_figheight() - 0.85
-    figure.supylabel(y_name.replace(", ", ",\n") if short else y_name, fontsize=7.5)
-    _draw_legend(figure, title, _name_supports(scene.steps) if whole else {}, (), 4)
-    fit_height(figure)
-    return figure
-
-
-def _find_limits_of_steps(
-    scene: Scene, steps: Sequence[Step], shapes: Sequence[NeedleShape], whole: bool
-) -> tuple[Span, Span]:
-    """Return the limits in the world that show every needle, the entry, the guides, and their axis."""
-    if not whole:
-        before = -_MARGIN_BEFORE_ENTRY * scene.depth
-        found = [one for one in shapes if one.converged]
-        traces = [_trace(scene.entry, one, above) for one in found for above in list_views(shapes)]
-        y = np.concatenate(traces or [np.zeros((1, 2))])
-        seen = np.append(y[y[:, 0] >= before, 1], 0.0)
-        bend = float(np.abs(seen).max()) or 0.1 * scene.depth
-        low, high = float(seen.min()) - 0.35 * bend, float(seen.max()) + 0.35 * bend
-        return (before, 1.04 * scene.depth), (low, high)
-    drawn = [scene.entry.to_world([[0.0, 0.0], [scene.depth, 0.0]])]
-    for (step, shape), above in product(zip(steps, shapes, strict=True), list_views(shapes)):
-        drawn += [
-            _trace(scene.entry, shape, above) if shape.converged else _find_base(scene, step, above),
-            scene.entry.to_world(_find_guides(step, above)),
-        ]
-    least = 1.0 if all(shape.converged for shape in shapes) else 0.1 * scene.needle.length
-    return _find_limits(np.concatenate(drawn), least)
-
-
-def _compose_head(scene: Scene, n: int, past: int | None, shape: NeedleShape) -> list[str]:
-    """Return which step this is, what changed since step `past`, and where the tip came to lie.
-
-    Positions are in C; the text states this where C differs from the world of the panel's axes.
-    """
-    steps, frame = scene.steps, "" if scene.entry == Entry() else " in C"
-    before = None if past is None else steps[past]
-    back = before is not None and steps[n].depth < before.depth
-    number = f"step {n + 1}: " if len(steps) > 1 else ""
-    begin = f"{number}{'back ' if back else ''}to {steps[n].depth:g} mm"
-    end = f"{_replace_minus(f'tip {_format_tip(shape)}')}{frame}" if shape.converged else ""
-    return [begin, *describe_changes(before, steps[n], frame), end]
 
 
 def _pad_lines(lines: Sequence[str], count: int) -> str:
@@ -512,7 +298,7 @@ class StateFigure:
         tip_force: float | None = None,
     ) -> None:
         from_above = len(list_views([state.shape for state in states])) > 1
-        self._scene, self._overlays, self._tip_force = replace(scene, entry=Entry()), overlays, tip_force
+        self._scene, self._overlays, self._tip_force = scene, overlays, tip_force
         self._view = view = view or self._choose_view(states)
         loads = [self._compute_loads(state) for state in states]
         x, y, factor = view.x, view.y, view.factor
@@ -616,10 +402,10 @@ class StateFigure:
 
     def _choose_view(self, states: Sequence[NeedleState]) -> PictureView:
         """Return a view that holds all these states, their guides and overlays."""
-        scene, overlays = self._scene, self._overlays
+        overlays = self._overlays
         deepest = max(state.shape.depth for state in states)
         whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
-        traces = [_trace(scene.entry, state.shape, above) for state in states for above in (False, True)]
+        traces = [_trace(state.shape, above) for state in states for above in (False, True)]
         guides = [_find_guides(state.step) for state in states]
         curves = [one for one in (overlays.measured, overlays.low, overlays.high) if one is not None]
         points = np.concatenate([*traces, *guides, *curves, np.zeros((1, 2))])
@@ -637,7 +423,7 @@ class StateFigure:
 
     def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
         """Return the z that the view from above shows, at least so many mm."""
-        traces = [_trace(Entry(), state.shape, above=True) for state in states]
+        traces = [_trace(state.shape, above=True) for state in states]
         drawn = np.concatenate([*traces, *(_find_guides(state.step, above=True) for state in states)])
         z = np.append(drawn[(drawn[:, 0] >= x[0]) & (drawn[:, 0] <= x[1]), 1], 0.0)
         room = max(float(np.ptp(z)), least)
