@@ -21,9 +21,9 @@ from needlefit.imaging.scans import Corrections, Scan, make_scans, read_scans
 from needlefit.imaging.volume_files import read_volume
 from needlefit.project.locate import shipped_folder
 from needlefit.reporting.scan_pages import write_refusal_page
-from needlefit.reporting.slicer_scene import write_control_points
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scan_files import ScanFiles
+from needlefit.studies.kinds.reconstruction.report import write_control_points
 
 pytestmark = pytest.mark.usefixtures("read_here")
 

@@ -76,9 +76,6 @@ def reconstruct(
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
-    slicer_scene: Annotated[
-        bool, option("Write also a scene of 3D Slicer (.mrb).", None, "--slicer-scene")
-    ] = False,
     common: options.RunOptions,  # read where they are needed
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
@@ -141,7 +138,7 @@ def reconstruct(
                 faulty: Sequence[ReconstructionFailure]
                 try:
                     written, faulty = write_reconstruction(
-                        out, ones, record, about, report, refused=failed, scenes=slicer_scene, sources=sources
+                        out, ones, record, about, report, refused=failed, sources=sources
                     )
                 except DataError as error:  # it belongs to no single scan
                     faulty = [

@@ -40,11 +40,6 @@ class Frame:
         return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
 
 
-def apply_affine(matrix: Floats, points: ArrayLike) -> Floats:
-    """Return `points` (N, 3) moved by an affine map (4, 4), which need not be rigid."""
-    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-
-
 def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
     """Return `vector` (3,) scaled to length 1; DataError, with `name` in it, if it is zero or not finite."""
     array = np.asarray(vector, dtype=np.float64)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from needlefit.arrays import are_bounded
 from needlefit.errors import DataError
 from needlefit.geometry.curves import make_normal
-from needlefit.geometry.frames import Frame, PatientSystem, apply_affine, normalize
+from needlefit.geometry.frames import Frame, PatientSystem, normalize
 from needlefit.project.input_files import open_regular, read_bytes
 
 if TYPE_CHECKING:
@@ -193,13 +193,6 @@ def transform_surface(surface: Surface, frame: Frame) -> Surface:
     """Return a surface, given in `frame`, in world coordinates."""
     vertices = frame.to_world(surface.mesh.vertices)
     return replace(surface, mesh=make_mesh(vertices, surface.mesh.faces))
-
-
-def map_surface(surface: Surface, matrix: NDArray[np.float64]) -> Surface:
-    """Return a surface moved by a linear map (4, 4); one that mirrors keeps the side of its triangles."""
-    vertices = apply_affine(matrix, surface.mesh.vertices)
-    faces = surface.mesh.faces if np.linalg.det(matrix[:3, :3]) > 0 else surface.mesh.faces[:, ::-1]
-    return replace(surface, mesh=make_mesh(vertices, faces))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Read CT volumes: DICOM series, NRRD, NIfTI and MetaImage files, ZIP archives of them; write NRRD files."""
+"""Read CT volumes: DICOM series, NRRD, NIfTI and MetaImage files, and ZIP archives of them."""
 
 import os
 import sys
@@ -25,7 +25,6 @@ from needlefit.imaging.volume import (
     max_voxels,
 )
 from needlefit.project.archives import MAX_ARCHIVE_BYTES, name_archive, unpack_archive
-from needlefit.project.folders import replace_file
 from needlefit.project.input_files import is_file, list_files, open_regular, path_exists, unreadable_error
 from needlefit.project.reader_process import MEMORY_VARIABLE, Arrays, read_in_process, stated_memory_bytes
 
@@ -213,25 +212,6 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
             expected: {READABLE_VOLUMES}
             fix: read it again
             where: {path}""") from None
-
-
-def write_nrrd(volume: Volume, path: Path) -> None:
-    """Write a volume to a .nrrd file, which is replaced, whole or not at all; the same bytes again.
-
-    Values are kept to the bit, as int16 if that is exact. ConfigError if nothing can be written there, or the
-    packages that write scans are not installed.
-    """
-    with explain_missing_packages():
-        import SimpleITK as sitk
-
-    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
-        whole = volume.values.astype(np.int16)
-    image = sitk.GetImageFromArray(whole if np.array_equal(whole, volume.values) else volume.values)
-    image.SetOrigin(volume.origin.tolist())
-    image.SetSpacing(volume.spacing.tolist())
-    image.SetDirection(volume.direction.ravel().tolist())
-    with replace_file(path) as fresh:  # higher levels of zlib cost ten times the time for a few per cent
-        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=1)
 
 
 @contextmanager

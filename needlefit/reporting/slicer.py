@@ -120,8 +120,6 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
 
 
 POINT_SIZE_MM = 1.5  # points, mm
-_WHOLE_COLOUR, INSERTED_COLOUR = GREY, METHOD_COLOURS["fitted"]
-LAYER_COLOUR, _MARKER_COLOUR = SKY_BLUE, GREEN
 
 
 def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) -> tuple[Path, ...]:
@@ -135,13 +133,13 @@ def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) 
     name = reconstruction.scan.id
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     files = folder / f"{name}.mrk.json", folder / f"{name}.needle.ply"
-    write_mrk_json(files[0], make_scan_markups(reconstruction))
+    write_mrk_json(files[0], _scan_markups(reconstruction))
     body = make_tube(reconstruction.needle_axis.points, diameter / 2, _band_direction(reconstruction))
     write_ply(*body, files[1], (f"needlefit: {name}, needle{summary}, mm",))
     return files
 
 
-def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:
+def _scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:
     """Yield the curves and points of a reconstruction, LPS, and how each is drawn."""
     summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
     whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
@@ -149,12 +147,12 @@ def make_scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markup
     half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)
     along = arc_length(whole)
     curves = [
-        ("whole needle", whole, along + depth - along[-1], _WHOLE_COLOUR, THIN_LINE_WIDTH_MM),
-        ("inserted", inserted, arc_length(inserted), INSERTED_COLOUR, LINE_WIDTH_MM),
+        ("whole needle", whole, along + depth - along[-1], GREY, THIN_LINE_WIDTH_MM),
+        ("inserted", inserted, arc_length(inserted), _FITTED_COLOUR, LINE_WIDTH_MM),
     ]
     for end, points in (("low", inserted - half), ("high", inserted + half)):
         name = f"pointwise 95 % band, {end}"
-        curves.append((name, points, arc_length(inserted), LAYER_COLOUR, THIN_LINE_WIDTH_MM))
+        curves.append((name, points, arc_length(inserted), SKY_BLUE, THIN_LINE_WIDTH_MM))
     scan = reconstruction.scan.id
     for name, points, s, colour, thickness in curves:
         markups = Markups(Path(scan), f"{scan} {name}{summary}", "Curve", _arc_labels(s, "base"), points)
@@ -173,9 +171,9 @@ def _scan_points(reconstruction: "Reconstruction") -> Iterator[tuple[str, tuple[
         f"into layer {layer}, {depth:.1f} mm"
         for layer, depth in zip(layers.sequence[1:], layers.boundaries, strict=True)
     )
-    yield "layer crossings", into, reconstruction.patient.to_local(layers.points), LAYER_COLOUR
+    yield "layer crossings", into, reconstruction.patient.to_local(layers.points), SKY_BLUE
     if reconstruction.markers is not None:
-        yield "markers", name_markers(reconstruction), reconstruction.markers.centers, _MARKER_COLOUR
+        yield "markers", name_markers(reconstruction), reconstruction.markers.centers, GREEN
 
 
 def name_markers(reconstruction: "Reconstruction") -> tuple[str, ...]:

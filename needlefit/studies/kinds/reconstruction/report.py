@@ -9,23 +9,23 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.first_study import write_scene, write_starter_study
+from needlefit.datasets.formats.markups import CurveStyle, Markups, write_mrk_json
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
-from needlefit.imaging.corrections import list_control_points
+from needlefit.imaging.corrections import LIST_NAME, list_control_points
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scans import write_scan_table
-from needlefit.imaging.volume_files import read_volume
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
+from needlefit.reporting.labels import PAPER_COLOUR, rgb
 from needlefit.reporting.scan_pages import write_quality, write_refusal_page
-from needlefit.reporting.slicer import write_scan
-from needlefit.reporting.slicer_scene import write_control_points, write_slicer_scene
+from needlefit.reporting.slicer import POINT_SIZE_MM, write_scan
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
@@ -297,7 +297,6 @@ def write_reconstruction(
     description: DatasetDescription,
     progress: Progress,
     refused: Sequence[ReconstructionFailure] = (),
-    scenes: bool = False,
     sources: Sequence[str] = (),
 ) -> tuple[Run | None, tuple[ReconstructionFailure, ...]]:
     """Write `folder`, completely or not at all; return its result, and what a dataset cannot contain.
@@ -305,7 +304,7 @@ def write_reconstruction(
     Where none can be held nothing is written, and what was there stays.
 
     The dataset, with a table of scans that has a row for each needle of divided ones; `quality/<id>.pdf`;
-    `slicer/`, also of the scans that were `refused`, with `scenes` also `<id>.mrb`; a first study of several
+    `slicer/`, also of the scans that were `refused`; a first study of several
     insertions; `scenes/<id>.toml`; the files of every run. `sources` are those of the result.
 
     DataError if the dataset has a fault that belongs to no single scan. ConfigError if `folder` holds
@@ -322,10 +321,6 @@ def write_reconstruction(
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
             write_control_points(list_control_points(one), fresh / "slicer")
-            if scenes:
-                volume = read_volume(one.scan.volume, one.scan.series, one.scan.acquisition)
-                place = fresh / "slicer" / f"{one.scan.id}.mrb"
-                write_slicer_scene(one, volume, recipe.needle.diameter_mm, place)
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
@@ -342,6 +337,14 @@ def write_reconstruction(
             _write_refusals(refused, fresh)
         write_files(result, fresh)
     return result, failures
+
+
+def write_control_points(points: Markups | None, folder: Path) -> None:
+    """Write the control points of a scan, if there are any, to `<id>.corrections.mrk.json`."""
+    if points is not None:
+        folder.mkdir(exist_ok=True)
+        style = CurveStyle(rgb(PAPER_COLOUR), POINT_SIZE_MM, locked=False)
+        write_mrk_json(folder / f"{points.path.name}.{LIST_NAME}.mrk.json", [(points, style)])
 
 
 def write_refused(failures: Sequence[ReconstructionFailure], folder: Path) -> None:
