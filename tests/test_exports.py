@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 from test_viewer_recording import recorded
 
-from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene, iterate_states
@@ -17,7 +16,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.planning.recording import read_recording
 from needlefit.reporting.figures import animation
 from needlefit.reporting.figures.needles import StateFigure
-from needlefit.viewer.export import EXPORT_TYPES, export, read_picture, replay_to_end, write_picture
+from needlefit.viewer.export import EXPORT_TYPES, export, replay_to_end, write_picture
 
 NEEDLE = Needle(150.0, 1.0e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
@@ -81,14 +80,3 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path) -> None:
     for name in ("a.svg", "b.svg"):
         write_picture(done, tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes() != b""
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{}, {"x": [0, 0]}, {"times": -1}, {"width_mm": 100}, {"pinned": [[1], ["a"]]}, {"y": [0, 1e300]}],
-)
-def test_a_picture_that_is_none_is_refused(wrong) -> None:
-    good = {"x": [0, 50], "y": [-1, 2], "times": 5, "hidden": [], "pinned": [[0, 1], [0, 2]], "width_mm": 85}
-    assert read_picture(good).pinned.tolist() == [[0, 0], [1, 2]]
-    with pytest.raises(ModelError):
-        read_picture(good | wrong if wrong else wrong)

@@ -1,29 +1,26 @@
 """Export a recording: its last shape, figures, an animation, its inputs, or an HTML file that computes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needlefit.arrays import are_bounded
-from needlefit.errors import ModelError
 from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState, find_tip_force
 from needlefit.planning.recording import Recording, begin_replay, format_head, read_recording, replay
 from needlefit.planning.steered_needle import SteeredNeedle
 from needlefit.reporting import needle_page
-from needlefit.schemas.limits import MAX_NUMBER
 from needlefit.viewer.messages import encode_scene, encode_tables
 from needlefit.viewer.opening import open_recording
 from needlefit.viewer.overlays import compute_band
 from needlefit.viewer.plans import continue_insertion
 
 if TYPE_CHECKING:
-    from needlefit.reporting.figures.needles import PictureView, SceneOverlays
+    from needlefit.reporting.figures.needles import SceneOverlays
 
 PAGE = Path(__file__).parent / "page"
 
@@ -86,12 +83,12 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
     write_simulated_needle(placement, [outcome.state.shape], path, diameter)
 
 
-def write_picture(outcome: RecordingOutcome, path: Path, shown: "PictureView | None" = None) -> None:
-    """Draw the needle with its overlays, .svg, .png or .pdf: as a page has `shown` it, or whole."""
+def write_picture(outcome: RecordingOutcome, path: Path) -> None:
+    """Draw the needle with its overlays, .svg, .png or .pdf."""
     from needlefit.reporting.figures.needles import draw_state
 
     overlays = _find_overlays(outcome, banded=True)
-    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays, shown)
+    draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays)
 
 
 def write_animation(outcome: RecordingOutcome, path: Path) -> None:
@@ -133,43 +130,18 @@ _EXPORTS: dict[str, tuple[str, Write | None]] = {
 EXPORT_TYPES = {suffix: media_type for suffix, (media_type, _) in _EXPORTS.items()}
 
 
-def export(path: Path, kind: str, picture: Mapping[str, Any] | None = None) -> bytes:
+def export(path: Path, kind: str) -> bytes:
     """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
 
-    `picture` is what a page shows, as `read_picture` takes it. ConfigError or DataError if the recording is
-    damaged, ModelError if the picture is none.
+    ConfigError or DataError if the recording is damaged.
     """
     _, write = _EXPORTS[kind]
     if write is None:
         return path.read_bytes()
     with TemporaryDirectory() as folder:
         file = Path(folder) / kind
-        done, shown = replay_to_end(read_recording(path)), None if picture is None else read_picture(picture)
-        write_picture(done, file, shown) if write is write_picture else write(done, file)
+        write(replay_to_end(read_recording(path)), file)
         return file.read_bytes()
-
-
-def read_picture(content: Mapping[str, Any]) -> "PictureView":
-    """Return the picture that a page describes; ModelError if it is none.
-
-    `x`, `y`: limits in mm; `times`: how many times as large as x it draws y; `hidden`: names of parts;
-    `pinned`: x and y of a needle, or None; `width_mm`: of the figure.
-    """
-    from needlefit.reporting.figures.needles import PRINT_WIDTHS_MM, PictureView
-
-    try:
-        numbers = [*content["x"], *content["y"], content["times"], content["width_mm"]]
-        left, right, bottom, top, times, width = map(float, numbers)
-        hidden = frozenset(map(str, content["hidden"]))
-        pinned = np.array(content["pinned"] or [[], []], dtype=np.float64).reshape(2, -1).T
-        fits = left < right and bottom < top and times > 0 and width in PRINT_WIDTHS_MM
-        fits &= are_bounded(numbers, MAX_NUMBER) and are_bounded(pinned, MAX_NUMBER)
-    except (KeyError, TypeError, ValueError):
-        fits = False
-    if not fits:
-        raise ModelError("this is no picture of a needle", expected="limits in mm, and a column's width")
-    curve = pinned if len(pinned) else None
-    return PictureView((left, right), (bottom, top), times, hidden, curve, width)
 
 
 def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":

@@ -44,7 +44,7 @@ class SteeringPage:
         if kind not in EXPORT_TYPES:
             raise web.HTTPNotFound(text=f"there is no {name} of this needle")
         trial.recorder.begin()
-        found = await asyncio.to_thread(export, trial.recorder.path, kind, content.get("picture"))
+        found = await asyncio.to_thread(export, trial.recorder.path, kind)
         return web.Response(body=found, content_type=EXPORT_TYPES[kind])
 
     async def converse(self, socket: web.WebSocketResponse, hello: str) -> None:

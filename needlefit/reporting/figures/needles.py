@@ -14,6 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.interpolate import BSpline
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Step
@@ -29,7 +30,6 @@ from needlefit.reporting.number_format import format_quantity
 COLOURS = {
     **{"ink": "#1a1a1a", "needle": "#4b5158", "points": "#b84f00", "path": "#0a2f4a", "tip": "#c8102e"},
     **{"guide": "#007a58", "load": "#a2457b", "measured": "#1a1a1a", "band": "#0072b2", "halo": "#ffffffd8"},
-    "pinned": "#7a5600",
 }
 """Colours of the page of `needlefit view` in its light theme, by the names in its style sheet."""
 
@@ -42,7 +42,6 @@ _LOOKS: dict[str, dict[str, Any]] = {
     "path": {"color": COLOURS["path"], "lw": 0.9},
     "halo": {"color": COLOURS["halo"], "lw": 2.6},
     "measured": {"color": COLOURS["measured"], "lw": 1.3, "ls": (0, (3.5, 2.0)), "dash_capstyle": "round"},
-    "pinned": {"color": COLOURS["pinned"], "lw": 1.4, "ls": (0, (1.4, 1.6))},
     "load": {"fc": to_rgba(COLOURS["load"], 0.32), "ec": COLOURS["load"], "lw": 0.5},
     "band": {"color": COLOURS["band"], "alpha": 0.4, "lw": 0},
 }
@@ -132,9 +131,7 @@ def _draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
         )  # fmt: skip
 
 
-def _draw_needle(
-    axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False, points: bool = True
-) -> None:
+def _draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape, above: bool = False) -> None:
     """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
     for guide in _find_guides(step, above):
         axes.plot(*guide, zorder=5, **_LOOKS["guide"])
@@ -147,9 +144,8 @@ def _draw_needle(
             bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
         )  # fmt: skip
         return
-    if points:
-        places = _see(map_beam_points(shape, shape.constraints), above)
-        axes.plot(*places.T, zorder=2, **_LOOKS["points"])
+    places = _see(map_beam_points(shape, shape.constraints), above)
+    axes.plot(*places.T, zorder=2, **_LOOKS["points"])
     needle = _trace(shape, above)
     axes.plot(*needle.T, zorder=3, **_LOOKS["needle"])
     axes.plot(*needle[-1], zorder=6, **_LOOKS["tip"])
@@ -250,7 +246,7 @@ _TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
 _LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
 _ONE_LINE = 10_000  # letters: no text is broken
 _ORIGIN_LETTERS = 22  # of what states that data are synthetic
-PRINT_WIDTHS_MM = (85.0, 174.0)  # of one column of a paper, and of two
+PRINT_WIDTH_IN = 174 / 25.4  # inches, of both columns of a paper
 
 
 @dataclass(frozen=True)
@@ -267,24 +263,12 @@ class SceneOverlays:
 NO_OVERLAYS = SceneOverlays()
 
 
-@dataclass(frozen=True)
-class PictureView:
-    """What a picture of a needle shows: limits in C, mm, and how many times as large as x it draws y."""
-
-    x: Span
-    y: Span
-    factor: float
-    hidden: frozenset[str] = frozenset()  # of "load", "points", "path", "measured", "band"
-    pinned: Floats | None = None  # a needle (K, 2), mm, that was kept to compare with
-    width_mm: float = PRINT_WIDTHS_MM[-1]  # of the figure
-
-
 class StateFigure:
     """A figure with axes in C that has room for each of some states of an insertion.
 
-    Of the scene it has needle, rules and names of layers; tissue and inputs are those of a state. Without a
-    `view` the needle is drawn from its base on where more than the bevel steers it, else from the entry on;
-    y is drawn as many times as large as x as its label states. `tip_force`, N, is that of one state, see
+    Of the scene it has needle, rules and names of layers; tissue and inputs are those of a state. The needle
+    is drawn from its base on where more than the bevel steers it, else from the entry on; y is drawn as many
+    times as large as x as its label states. `tip_force`, N, is that of one state, see
     `find_tip_force`. `per_mm` is the lateral load per drawn millimetre of y, N/mm (0 without a load).
     """
 
@@ -294,26 +278,23 @@ class StateFigure:
         scene: Scene,
         states: Sequence[NeedleState],
         overlays: SceneOverlays = NO_OVERLAYS,
-        view: PictureView | None = None,
         tip_force: float | None = None,
     ) -> None:
         from_above = len(list_views([state.shape for state in states])) > 1
         self._scene, self._overlays, self._tip_force = scene, overlays, tip_force
-        self._view = view = view or self._choose_view(states)
         loads = [self._compute_loads(state) for state in states]
-        x, y, factor = view.x, view.y, view.factor
-        load = 0.0
-        if "load" not in view.hidden:
-            load = max(float(np.abs(self._smooth(one)).max(initial=0.0)) for one in loads)
-        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * (y[1] - y[0]))) if load > 0 else 0.0
-        width = view.width_mm / 25.4 - _AXES_IN
+        x, y, factor = self._choose_view(states)
+        self._height_mm = y[1] - y[0]
+        load = max(float(np.abs(self._smooth(one)).max(initial=0.0)) for one in loads)
+        self.per_mm = round_up(load / (_MAX_LOAD_FRACTION * self._height_mm)) if load > 0 else 0.0
+        width = PRINT_WIDTH_IN - _AXES_IN
         self._inches = width / (x[1] - x[0])
-        height = self._inches * factor * (y[1] - y[0])
+        height = self._inches * factor * self._height_mm
         # room for the text above the drawing, beside the text on the tip
-        self._narrow = view.width_mm == PRINT_WIDTHS_MM[0]  # the text on the tip stands below the other
-        beside = 0.0 if self._narrow else _TIP_TEXT_WIDTH_IN
-        self._letters = int((width - beside) / _LETTER_WIDTH_IN)
-        texts = [self._describe(*pair)[0] for pair in zip(states, loads, strict=True)]
+        self._letters = int((width - _TIP_TEXT_WIDTH_IN) / _LETTER_WIDTH_IN)
+        texts = [
+            describe_state(*pair, tip_force, self._letters)[0] for pair in zip(states, loads, strict=True)
+        ]
         self._lines = max(2, *map(len, texts))
         more_handles = self._list_handles()
         supports = _name_supports([state.step for state in states])
@@ -321,12 +302,12 @@ class StateFigure:
         legend_lines = math.ceil((len(supports) + 2 + len(more_handles)) / columns)
         times = "" if factor == 1 else f", drawn {factor:g}× as large as x"
         x_name, y_name = _NAMES_IN_C[0], f"{_NAMES_IN_C[1]}{times}"
-        z = self._find_span_above(states, x, 0.2 * (y[1] - y[0])) if from_above else (0.0, 0.0)
+        z = self._find_span_above(states, x, 0.2 * self._height_mm) if from_above else (0.0, 0.0)
         tall = height + self._inches * factor * (z[1] - z[0]) + 0.2 * from_above
         self.figure = Figure(figsize=(width + _AXES_IN, tall + 0.75 + 0.14 * (self._lines + legend_lines)))
         self._above: Axes | None = None  # the view from above, of needles in space
         if from_above:
-            ratios = (y[1] - y[0], z[1] - z[0])
+            ratios = (self._height_mm, z[1] - z[0])
             self.axes, self._above = self.figure.subplots(2, 1, sharex=True, height_ratios=ratios)
             self._above.set(ylim=z, aspect=factor, xlabel=x_name, ylabel="z (mm)\nfrom above")
         else:
@@ -340,7 +321,6 @@ class StateFigure:
     def paint(self, state: NeedleState) -> None:
         """Draw one state, in place of an earlier one."""
         axes, scene, overlays = self.axes, replace(self._scene, tissue=state.tissue), self._overlays
-        hidden = self._view.hidden
         # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
         for axis in self.figure.axes:
             for old in (*axis.lines, *axis.patches, *axis.texts):
@@ -348,32 +328,25 @@ class StateFigure:
         for panel in filter(None, (axes, self._above)):
             above = panel is self._above
             _draw_layers(panel, scene, None if above else self._inches)
-            if "path" not in hidden:
-                path = map_beam_points(state.shape, state.shape.tip_path)
-                panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
-            _draw_needle(panel, scene, state.step, state.shape, above, points="points" not in hidden)
-        if overlays.low is not None and overlays.high is not None and "band" not in hidden:
+            path = map_beam_points(state.shape, state.shape.tip_path)
+            panel.plot(*_see(path, above).T, zorder=2.5, **_LOOKS["path"])
+            _draw_needle(panel, scene, state.step, state.shape, above)
+        if overlays.low is not None and overlays.high is not None:
             band = np.concatenate((overlays.low, overlays.high[::-1]))
             axes.fill(*band.T, zorder=1.5, **_LOOKS["band"])
-        for name, curve in (("measured", overlays.measured), ("pinned", self._view.pinned)):
-            if curve is not None and name not in hidden:
-                axes.plot(*curve.T, zorder=2.8, **_LOOKS["halo"])
-                axes.plot(*curve.T, zorder=3.5, **_LOOKS[name])
+        if overlays.measured is not None:
+            axes.plot(*overlays.measured.T, zorder=2.8, **_LOOKS["halo"])
+            axes.plot(*overlays.measured.T, zorder=3.5, **_LOOKS["measured"])
         found = self._compute_loads(state)
         if len(outline := self._outline_load(state, found)):
             axes.fill(*outline.T, zorder=1.8, **_LOOKS["load"])
-        if self._tip_force and "load" not in hidden and not state.shape.leaves_plane:
+        if self._tip_force and not state.shape.leaves_plane:
             ((x, y, _),) = compute_positions(state.shape, state.shape.x[-1:])
-            low, high = self._view.y
-            length = math.copysign(_MAX_FORCE_FRACTION * (high - low), self._tip_force)
+            length = math.copysign(_MAX_FORCE_FRACTION * self._height_mm, self._tip_force)
             axes.annotate("", (x, y + length), (x, y), arrowprops=_ARROW, zorder=7)
-        lines, tip = self._describe(state, found)
+        lines, tip = describe_state(state, found, self._tip_force, self._letters)
         axes.set_title(_pad_lines(lines, self._lines), loc="left", pad=4)
         axes.set_title(_pad_lines(tip, self._lines), loc="right", pad=4, color=COLOURS["tip"])
-
-    def _describe(self, state: NeedleState, found: Loads) -> tuple[list[str], list[str]]:
-        lines, tip = describe_state(state, found, self._tip_force, self._letters)
-        return ([*lines, _SEPARATOR.join(tip)], []) if self._narrow else (lines, tip)
 
     def _compute_loads(self, state: NeedleState) -> Loads:
         scene = self._scene
@@ -386,22 +359,19 @@ class StateFigure:
 
     def _list_handles(self) -> list[Line2D | Patch]:
         """Return the handles of the legend for what is drawn beside the needle."""
-        overlays, hidden = self._overlays, self._view.hidden
-        handles: list[Line2D | Patch] = []
-        if "path" not in hidden:
-            handles.append(Line2D([], [], label="tip path", **_LOOKS["path"]))
+        overlays = self._overlays
+        handles: list[Line2D | Patch] = [Line2D([], [], label="tip path", **_LOOKS["path"])]
         if self.per_mm:
             label = f"load, {self.per_mm:g} N/mm to 1 mm of y"
             handles.append(Patch(label=label, **_LOOKS["load"]))
-        for name, curve in (("measured", overlays.measured), ("pinned", self._view.pinned)):
-            if curve is not None and name not in hidden:
-                handles.append(Line2D([], [], label=name, **_LOOKS[name]))
-        if overlays.low is not None and "band" not in hidden:
+        if overlays.measured is not None:
+            handles.append(Line2D([], [], label="measured", **_LOOKS["measured"]))
+        if overlays.low is not None:
             handles.append(Patch(label="simultaneous 95 % band", **_LOOKS["band"]))
         return handles
 
-    def _choose_view(self, states: Sequence[NeedleState]) -> PictureView:
-        """Return a view that holds all these states, their guides and overlays."""
+    def _choose_view(self, states: Sequence[NeedleState]) -> tuple[Span, Span, float]:
+        """Return limits, mm, that hold all these states, their guides and overlays, and the scale of y."""
         overlays = self._overlays
         deepest = max(state.shape.depth for state in states)
         whole = deepest == 0 or any(state.step.controls != Controls() for state in states)
@@ -419,7 +389,7 @@ class StateFigure:
         factor = choose_vertical_scale(x[1] - x[0], y[1] - y[0])
         # of a needle that bends more than it is long
         spare = (y[1] - y[0]) / _MAX_HEIGHT_RATIO - (x[1] - x[0])
-        return PictureView((x[0], x[1] + max(spare, 0.0)), y, factor)
+        return (x[0], x[1] + max(spare, 0.0)), y, factor
 
     def _find_span_above(self, states: Sequence[NeedleState], x: Span, least: float) -> Span:
         """Return the z that the view from above shows, at least so many mm."""
@@ -445,18 +415,10 @@ def smooth_load(s: Floats, load: Floats, reach: float) -> Floats:
     Between constraint points the load of the model is a sawtooth; its mean over two spacings is what the
     tissue means to the shaft.
     """
-    sums = np.concatenate(([0.0], np.cumsum((load[1:] + load[:-1]) / 2 * np.diff(s))))
     half = np.minimum(reach, np.minimum(s - s[0], s[-1] - s))
-
-    def add_up_to(at: Floats) -> Floats:
-        i = np.clip(np.searchsorted(s, at, side="right"), 1, len(s) - 1)
-        gone = at - s[i - 1]
-        slope = (load[i] - load[i - 1]) / np.maximum(s[i] - s[i - 1], 1e-12)
-        return sums[i - 1] + gone * (load[i - 1] + slope * gone / 2)
-
+    total = BSpline([s[0], *s, s[-1]], load, 1).antiderivative()  # of the line through the points
     inside = half > 0
-    means = (add_up_to(s + half) - add_up_to(s - half)) / np.where(inside, 2 * half, 1.0)
-    return np.where(inside, means, load)
+    return np.where(inside, (total(s + half) - total(s - half)) / np.where(inside, 2 * half, 1.0), load)
 
 
 def draw_state(
@@ -466,7 +428,6 @@ def draw_state(
     path: Path,
     tip_force: float,
     overlays: SceneOverlays = NO_OVERLAYS,
-    view: PictureView | None = None,
 ) -> None:
     """Draw one state of an insertion with its forces to a .pdf, .png or .svg file; else as `StateFigure`.
 
@@ -475,7 +436,7 @@ def draw_state(
     """
 
     def paint() -> Figure:
-        drawn = StateFigure(title, scene, [state], overlays, view, tip_force)
+        drawn = StateFigure(title, scene, [state], overlays, tip_force)
         drawn.paint(state)
         fit_height(drawn.figure)
         return drawn.figure

@@ -3,9 +3,7 @@
 import { needle, settle } from "./connection.js";
 import { button, hand, part } from "./dom.js";
 import { post } from "./requests.js";
-import { shown } from "./drawing.js";
 import { listen, now } from "./store.js";
-import { fromPx, fromPy, view } from "./view.js";
 
 const FILES = {
   "inputs.csv": "inputs, CSV", "shape.csv": "shape, CSV", "shape.mrk.json": "shape, Slicer markups",
@@ -33,18 +31,7 @@ async function save(file, pressed) {
 
 async function ask(file) {
   await settle();
-  const picture = file.startsWith("picture") ? describePicture() : null;
-  return (await post(`/export/${file}`, { needle: needle(), picture })).blob();
-}
-
-/** The picture as it is seen: limits, mm, how many times as large as x it draws y, what is hidden, and what is pinned; the width of the figure. */
-function describePicture() {
-  const { left, top, width, height } = view.box;
-  const pinned = shown.pinned && now.pinned ? [now.pinned.x, now.pinned.y] : null;
-  return {
-    x: [fromPx(left), fromPx(left + width)], y: [fromPy(top + height), fromPy(top)], times: view.magnified,
-    hidden: Object.keys(shown).filter((name) => !shown[name]), pinned, width_mm: Number(part("figure-width").value),
-  };
+  return (await post(`/export/${file}`, { needle: needle() })).blob();
 }
 
 for (const [file, called] of Object.entries(FILES)) {
