@@ -308,18 +308,9 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
     """
     if len(lower) == 0:
         return np.empty((1, 0))
-    cube, rng = np.zeros((count, len(lower))), rng.spawn(1)[0]
-    numbers = range(2, 8 * len(lower) + 2)  # among which there are as many primes
-    primes = [n for n in numbers if all(n % k for k in range(2, math.isqrt(n) + 1))]
-    # as SciPy's, whose module takes 0.4 s to load
-    for column, base in zip(cube.T, primes[: len(lower)], strict=True):
-        left, place = np.arange(count), 1.0 / base
-        digits = np.repeat(np.arange(base)[None], math.ceil(54 / math.log2(base)) - 1, axis=0)
-        for row in digits:
-            rng.shuffle(row)  # Owen's scrambling: a permutation of each digit
-        for row in digits:
-            column += row[left % base] * place
-            left, place = left // base, place / base
+    from scipy.stats.qmc import Halton  # late: scipy.stats takes 0.4 s to load
+
+    cube = Halton(len(lower), rng=rng).random(count)
     return lower + cube * (upper - lower)
 
 
