@@ -17,7 +17,7 @@ from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch
 from needlefit.mechanics.batch import Batch, linearize, simulate_batches
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import simulate, simulate_steps
+from needlefit.mechanics.simulate import simulate
 
 TOLERANCE_MM = 1e-7
 FINE = ModelOptions(tolerance=1e-9)
@@ -84,7 +84,8 @@ def find_difference() -> float:
     """Return the largest difference between tips in lanes and those of single needles, mm."""
     sets = batch(SETS[0], TOLERANCE_MM)
     (shapes,) = simulate_batches([sets])
-    tips = np.array([simulate_steps(*sets.pick(i)).u[-1] for i in range(len(sets))])
+    alone = simulate_batches([sets.take(slice(i, i + 1)) for i in range(len(sets))])
+    tips = np.array([one.u[0, -1] for one in alone])
     return float(np.abs(shapes.u[:, -1] - tips).max())
 
 

@@ -1,5 +1,6 @@
 """Random insertions for tests: any tissue, any inputs, several steps with changes and retractions."""
 
+import math
 from dataclasses import fields, replace
 from typing import Any
 
@@ -25,6 +26,21 @@ def assert_same_bits(found: Any, expected: Any, but: tuple[str, ...] = ()) -> No
     """Compare two shapes, Jacobians, or batches of them, `but` some fields."""
     for name in {field.name for field in fields(found)} - set(but):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def pick(batch: Batch, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+    """Return set i of a batch as the arguments of `simulate_steps`."""
+    needle, steps = batch.vary_inputs(i)
+    if batch.roll is not None:
+        roll_deg = math.degrees(float(batch.roll[i]))
+        bevels = [replace(one.bevel, roll_deg=one.bevel.roll_deg + roll_deg) for one in steps]
+        steps = tuple(replace(one, bevel=bevel) for one, bevel in zip(steps, bevels, strict=True))
+    tissue = batch.tissue
+    mu, shape = (
+        (tissue.mu if batch.mu is None else batch.mu[i]),
+        (tissue.shape if batch.shape is None else batch.shape[i]),
+    )
+    return needle, replace(tissue, mu=mu, shape=shape), steps, batch.rules
 
 
 def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 from refusals import refusal
 
@@ -11,7 +12,7 @@ from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
-from needlefit.mechanics.simulate import equilibrium, find_last_shape, simulate, simulate_steps
+from needlefit.mechanics.simulate import find_last_shape, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 

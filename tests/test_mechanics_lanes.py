@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, random_batch, random_steps
+from mechanics_cases import NEEDLE, RULES, assert_close, assert_same_bits, pick, random_batch, random_steps
 
 from needlefit.mechanics import batch as batch_module
 from needlefit.mechanics import native
@@ -58,10 +58,10 @@ def test_every_set_is_what_newtons_method_gives(seed: int, within: bool, kind: s
     batch = random_batch(np.random.default_rng(seed), 6, within, float(seed % 2), kind)
     shapes, exact = one(batch), replace(batch, rules=replace(batch.rules, tolerance=1e-11))
     for i in range(len(batch)):
-        alone = simulate_steps(*batch.pick(i))
+        alone = simulate_steps(*pick(batch, i))
         assert_same_bits(shapes[i], alone)
         if alone.converged:
-            assert_close(shapes[i], simulate_steps(*exact.pick(i)))
+            assert_close(shapes[i], simulate_steps(*pick(exact, i)))
 
 
 THIN = Tissue(mu=[5.0], alpha=[8.0], thickness=[2.0])
@@ -90,7 +90,7 @@ HARD = [  # insertions that were once solved wrongly, or not at all
 def test_what_is_hard_to_solve_is_what_newtons_method_gives(batch: Batch) -> None:
     shapes, exact = one(batch), replace(batch, rules=ModelOptions(tolerance=1e-11))
     for i in range(2):
-        assert_close(shapes[i], simulate_steps(*exact.pick(i)))
+        assert_close(shapes[i], simulate_steps(*pick(exact, i)))
 
 
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])

@@ -4,17 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, random_case
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import (
-    compute_lateral_load,
-    compute_loads,
-    equilibrium,
-    simulate,
-    simulate_steps,
-)
+from needlefit.mechanics.simulate import compute_lateral_load, compute_loads, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 

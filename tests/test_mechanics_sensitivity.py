@@ -4,7 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_derivatives, assert_same_bits, random_batch, random_case
+from mechanics_cases import (
+    NEEDLE,
+    RULES,
+    assert_derivatives,
+    assert_same_bits,
+    pick,
+    random_batch,
+    random_case,
+)
 from refusals import refusal
 
 from needlefit.errors import ModelError
@@ -118,7 +126,7 @@ def test_every_set_is_what_a_single_one_gives(seed: int) -> None:
     s = s[s >= shapes.x[:, 0].max()]
     points = compute_batch_positions(shapes, s)
     for i in range(len(batch)):
-        shape, jacobian = linearize_steps(*batch.pick(i), wrt=DERIVATIVE_KINDS)
+        shape, jacobian = linearize_steps(*pick(batch, i), wrt=DERIVATIVE_KINDS)
         assert_same_bits(shapes[i], shape)
         assert_same_bits(jacobians[i], jacobian)
         if shape.converged:

@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mechanics_cases import NEEDLE, RULES, assert_close, assert_derivatives, assert_same_bits, random_case
+from mechanics_cases import (
+    NEEDLE,
+    RULES,
+    assert_close,
+    assert_derivatives,
+    assert_same_bits,
+    pick,
+    random_case,
+)
 from refusals import refusal
 from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
 
@@ -130,10 +138,10 @@ def test_a_set_is_the_same_alone_and_in_lanes(seed: int, kind: str) -> None:
     assert by.shape == (11, 3, 3, len(jacobians.names))
     points = compute_batch_positions(shapes, s)
     for i in (0, 3, 10):
-        alone = simulate_steps(*batch.pick(i))
+        alone = simulate_steps(*pick(batch, i))
         assert_same_bits(shapes[i], alone)
         np.testing.assert_array_equal(points[i], compute_positions(alone, s))
-        shape, jacobian = linearize_steps(*batch.pick(i), wrt=wrt)
+        shape, jacobian = linearize_steps(*pick(batch, i), wrt=wrt)
         assert_same_bits(fine[i], shape)
         assert_same_bits(jacobians[i], jacobian)
 
@@ -164,7 +172,7 @@ def test_sets_of_one_insertion_differ_by_roll_and_base(name: str, value: float, 
     batch = Batch(needle, tissue, steps, replace(rules, tolerance=FINE), **of_sets)
     ((shapes, jacobians),) = linearize_batches([batch], (strength, name))
     for i in range(len(batch)):
-        one, by = linearize_steps(*batch.pick(i), wrt=(strength, name))
+        one, by = linearize_steps(*pick(batch, i), wrt=(strength, name))
         assert_close(shapes[i], one, 1e-9)
         np.testing.assert_allclose(jacobians.u[:, i], by.u, rtol=1e-6, atol=1e-8)
     differences = (shapes.w[2] - shapes.w[0]) / 2e-4

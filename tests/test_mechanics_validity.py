@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mechanics_cases import pick
 from refusals import refusal
 from scipy.integrate import solve_bvp
 
@@ -119,7 +120,7 @@ def test_a_batch_finds_what_each_of_its_sets_finds():
     valid = shapes.valid
     assert 5 < valid.sum() < 65
     for i in range(len(batch)):
-        alone, one = simulate_steps(*batch.pick(i)), shapes[i]
+        alone, one = simulate_steps(*pick(batch, i)), shapes[i]
         assert alone.valid == one.valid == valid[i]
         for name, _, _ in LIMITS:
             each = getattr(shapes.validity, name)[i]

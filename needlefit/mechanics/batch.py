@@ -150,20 +150,6 @@ class Batch:
         given = {name: getattr(self, name) for name in VARYING_FIELDS}
         return self.with_sets(**{name: array[sets] for name, array in given.items() if array is not None})
 
-    def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
-        """Return set i as the arguments of `simulate.simulate_steps`."""
-        needle, steps = self.vary_inputs(i)
-        if self.roll is not None:
-            roll_deg = math.degrees(float(self.roll[i]))
-            bevels = [replace(one.bevel, roll_deg=one.bevel.roll_deg + roll_deg) for one in steps]
-            steps = tuple(replace(one, bevel=bevel) for one, bevel in zip(steps, bevels, strict=True))
-        tissue = replace(
-            self.tissue,
-            mu=self.tissue.mu if self.mu is None else self.mu[i],
-            shape=self.tissue.shape if self.shape is None else self.shape[i],
-        )
-        return needle, tissue, steps, self.rules
-
     def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
         """Return needle and steps with the parameters of set i, but for the roll."""
 
@@ -310,7 +296,7 @@ def linearize(
     """
     require_depth(depth)
     steps = (Step(float(depth), bevel, controls),)
-    found = _linearize_steps(needle, tissue, steps, rules, None, wrt)
+    found = linearize_steps(needle, tissue, steps, rules, None, wrt)
     warn_of_units(needle, tissue, steps, rules)
     return found
 
@@ -321,23 +307,9 @@ def linearize_steps(
     steps: Sequence[Step],
     rules: ModelOptions = _DEFAULT_OPTIONS,
     lattice: Lattice | None = None,
-    *,
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
     """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape."""
-    found = _linearize_steps(needle, tissue, steps, rules, lattice, wrt)
-    warn_of_units(needle, tissue, steps, rules)
-    return found
-
-
-def _linearize_steps(
-    needle: Needle,
-    tissue: Tissue,
-    steps: Sequence[Step],
-    rules: ModelOptions,
-    lattice: Lattice | None,
-    wrt: Sequence[str],
-) -> tuple[NeedleShape, Jacobian]:
     if "rigidity" in wrt:
         require_roll_of_one_rigidity(tissue, steps)
     steps = turn_tip(needle, tissue, steps)

@@ -517,41 +517,6 @@ class RayRoomError(Exception):
     """A session needs room for so many rays (its argument)."""
 
 
-def find_equilibrium(
-    problem: KernelProblem,
-    depths: Floats,
-    y: Floats,
-    state: Floats | None = None,
-    target: Floats | None = None,
-) -> tuple[Floats, Floats, int, int]:
-    """Solve for one equilibrium; return x (N,), deflections and slopes (N, 2 P), status and passes.
-
-    `depths` (M + 1,) and `y` (M + 1, P) are the constraint points, mm, or `target` (Q, P) the cut at each
-    quadrature point, in P planes. `state` (N, 2 P) is a guess; by default straight.
-
-    Raises TypeError if an array is none that the kernel can read, or depths do not increase.
-    """
-    library, room = load_library(), problem.room
-    found, x, ended = np.zeros((room, 2 * problem.planes)), np.empty(room), np.zeros(2, np.int64)
-    if state is not None:
-        if len(state) > room:
-            raise TypeError(f"{len(state)} nodes; there is room for {room}")
-        found[: len(state)] = state
-    check_array("depths", depths, float, (len(depths),))
-    check_array("y", y, float, (len(depths), problem.planes))
-    if target is not None:
-        check_array("target", target, float, (-1, problem.planes))
-    memory = make_memory(measure_memory(problem, 1))
-    targets = (c_int64(0), None) if target is None else (c_int64(len(target)), _at(target))
-    count = library.nf_equilibrium(
-        byref(problem), c_int64(len(depths) - 1), _at(depths), _at(y), *targets, _at(found), _at(memory),
-        _at(x), _at(ended),
-    )  # fmt: skip
-    if count < 0:
-        check_fault(BAD_POINTS)
-    return x[:count].copy(), found[:count].copy(), int(ended[0]), int(ended[1])
-
-
 def list_quadrature(
     problem: KernelProblem, nodes: Floats, depths: Floats
 ) -> tuple[Floats, Floats, Ints, Ints]:

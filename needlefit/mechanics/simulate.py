@@ -14,8 +14,8 @@ from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.doubts import warn_of_units
 from needlefit.mechanics.needle import Needle, is_bounded, require_type
-from needlefit.mechanics.packing import count_planes, pack_insertion, pack_problem, pack_stops
-from needlefit.mechanics.plan import Lattice, TipStop, check_reach
+from needlefit.mechanics.packing import pack_insertion, pack_problem, pack_stops
+from needlefit.mechanics.plan import Lattice, TipStop
 from needlefit.mechanics.shape import NeedleShape, Status, compute_scales, list_planes
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
@@ -90,34 +90,6 @@ def find_last_shape(
     native.simulate(problem, shapes, 0, 1)
     scales = compute_scales(tissue, packed.last.tip, lattice.spacing)
     return read_shape(shapes, scales)
-
-
-def equilibrium(
-    needle: Needle,
-    tissue: Tissue,
-    constraints: Floats,
-    controls: Controls = _DEFAULT_CONTROLS,
-    rules: ModelOptions = _DEFAULT_OPTIONS,
-) -> NeedleShape:
-    """Return the needle's equilibrium against given constraint points, without an insertion before it.
-
-    `constraints` (M + 1, 3) are depth (from 0, increasing, the last under the tip), y and z of the points,
-    mm; the mesh starts from the depth of point 1.
-    """
-    points = np.asarray(constraints, dtype=np.float64)
-    depths, depth = points[:, 0].copy(), float(points[-1, 0])
-    require_depth(depth)
-    check_reach(needle.length, depth, controls)
-    planes = max(1 + int(points[:, 2].any()), count_planes([Step(depth, Bevel(), controls)]))
-    problem = pack_equilibrium(needle, tissue, depths, controls, rules, planes)
-    x, state, status, passes = native.find_equilibrium(problem, depths, points[:, 1 : 1 + planes].copy())
-    if status != native.CONVERGED:
-        state[:] = np.nan
-    u, slope = state.T[:planes].copy(), state.T[planes:].copy()
-    tip = np.column_stack((u[:, -1], slope[:, -1])).reshape(1, -1)
-    nodes = native.to_space(x, u, slope, points[:, : 1 + planes], tip)
-    scales = compute_scales(tissue, depth, rules.spacing)
-    return NeedleShape(*nodes, STATUS_NAMES[status], passes, scales)
 
 
 def pack_equilibrium(

@@ -19,13 +19,13 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from equilibrium import equilibrium
 from scipy.linalg import expm
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import equilibrium
 from solver_checks import NEEDLE, interpolate, make_tissue, sample_between
 
 EI, L = NEEDLE.flexural_rigidity, NEEDLE.length

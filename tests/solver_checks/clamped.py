@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from equilibrium import equilibrium, find_equilibrium
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicHermiteSpline
 
@@ -24,7 +25,7 @@ from needlefit.mechanics import native, reference
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.laws import Numbers
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import equilibrium, pack_equilibrium, simulate
+from needlefit.mechanics.simulate import pack_equilibrium, simulate
 from needlefit.mechanics.tissue import Tissue
 from solver_checks import NEEDLE, STEP, make_tissue, react, sample_between
 
@@ -62,7 +63,7 @@ class ClampedNeedle:
         problem.tolerance, problem.max_iterations = tolerance, iterations
         cut = None if target is None else target[:, None]
         guess = np.ascontiguousarray(guess)
-        _, state, status, _ = native.find_equilibrium(problem, depths, y[:, None], guess, cut)
+        _, state, status, _ = find_equilibrium(problem, depths, y[:, None], guess, cut)
         assert status == native.CONVERGED
         return state
 

@@ -8,11 +8,12 @@ continuity of u to u''' from piece to piece.
 
 # ruff: noqa: N806  A, B, J: the symbols of the equations
 import numpy as np
+from equilibrium import equilibrium
 from scipy.integrate import solve_bvp
 
 from needlefit.arrays import Floats
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
-from needlefit.mechanics.simulate import equilibrium, simulate_steps
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from solver_checks import NEEDLE, STEP, interpolate, make_tissue, react
 
