@@ -1,24 +1,24 @@
-import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
-from refusals import refusal
 
 from needlefit.errors import FitError, ModelError
 from needlefit.inference.distance_search import run_gauss_newton
 from needlefit.inference.fit import (
     Callbacks,
     EvaluationRecorder,
+    Fit,
     ObjectiveFunction,
     Start,
-    start_from_dict,
-    start_to_dict,
+    keep_fit,
+    read_fit,
 )
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.optimize import minimize, select_leaders, starting_points
+from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.progress import never_stop
 
 
@@ -42,7 +42,7 @@ def test_gradients_lead_to_the_bottom_of_a_bowl(dimensions):
     assert fit.evaluations == sum(s.evaluations for s in fit.starts) <= 4 * 600
 
 
-def test_valleys_budgets_stops_and_other_checkpoints():
+def test_valleys_budgets_and_stops():
     fit = minimize(box(rosenbrock), recipe(evaluations=400), rng())
     assert fit.theta == pytest.approx([1, 1], abs=1e-2)
     fit = minimize(box(rosenbrock), recipe(evaluations=17, starts=3), rng())
@@ -50,9 +50,6 @@ def test_valleys_budgets_stops_and_other_checkpoints():
     assert {s.stopped for s in fit.starts} == {"budget"}
     fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
     assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
-    start = minimize(box(bowl), recipe(), rng()).starts[0]
-    with pytest.raises(FitError, match="began elsewhere"):
-        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
 
 
 def test_nan_and_errors_of_the_model_in_half_the_box_are_counted_and_never_win():
@@ -69,11 +66,15 @@ def test_a_function_that_is_never_finite_is_no_success(value):
         minimize(box(lambda theta: value), recipe(evaluations=50), rng())
 
 
-def test_starts_go_through_json_and_more_of_them_fill_the_box():
+def test_fits_go_through_a_checkpoint_and_more_starts_fill_the_box(tmp_path):
     theta = tuple(np.random.default_rng(1).normal(size=5).tolist())
     start = Start(3, theta, theta[::-1], math.inf, 7, 7, "no finite value")
-    assert start_from_dict(json.loads(json.dumps(start_to_dict(start), allow_nan=False))) == start
-    refusal(FitError, "damaged", start_from_dict, {"index": 1})
+    fit = Fit(theta, {"mu1_pa": theta[0]}, theta[1], (start,), 7, 7, False, held=("alpha1",))
+    checkpoint = open_checkpoint(tmp_path / "c", False, {})
+    checkpoint.keep_row("fold", {"index": 1})
+    assert read_fit(checkpoint, "fold") is None
+    keep_fit(checkpoint, "fold", fit)
+    assert read_fit(checkpoint, "fold") == fit
     lower, upper = np.array([0.0, 10.0]), np.array([1.0, 20.0])
     few, many = (starting_points(lower, upper, n, np.random.default_rng(2)) for n in (8, 64))
     assert np.array_equal(few, many[:8])
@@ -209,7 +210,7 @@ def test_starts_far_behind_the_best_are_not_continued():
         assert select_leaders(replace(known, misfits=lambda theta, found=misfits: found), three) == chosen
 
 
-RESUMED = [
+BY_THREADS = [
     (lambda: box(rosenbrock), recipe()),
     (lambda: box(half), recipe(evaluations=60)),
     (lambda: squares(valley), squares_recipe(starts=6)),
@@ -217,13 +218,12 @@ RESUMED = [
 ]
 
 
-@pytest.mark.parametrize(("build", "search"), RESUMED)
-def test_neither_threads_nor_an_interruption_change_a_fit(build, search):
-    whole = minimize(build(), search, rng())
-    for kept, jobs in (((), 2), ((0,), 1), ((1, 2, 3), 2), (range(search.starts), 3)):
-        finished = {k: start_from_dict(json.loads(json.dumps(start_to_dict(whole.starts[k])))) for k in kept}
-        assert finished == {k: whole.starts[k] for k in kept}
-        assert minimize(build(), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
+@pytest.mark.parametrize(("build", "search"), BY_THREADS)
+def test_threads_do_not_change_a_fit_and_its_progress_grows_to_the_whole(build, search):
+    done: list[float] = []
+    whole = minimize(build(), search, rng(), Callbacks(step=lambda part, of: done.append(part / of)))
+    assert done == sorted(done) and done[0] > 0 and done[-1] == 1
+    assert minimize(build(), search, rng(), Callbacks(jobs=3)) == whole
 
 
 # ---- a sum of distances, whose least value lies on kinks

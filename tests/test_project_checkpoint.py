@@ -1,6 +1,5 @@
 """Checkpoints: what is whole is used, what is damaged is set aside, one process at a time; no code is run."""
 
-import dataclasses
 import json
 import os
 import pickle
@@ -15,7 +14,6 @@ import pytest
 from made_again import read_files
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.fit import Start, keep_start, read_starts
 from needlefit.project.checkpoint import (
     ARRAYS_KEY,
     open_checkpoint,
@@ -31,20 +29,19 @@ from needlefit.project.folders import (
     require_unchanged,
 )
 
-START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
-
 
 def kept(folder: Path) -> Path:
-    """A checkpoint of three starts; return its file."""
+    """A checkpoint of three rows; return its file."""
     checkpoint = open_checkpoint(folder, False, {"n": 1})
     for index in range(3):
-        keep_start(checkpoint, "fold/fit", dataclasses.replace(START, index=index))
+        checkpoint.keep_row("fold/fit", {"index": index, "theta": [0.1, 0.2]})
     return next(folder.glob("*.jsonl"))
 
 
 def resumed(folder: Path) -> tuple[list[int], list[str]]:
     lines: list[str] = []
-    return sorted(read_starts(open_checkpoint(folder, True, {"n": 1}, lines.append), "fold/fit")), lines
+    rows = open_checkpoint(folder, True, {"n": 1}, lines.append).rows("fold/fit")
+    return [row["index"] for row in rows], lines
 
 
 def test_a_row_is_whole_or_none(tmp_path):
@@ -65,7 +62,7 @@ def test_a_checkpoint_with_a_damaged_stamp_is_begun_afresh(tmp_path, stamp, resu
     (tmp_path / "c" / MANIFEST).write_bytes(stamp)
     lines: list[str] = []
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
-    assert read_starts(checkpoint, "fold/fit") == {} and len(lines) == 1
+    assert checkpoint.rows("fold/fit") == [] and len(lines) == 1
     assert not file.exists()
 
 
@@ -73,7 +70,7 @@ def test_a_checkpoint_of_other_work_is_refused_and_without_resume_emptied(tmp_pa
     kept(tmp_path / "c")
     with pytest.raises(ConfigError, match="other work"):
         open_checkpoint(tmp_path / "c", True, {"n": 2})
-    assert read_starts(open_checkpoint(tmp_path / "c", False, {"n": 2}), "fold/fit") == {}
+    assert open_checkpoint(tmp_path / "c", False, {"n": 2}).rows("fold/fit") == []
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "sub/data.csv", "0123456789abcdef.jsonl.mine"])

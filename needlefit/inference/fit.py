@@ -1,4 +1,4 @@
-"""Run of a search (starts and fit), and the callbacks that resume, report and stop it.
+"""Run of a search (starts and fit), and the callbacks that report and stop it.
 
 Objective functions are the negative log posterior, half a sum of squares but for a constant, whose residuals
 have an exact Jacobian, or the metric objective, which has an exact gradient.
@@ -7,16 +7,16 @@ have an exact Jacobian, or the metric objective, which has an exact gradient.
 import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
-from types import MappingProxyType
-from typing import Any, TypeVar
+from dataclasses import asdict, dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.errors import FitError, ModelError
+from needlefit.errors import ModelError
 from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.project.checkpoint import Checkpoint
+from needlefit.project.encode import decode
 from needlefit.project.progress import never_stop
 from needlefit.schemas.recipe import ObjectiveName
 
@@ -88,58 +88,28 @@ class Fit:
         return f"no start of the search ended at a minimum ({reasons}); {fix}"
 
 
+def keep_fit(checkpoint: Checkpoint, search: str, fit: Fit) -> None:
+    """Store the fit of one search."""
+    checkpoint.keep_row(search, asdict(fit))
+
+
+def read_fit(checkpoint: Checkpoint, search: str) -> Fit | None:
+    """Return the fit of one search that a checkpoint keeps; None if it keeps none."""
+    for row in checkpoint.rows(search):
+        with suppress(ValueError):  # a row of something else, however whole
+            found: Fit = decode(Fit, row, {}, {})
+            return found
+    return None
+
+
 @dataclass(frozen=True)
 class Callbacks:
-    """Callbacks to resume, report and stop a long computation."""
+    """Callbacks to report and stop a long computation."""
 
-    #: starts already computed, by index; they are not repeated
-    finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
-    #: called with each start that ends, in the calling thread; an interrupted one is not reported, so a
-    #: resumed search repeats it
-    report: Callable[[Start], None] = lambda start: None
     stop: Callable[[], bool] = never_stop  #: asked before every evaluation or step, from any thread
-    #: called with the steps a sampler has done and all it will do, or the starts whose approach has ended,
-    #: and all
+    #: called with how much of a sampler's chain, or of a search, is done, and of how much
     step: Callable[[int, int], None] = lambda done, total: None
     jobs: int = 1  #: threads; the result does not depend on their number
-
-
-def read_starts(checkpoint: Checkpoint, search: str) -> dict[int, Start]:
-    """Return the finished starts of one search that a checkpoint keeps, by their index."""
-    starts = {}
-    for row in checkpoint.rows(search):
-        with suppress(FitError):  # a row of something else, however whole
-            start = start_from_dict(row)
-            starts[start.index] = start
-    return starts
-
-
-def keep_start(checkpoint: Checkpoint, search: str, start: Start) -> None:
-    """Store a finished start of one search."""
-    checkpoint.keep_row(search, start_to_dict(start))
-
-
-def start_to_dict(start: Start) -> dict[str, Any]:
-    """Return a start as plain JSON values; every float survives exactly, infinity as None."""
-    return asdict(start) | {"objective": start.objective if math.isfinite(start.objective) else None}
-
-
-def start_from_dict(table: Mapping[str, Any]) -> Start:
-    """Return the start that `start_to_dict` wrote; FitError if a checkpoint was damaged."""
-    try:
-        objective, joined = table["objective"], table["joined"]
-        return Start(
-            theta0=tuple(map(float, table["theta0"])),
-            theta=tuple(map(float, table["theta"])),
-            objective=math.inf if objective is None else float(objective),
-            stopped=str(table["stopped"]),
-            joined=None if joined is None else int(joined),
-            **{name: int(table[name]) for name in ("index", "evaluations", "gradients", "failures")},
-        )
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FitError(
-            f"the checkpoint holds a damaged start: {error!r}", fix="run again without --resume"
-        ) from None
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Search for the best fit: many starts, each by least squares or by gradients, then a check of its end.
 
-Searches begin at many starts spread over the box, side by side, and are resumable; the best end is the fit.
+Searches begin at many starts spread over the box, side by side; the best end is the fit.
 Starts first go down an easier way; those that end at the same point there continue as one, and those far
 behind the best do not. With uncertain depths every needle is simulated many times: depths taken as stated
 make a posterior whose modes lie next to those of the whole one, at a fraction of the cost. The metric
@@ -115,10 +115,9 @@ def minimize(
     Parameters that are held stand at the centre of their prior. Where one moves measured points, the search
     goes on from there with it free: `held` of the fit are the others.
 
-    The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
-    on whether some starts were computed by an earlier, interrupted run.
+    The result depends on the problem, the recipe and `rng` alone, not on the number of threads.
 
-    Raises FitError if no evaluation succeeded, or finished starts belong to another fit.
+    Raises FitError if no evaluation succeeded.
     """
     callbacks = Callbacks() if callbacks is None else callbacks
     searched = problem.searched
@@ -179,23 +178,18 @@ def _search_from(
     design: Floats, problem: Problem, recipe: RecipeRecord, callbacks: Callbacks, first: int = 0
 ) -> Fit:
     """Return the fit of the searches that begin at `design` (n, P), numbered from `first`."""
-    whole = _SearchTask(problem, recipe)
-    points = {first + k: tuple(theta0.tolist()) for k, theta0 in enumerate(design)}
-    done = {index: start for index, start in callbacks.finished.items() if index in points}
-    for index, start in done.items():
-        if start.theta0 != points[index]:
-            raise FitError(
-                f"start {index} of the checkpoint began elsewhere than this fit's",
-                fix="run again without --resume; seed, bounds or recipe have changed",
-            )
-    start_points = [StartPoint(index, theta0) for index, theta0 in points.items()]
-    easier = whole.objective_function.approach
-    if easier is None or len(done) == len(start_points):
-        for start in whole.run_each([p for p in start_points if p.index not in done], callbacks):
-            _add_start(start, done, callbacks)
+    whole, starts = _SearchTask(problem, recipe), list[Start]()
+    points = [StartPoint(first + k, tuple(theta0.tolist())) for k, theta0 in enumerate(design)]
+    easier, before = whole.objective_function.approach, 0
+    if easier is None:
+        ended = whole.run_each(points, callbacks)
     else:
-        _search_by_approach(whole, easier, start_points, done, callbacks)
-    return _select_fit(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
+        ended, before = _search_by_approach(whole, easier, points, callbacks), len(points)
+    for start in ended:
+        starts += [start] if start.evaluations else []
+        callbacks.step(before + len(starts), before + len(points))
+    starts.sort(key=lambda start: start.index)
+    return _select_fit(problem, recipe.minimize, tuple(starts), design)
 
 
 @dataclass(frozen=True)
@@ -227,31 +221,24 @@ class _SearchTask:
 
 
 def _search_by_approach(
-    whole: _SearchTask,
-    easier: ObjectiveFunction,
-    start_points: list[StartPoint],
-    done: dict[int, Start],
-    callbacks: Callbacks,
-) -> None:
-    """Add to `done` what came of all starts: down the easier goal, then one for all that have met there.
-
-    Approaches are not stored: a resumed search repeats them, and so finds the same groups.
-    """
+    whole: _SearchTask, easier: ObjectiveFunction, start_points: list[StartPoint], callbacks: Callbacks
+) -> Iterator[Start]:
+    """Yield what came of all starts: down the easier goal, then one for all that have met there."""
     half = whole.recipe.model_copy(update={"evaluations": max(1, whole.recipe.evaluations // 2)})
     few = half.model_copy(update={"evaluations": min(half.evaluations, APPROACH_EVALUATIONS)})
     approach = _SearchTask(whole.problem, few, of_approach=True)
     ends: dict[int, Start] = {}
     for end in approach.run_each(start_points, callbacks):
         ends[end.index] = end
-        callbacks.step(len(ends), len(start_points))
+        callbacks.step(len(ends), 2 * len(start_points))
     if callbacks.stop():
         # what is interrupted still leaves its best point
         best = min(ends.values(), key=lambda s: (s.objective, s.index), default=None)
-        if best is None or not math.isfinite(best.objective) or best.index in done:
+        if best is None or not math.isfinite(best.objective):
             return
         with suppress(*EVALUATION_ERRORS):
             value = whole.objective_function.value(np.array(best.theta))
-            done[best.index] = replace(
+            yield replace(
                 best,
                 objective=value if math.isfinite(value) else math.inf,
                 evaluations=best.evaluations + 1,
@@ -265,15 +252,12 @@ def _search_by_approach(
         begin = [
             replace(p, theta=ends[p.index].theta)
             for p in start_points
-            # a group whose members are all stored needs no continuation
-            if leader[p.index] == p.index
-            and (p.index in continuing) == chosen
-            and any(k not in done for k in leader if leader[k] == p.index)
+            if leader[p.index] == p.index and (p.index in continuing) == chosen
         ]
         for found in _SearchTask(whole.problem, recipe).run_each(begin, callbacks):
             ended = chosen or found.stopped == INTERRUPTED
             continued = found if ended else replace(found, stopped=BEHIND)
-            for index in (k for k in leader if leader[k] == continued.index and k not in done):
+            for index in (k for k in leader if leader[k] == continued.index):
                 counts = {
                     name: getattr(ends[index], name) for name in ("evaluations", "gradients", "failures")
                 }
@@ -281,7 +265,7 @@ def _search_by_approach(
                     counts = {name: count + getattr(continued, name) for name, count in counts.items()}
                 joined = None if index == continued.index else continued.index
                 about = {"index": index, "theta0": ends[index].theta0, "joined": joined, **counts}
-                _add_start(replace(continued, **about), done, callbacks)
+                yield replace(continued, **about)
 
 
 def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:
@@ -292,13 +276,6 @@ def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]
         misfits = easier.misfits(np.array(best.theta))
         limit = best.objective + (MAX_MISFIT_RATIO - 1) * max(0.5 * len(misfits), half_square(misfits))
     return {best.index, *(end.index for end in others if end.objective <= limit)}
-
-
-def _add_start(start: Start, done: dict[int, Start], callbacks: Callbacks) -> None:
-    if start.stopped != INTERRUPTED:
-        callbacks.report(start)
-    if start.evaluations:
-        done[start.index] = start
 
 
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:

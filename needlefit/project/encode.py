@@ -56,6 +56,8 @@ def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any
     if origin is tuple and isinstance(value, list):
         kinds = (inside[0],) * len(value) if len(inside) == 2 and inside[1] is Ellipsis else inside
         return tuple(decode(one, part, hooks, arrays) for one, part in zip(kinds, value, strict=True))
+    if origin is Mapping and isinstance(value, dict):
+        return {key: decode(inside[1], part, hooks, arrays) for key, part in value.items()}
     if origin is np.ndarray:
         (wanted,) = get_args(inside[1])
         found = arrays.get(value) if isinstance(value, str) else None

@@ -122,7 +122,7 @@ def _checkpoint(folder: Path) -> object:
     backend.reset(4, 2)
     rows = kept.rows("chain", import_module("needlefit.inference.sampling.sample").BLOCK_KEYS)
     _late("inference.sampling.sample._restore_chain")(backend, rows)
-    return _late("inference.fit.read_starts")(kept, "fit"), kept.rows("rows"), backend.iteration
+    return _late("inference.fit.read_fit")(kept, "fit"), kept.rows("rows"), backend.iteration
 
 
 # ---- texts

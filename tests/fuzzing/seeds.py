@@ -331,16 +331,17 @@ WORK = {"study": "fuzzed", "seed": 1}
 
 
 def checkpoints() -> list[Seed]:
-    """The checkpoint of a run: starts that have ended, rows, and the sampler's chain."""
+    """The checkpoint of a run: a fit that has ended, rows, and the sampler's chain."""
     import numpy as np
 
-    from needlefit.inference.fit import Start, keep_start
+    from needlefit.inference.fit import Fit, Start, keep_fit
     from needlefit.project.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
         kept = open_checkpoint(folder / "run.partial", False, WORK)
         for n in range(3):
-            keep_start(kept, "fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
+            start = Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance")
+            keep_fit(kept, "fit", Fit(start.theta, {"b": 0.1}, 3.5, (start,), 40, 0, False))
             kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
         random, words, *rest = np.random.RandomState(1).get_state()
         for n in range(2):

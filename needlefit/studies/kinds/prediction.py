@@ -14,7 +14,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -30,7 +29,7 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.compared_points import draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.draw_simulation import simulate_scene_draws, vary_bevels
-from needlefit.inference.fit import Callbacks, keep_start, read_starts
+from needlefit.inference.fit import Callbacks, keep_fit, read_fit
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
@@ -314,16 +313,14 @@ def draw_parameters(
     if run is not None:
         return _draw_from_run(job, run, where)
     (fold,) = job.folds
-    rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
-    callbacks = Callbacks(
-        read_starts(checkpoint, "fitted"),
-        partial(keep_start, checkpoint, "fitted"),
-        settings.stop,
-        jobs=settings.jobs,
-    )
-    fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
-    if fit.interrupted:
-        return None
+    fit = read_fit(checkpoint, "fitted")
+    if fit is None:
+        rng = random_stream(job.recipe.seed, fold.name, "fitted", "starts")
+        callbacks = Callbacks(settings.stop, jobs=settings.jobs)
+        fit = minimize(job.problem(fold), job.recipe, rng, callbacks)
+        if fit.interrupted:
+            return None
+        keep_fit(checkpoint, "fitted", fit)
     draws = draw_fold_parameters(job, fold, fit, settings).draws
     # without a search that has converged nothing is certified
     found = replace(draws, faults=(fit.fault, *draws.faults)) if fit.fault else draws

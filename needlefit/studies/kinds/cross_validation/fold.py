@@ -15,7 +15,7 @@ import numpy as np
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
-from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_start, read_starts
+from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
 from needlefit.inference.held_parameters import PriorShift
 from needlefit.inference.identifiability.identify import (
     LOG_POSTERIOR_TOLERANCE,
@@ -220,25 +220,18 @@ def search_fits(job: Job, fold: Fold, searches: Iterable[str], services: FoldSer
 
 
 def _search(job: Job, fold: Fold, search: str, services: FoldServices) -> Fit:
-    """Return the fit of one search; each finished start is kept and reported."""
-    settings, phase = services.settings, SEARCH_PHASES[search]
+    """Return the fit of one search, which is kept once it has ended."""
     key = "/".join([fold.name, search, *job.parameters.held])
-    kept, starts = read_starts(services.checkpoint, key), job.recipe.starts
-    ended = len(kept)
-
-    def report(approached: int, total: int = starts) -> None:
-        services.progress.report(fold, phase, approached + ended, 2 * starts)
-
-    def keep(start: Start) -> None:
-        nonlocal ended
-        keep_start(services.checkpoint, key, start)
-        ended += 1
-        report(starts)
-
-    report(0)
+    if kept := read_fit(services.checkpoint, key):
+        return kept
+    settings, step = services.settings, services.progress.phase(fold, SEARCH_PHASES[search])
+    step(0)
     rng = random_stream(job.recipe.seed, fold.name, search, "starts")
-    callbacks = Callbacks(kept, keep, settings.stop, report, settings.jobs)
-    return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+    callbacks = Callbacks(settings.stop, step, settings.jobs)
+    fit = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
+    if not fit.interrupted:
+        keep_fit(services.checkpoint, key, fit)
+    return fit
 
 
 def _note_fit(job: Job, fits: Mapping[str, Fit], services: FoldServices) -> None:
