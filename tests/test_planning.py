@@ -19,15 +19,7 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.goals import (
-    Ball,
-    Goal,
-    compute_clearances,
-    cut_plane,
-    find_hits,
-    make_space_goal,
-    read_goal_points,
-)
+from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
 from needlefit.planning.recording import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
@@ -157,18 +149,22 @@ def test_a_target_behind_the_tip_or_out_of_reach_is_refused(x) -> None:
         plan((x, 0.0), start=replace(insertion(), path=(replace(insertion().now, depth=20.0),)))
 
 
+def sphere(name, centre) -> ObstacleRecord:
+    return ObstacleRecord(name=name, centre_mm=centre, radius_mm=1.0)
+
+
 def test_the_plane_of_the_needle_contains_a_target_in_space() -> None:
-    balls = (Ball("cut", (20.0, 1.0, 1.0), 1.0), Ball("beside", (20.0, -2.0, 2.0), 1.0))
-    found = cut_plane((45.0, 3.0, 3.0), 1.5, balls)
+    balls = (sphere("cut", (20.0, 1.0, 1.0)), sphere("beside", (20.0, -2.0, 2.0)))
+    found = cut_plane(Goal((45.0, 3.0, 3.0), 1.5, balls))
     assert found.roll_deg == pytest.approx(45.0) and found.beside == ("beside",)
     assert found.goal.target == pytest.approx((45.0, np.hypot(3, 3)))
     (circle,) = found.goal.obstacles
     assert circle.centre_mm == pytest.approx((20.0, np.sqrt(2))) and circle.radius_mm == pytest.approx(1.0)
-    assert cut_plane((45.0, -3.0, 0.0), 1.5, ()).goal.target == (45.0, -3.0)
-    other = cut_plane((45.0, -2.0, 1.0), 1.5, ())
+    assert cut_plane(Goal((45.0, -3.0, 0.0))).goal.target == (45.0, -3.0)
+    other = cut_plane(Goal((45.0, -2.0, 1.0)))
     assert other.goal.target == pytest.approx((45.0, -np.sqrt(5)))
     assert other.roll_deg == pytest.approx(-np.degrees(np.arctan(0.5)))
-    assert cut_plane((45.0, 0.0, -2.0), 1.5, ()).goal.target == pytest.approx((45.0, 2.0))
+    assert cut_plane(Goal((45.0, 0.0, -2.0))).goal.target == pytest.approx((45.0, 2.0))
 
 
 @pytest.mark.parametrize("angle", [30.0, 110.0, -75.0])
@@ -199,8 +195,8 @@ def test_points_of_slicer_are_targets_and_obstacles_in_the_constraint_frame(tmp_
     path = save(tmp_path / "a.mrk.json", markup(points=listed))
     target, balls = read_goal_points(path, placement, 2.5)
     assert target == pytest.approx((45.0, 0.0, 0.0))
-    assert balls[0].name == "vessel" and balls[0].radius == 2.5
-    assert balls[0].centre == pytest.approx((20.0, 1.0, 0.5))
+    assert balls[0].name == "vessel" and balls[0].radius_mm == 2.5
+    assert balls[0].centre_mm == pytest.approx((20.0, 1.0, 0.5))
     alone, none = read_goal_points(save(tmp_path / "b.mrk.json", markup(points=[listed[1]])), placement, 1.0)
     assert alone is not None and none == ()
     twice = save(tmp_path / "c.mrk.json", markup(points=[listed[0], listed[0] | {"id": "9"}]))
@@ -289,12 +285,9 @@ def test_a_plan_from_first_contact_does_not_depend_on_the_roll_that_a_scene_stat
 
 
 def test_a_goal_of_the_plane_becomes_one_in_space() -> None:
-    balls = [Ball("a", (20.0, 1.0, 0.5), 1.0)]
-    goal = make_space_goal((45.0, 3.0, 1.0), 1.5, balls)
-    assert (
-        goal.directions == 2 and goal.obstacles[0].centre_mm == (20.0, 1.0, 0.5) and goal.to_space() == goal
-    )
-    lifted = cut_plane((45.0, 3.0, 0.0), 1.5, tuple(balls)).goal.to_space()
+    goal = Goal((45.0, 3.0, 1.0), 1.5, (sphere("a", (20.0, 1.0, 0.5)),))
+    assert goal.directions == 2 and goal.to_space() == goal
+    lifted = cut_plane(replace(goal, target=(45.0, 3.0, 0.0))).goal.to_space()
     assert lifted.target == (45.0, 3.0, 0.0) and lifted.obstacles[0].centre_mm == (20.0, 1.0, 0.0)
 
 

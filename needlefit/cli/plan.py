@@ -15,7 +15,7 @@ from needlefit.cli.options import argument, option
 from needlefit.project.folders import require_output_files
 
 if TYPE_CHECKING:
-    from needlefit.planning.goals import Ball, PlaneGoal, SpacePoint
+    from needlefit.planning.goals import Goal, PlaneGoal
     from needlefit.planning.steering import SteeringPlan
     from needlefit.viewer.viewed_scene import ViewedScene
 
@@ -80,11 +80,11 @@ def plan(
         require_output_files({"--write-recording": write_recording}, [] if markups is None else [markups])
     options.note_others("plan", name)
     shown = open_target(name, specimen=specimen or "planned")
-    aim, balls = _read_goal(shown, target, obstacle or [], markups, obstacle_radius)
+    goal = _read_goal(shown, target, radius, obstacle or [], markups, obstacle_radius)
     limits = PlanLimits(entry_shift, base, base_angle, turns)
     insertion = begin_insertion(shown)
     invocation = context.find_root().obj
-    plane, found = plan_to_target(insertion, aim, radius, balls, limits, invocation.jobs)
+    plane, found = plan_to_target(insertion, goal, limits, invocation.jobs)
     unfitted = found.goal.directions > shown.fitted_directions
     depth = found.steps[-1].depth
     beyond = tuple(extrapolation_warnings(depth, shown.fitted_depths, z_unfitted=unfitted))
@@ -113,17 +113,20 @@ def plan(
 def _read_goal(
     shown: "ViewedScene",
     target: str | None,
+    radius: float,
     obstacles: Sequence[str],
     markups: Path | None,
     obstacle_radius: float,
-) -> "tuple[SpacePoint, list[Ball]]":
-    from needlefit.planning.goals import Ball, name_obstacles, read_goal_points
+) -> "Goal":
+    """Return the goal in space."""
+    from needlefit.planning.goals import Goal, name_obstacles, read_goal_points
+    from needlefit.schemas.planning import ObstacleRecord
     from needlefit.viewer.plans import find_placement
 
-    aim, balls = None, list[Ball]()
+    aim, known = None, list[ObstacleRecord]()
     if markups is not None:
         aim, read = read_goal_points(markups, find_placement(shown), obstacle_radius)
-        balls += read
+        known += read
     if target is not None:
         x, y, *rest = _read_numbers(target, (2, 3), "--target", "X,Y or X,Y,Z")
         aim = (x, y, rest[0] if rest else 0.0)
@@ -131,13 +134,14 @@ def _read_goal(
         raise typer.BadParameter(
             "give a target, or a point labelled `target` in --markups", param_hint="--target"
         )
-    names = name_obstacles([*(ball.name for ball in balls), *([""] * len(obstacles))])
-    for name, text in zip(names[len(balls) :], obstacles, strict=True):
+    names = name_obstacles([*(one.name for one in known), *([""] * len(obstacles))])
+    for name, text in zip(names[len(known) :], obstacles, strict=True):
         x, y, *rest, size = _read_numbers(text, (3, 4), "--obstacle", "X,Y,R or X,Y,Z,R")
         if size <= 0:
             raise typer.BadParameter(f"the radius is {size:g} mm; expected above 0", param_hint="--obstacle")
-        balls.append(Ball(name, (x, y, rest[0] if rest else 0.0), size))
-    return aim, balls
+        centre = (x, y, rest[0] if rest else 0.0)
+        known.append(ObstacleRecord(name=name, centre_mm=centre, radius_mm=size))
+    return Goal(aim, radius, tuple(known))
 
 
 def _read_numbers(text: str, counts: tuple[int, int], option: str, expected: str) -> list[float]:

@@ -119,15 +119,6 @@ def minimize_miss(
 
 
 @dataclass(frozen=True)
-class Ball:
-    """An obstacle in space: centre (x, y, z) in C and radius, mm."""
-
-    name: str
-    centre: SpacePoint
-    radius: float
-
-
-@dataclass(frozen=True)
 class PlaneGoal:
     """A goal in the plane of the needle, which is rolled about x so that it contains the target."""
 
@@ -136,36 +127,29 @@ class PlaneGoal:
     beside: tuple[str, ...] = ()  #: obstacles that the plane does not cut
 
 
-def cut_plane(target: SpacePoint, radius: float, balls: tuple[Ball, ...]) -> PlaneGoal:
-    """Return the goal in the plane through x and the target; obstacles are cut to circles."""
-    x, y, z = target
+def cut_plane(goal: Goal) -> PlaneGoal:
+    """Return the goal in the plane through x and the target of one in space; spheres are cut to circles."""
+    x, y, z = goal.target
     # the smaller of the two turns, at most 90 degrees: the bevel reaches both sides
     roll = math.atan(z / y) if y else math.copysign(math.pi / 2, z) if z else 0.0
     cos, sin = math.cos(roll), math.sin(roll)
     circles, beside = [], []
-    for ball in balls:
-        along, left, up = ball.centre
+    for one in goal.obstacles:
+        along, left, up = one.centre_mm[0], one.centre_mm[1], one.centre_mm[-1]
         off = up * cos - left * sin
-        if abs(off) >= ball.radius:
-            beside.append(ball.name)
+        if abs(off) >= one.radius_mm:
+            beside.append(one.name)
             continue
-        cut = math.sqrt(ball.radius**2 - off**2)
-        circles.append(
-            ObstacleRecord(name=ball.name, centre_mm=(along, left * cos + up * sin), radius_mm=cut)
-        )
-    goal = Goal((x, y * cos + z * sin if z else y), radius, tuple(circles))
-    return PlaneGoal(goal, math.degrees(roll), tuple(beside))
-
-
-def make_space_goal(target: SpacePoint, radius: float, balls: Sequence[Ball]) -> Goal:
-    """Return the goal in space."""
-    spheres = [ObstacleRecord(name=o.name, centre_mm=o.centre, radius_mm=o.radius) for o in balls]
-    return Goal(target, radius, tuple(spheres))
+        cut = math.sqrt(one.radius_mm**2 - off**2)
+        centre = along, left * cos + up * sin
+        circles.append(ObstacleRecord(name=one.name, centre_mm=centre, radius_mm=cut))
+    flat = Goal((x, y * cos + z * sin if z else y), goal.radius, tuple(circles))
+    return PlaneGoal(flat, math.degrees(roll), tuple(beside))
 
 
 def read_goal_points(
     path: Path, placement: Placement, obstacle_radius: float
-) -> tuple[SpacePoint | None, tuple[Ball, ...]]:
+) -> tuple[SpacePoint | None, tuple[ObstacleRecord, ...]]:
     """Return the target and the obstacles of a file of 3D Slicer, in C, mm.
 
     The point whose label begins with "target" is the target, also the only point of a file; all others are
@@ -187,8 +171,11 @@ def read_goal_points(
             where: {path}""")
     others = [n for n in range(len(points)) if n not in aims]
     names = name_obstacles(labels[n] for n in others)
-    balls = tuple(Ball(name, points[n], obstacle_radius) for name, n in zip(names, others, strict=True))
-    return (points[aims[0]] if aims else None), balls
+    obstacles = (
+        ObstacleRecord(name=name, centre_mm=points[n], radius_mm=obstacle_radius)
+        for name, n in zip(names, others, strict=True)
+    )
+    return (points[aims[0]] if aims else None), tuple(obstacles)
 
 
 def name_obstacles(labels: Iterable[str]) -> tuple[str, ...]:

@@ -38,16 +38,13 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import find_roll
 from needlefit.planning.goals import (
     PATH_POINTS,
-    Ball,
     Goal,
     PlaneGoal,
-    SpacePoint,
     compute_clearances,
     compute_misses,
     compute_residuals,
     cut_plane,
     find_hits,
-    make_space_goal,
     minimize_miss,
 )
 
@@ -269,22 +266,17 @@ def plan_steering(
 
 
 def plan_to_target(
-    insertion: StartedInsertion,
-    target: SpacePoint,
-    radius: float,
-    balls: Sequence[Ball],
-    limits: PlanLimits,
-    threads: int | None,
+    insertion: StartedInsertion, goal: Goal, limits: PlanLimits, threads: int | None
 ) -> tuple[PlaneGoal, SteeringPlan]:
-    """Return the plan of least risk to a target in C, mm, and the plane in which it lies.
+    """Return the plan of least risk to a goal in space, and the plane in which its target lies.
 
     To a target outside of the plane z = 0 the bevel is rolled as the insertion begins, while the base moves
     along y; where that does not reach it, bevel and base are rolled together.
     """
-    plane = cut_plane(target, radius, tuple(balls))
-    if not target[2]:
+    plane = cut_plane(goal)
+    if not goal.target[2]:
         return plane, plan_steering(insertion, plane.goal, limits, threads)
-    found = plan_steering(insertion, make_space_goal(target, radius, balls), limits, threads)
+    found = plan_steering(insertion, goal, limits, threads)
     if not found.hits:
         rolled = plan_steering(insertion, plane.goal, limits, threads)
         found = rolled if rolled.hits else found
