@@ -10,8 +10,9 @@ import pytest
 from needlefit.inference.identifiability.profile import (
     DEVIANCE_95,
     LikelihoodProfile,
-    compute_profile,
     minimize_squares,
+    summarize_profile,
+    trace_profiles,
 )
 
 REACH = 20.0
@@ -47,7 +48,9 @@ def banana() -> Known:
 
 
 def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5)) -> LikelihoodProfile:
-    return compute_profile(target, k, minimize_squares(target, np.array(start)))
+    return summarize_profile(
+        target, k, trace_profiles(target, [k], minimize_squares(target, np.array(start)))[k]
+    )
 
 
 def test_a_linear_gaussian_has_the_parabola_of_its_information():
@@ -63,7 +66,8 @@ def test_a_linear_gaussian_has_the_parabola_of_its_information():
         assert p.closed
         assert p.deviance[0] > DEVIANCE_95 < p.deviance[-1]
     target = line()
-    wide = compute_profile(target, 0, minimize_squares(target, np.zeros(2)), scale=4.0)
+    paths = trace_profiles(target, [0], minimize_squares(target, np.zeros(2)), scale=4.0)
+    wide = summarize_profile(target, 0, paths[0], scale=4.0)
     assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
     assert wide.sd == pytest.approx(1.0, rel=0.01)
 

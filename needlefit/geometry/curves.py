@@ -26,15 +26,6 @@ def interpolate_at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
     return np.column_stack([np.interp(np.asarray(s, dtype=np.float64), along, axis) for axis in array.T])
 
 
-def interpolate_hermite(x: Floats, y: Floats, slope: Floats, at: Floats) -> Floats:
-    """Return the cubic Hermite spline (K,) through `y` (N,) with `slope` (N,) at `x` (N,), increasing."""
-    k = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-    step, s = x[k + 1] - x[k], at - x[k]
-    chord = (y[k + 1] - y[k]) / step
-    bend = (slope[k] + slope[k + 1] - 2 * chord) / step
-    return ((bend / step * s + (chord - slope[k]) / step - bend) * s + slope[k]) * s + y[k]
-
-
 STRAIGHT_TOLERANCE_MM = 1e-9  # greatest distance from the entry line, mm, of a curve that counts as straight
 
 

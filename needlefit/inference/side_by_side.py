@@ -57,31 +57,6 @@ def run_side_by_side(
         yield from as_they_end({threads.submit(run, item): n for n, item in enumerate(items)}, stop)
 
 
-def map_side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """Return `function` of each item; within a search of `run_side_by_side` each item is a search itself."""
-    group: _Group | None = getattr(_this_thread, "group", None)
-    if group is None or len(items) < 2:
-        return [function(item) for item in items]
-    # parts stand for one search; the last that ends is that search again
-    group.add_parts(len(items) - 1)
-    left = len(items)
-
-    def run(item: Item) -> Result:
-        nonlocal left
-        _this_thread.group = group
-        with group.turn:
-            try:
-                return function(item)
-            finally:
-                left -= 1
-                group.add_parts(-1 if left else 0)
-
-    with ThreadPoolExecutor(len(items)) as threads:
-        results = threads.map(run, items)
-        group.turn.wait_for(lambda: not left)
-        return list(results)
-
-
 _this_thread = threading.local()
 
 
@@ -98,7 +73,7 @@ class _Group:
     """Searches that evaluate together."""
 
     def __init__(self, searches: int, jobs: int) -> None:
-        self._left, self._parts, self._jobs = searches, 0, jobs
+        self._left, self._jobs = searches, jobs
         #: held by the one search that runs: threads that all run at once wait for the interpreter instead
         self.turn = threading.Condition()
         self._waiting: list[_Request] = []
@@ -108,17 +83,12 @@ class _Group:
         self._left -= 1
         self.turn.notify_all()
 
-    def add_parts(self, count: int) -> None:
-        """Count so many more parts of searches, each of which evaluates like a search."""
-        self._parts += count
-        self.turn.notify_all()
-
     def evaluate(self, function: "_Function[Value]", theta: Floats) -> Value:
         """Return `function` at theta (P,), once all searches that run wait for a value."""
         request = _Request(function, theta)
         self._waiting.append(request)
         while not request.ended:
-            if len(self._waiting) < min(self._left, MAX_SEARCHES) + self._parts:
+            if len(self._waiting) < min(self._left, MAX_SEARCHES):
                 self.turn.wait()
                 continue
             requests, self._waiting = self._waiting, []

@@ -7,7 +7,6 @@ likelihoods are not: what a profile leaves open is not determined.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
@@ -37,12 +36,15 @@ from needlefit.inference.identifiability.precision import (
     loosen,
     prior_information,
 )
-from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile, minimize_squares
+from needlefit.inference.identifiability.profile import (
+    LikelihoodProfile,
+    minimize_squares,
+    summarize_profile,
+    trace_profiles,
+)
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.inference.problem import Problem
-from needlefit.inference.side_by_side import run_side_by_side
 from needlefit.project.progress import Stop, never_stop
-from needlefit.project.tasks import TaskStop
 
 #: largest range among equal starts, in these standard deviations, of a parameter called determined
 MAX_RANGE_SD = 4.0
@@ -187,18 +189,14 @@ def profile_parameters(
     """Compute the profiles about a fit; the result does not depend on the number of threads.
 
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
-    `step` is called with the number of profiles that are finished, and of all.
+    `step` is as of `trace_profiles`.
     """
     known, theta = problem.parameters, np.array(fit.theta)
     noisy, theta = add_estimated_noise(problem, theta).searched, known.restrict(theta)
     optimum = minimize_squares(noisy, theta)
     scale = max(1.0, linearize(noisy, optimum.theta)[2])
-    work = partial(compute_profile, noisy, optimum=optimum, scale=scale)
-    every: dict[int, LikelihoodProfile] = {}
-    for n, one in run_side_by_side(work, range(len(noisy.names)), jobs, TaskStop(stop)):
-        every[n] = one
-        step(len(every), len(noisy.names))
-    found = tuple(every[n] for n in sorted(every))
+    paths = trace_profiles(noisy, range(len(noisy.names)), optimum, jobs, stop, scale, step=step)
+    found = tuple(summarize_profile(noisy, k, path, scale) for k, path in sorted(paths.items()))
     at_fit = noisy.jacobian(theta)[0]
     # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0

@@ -10,19 +10,21 @@ point), with one parameter held if wanted.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import scipy
 from scipy.optimize import lsq_linear
 from scipy.special import gammaincinv
 
 from needlefit.arrays import Bools, Floats
-from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.fit import EVALUATION_ERRORS, FIRST_RADIUS
 from needlefit.inference.problem import Problem
-from needlefit.inference.side_by_side import map_side_by_side
+from needlefit.inference.side_by_side import run_side_by_side
+from needlefit.project.progress import Stop, never_stop
+from needlefit.project.tasks import TaskStop
 
 #: a minimum is reached where a further step would lessen the sum of squares by less than this
 MIN_GAIN = 1e-3
@@ -131,35 +133,49 @@ MIN_IMPROVEMENT = 5 * MIN_GAIN  #: a value is lower than another one if it is so
 MAX_RESTARTS = 3  #: largest number of restarts of a profile after a better optimum was found
 
 
-@dataclass
+@dataclass(frozen=True)
 class ProfilePath:
-    """The points of one profile that were computed so far."""
+    """The points of one profile."""
 
     #: the optimum, and the best for each value of the held parameter that was tried
-    points: list[LocalMinimum] = field(default_factory=list)
-    #: whether the lower and the upper side end at the bound
-    at_bound: list[bool] = field(default_factory=lambda: [False, False])
+    points: list[LocalMinimum]
+    at_bound: tuple[bool, bool]  #: whether the lower and the upper side end at the bound
 
 
-def trace_profile(
+def trace_profiles(
     target: Problem,
-    k: int,
+    which: Sequence[int],
     optimum: LocalMinimum,
+    jobs: int = 1,
+    stop: Stop = never_stop,
     scale: float = 1.0,
     steps: ProfileSteps = INTERVAL_STEPS,
-) -> ProfilePath:
-    """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
+    step: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[int, ProfilePath]:
+    """Trace parameters to both sides of the optimum, or of a better one that is found on the way.
+
+    What has not ended at a stop is left out. `step` is called with the number of sides that have ended, and
+    of all.
+    """
+    optima, paths, ended = dict.fromkeys(which, optimum), dict[int, ProfilePath](), 0
     for _ in range(MAX_RESTARTS):
-        sides = [_ProfileSide(target, k, scale, steps, optimum, side) for side in (-1, 1)]
-        map_side_by_side(_ProfileSide.trace, sides)
-        path = ProfilePath([optimum], [one.at_bound for one in sides])
-        for one in sides:
-            path.points += one.points
-        better = select_best(path.points)
-        if better.value > optimum.value - MIN_IMPROVEMENT:
-            break
-        optimum = minimize_squares(target, better.theta)
-    return path
+        sides = [_ProfileSide(target, k, scale, steps, optima[k], side) for k in optima for side in (-1, 1)]
+        traced = set[int]()
+        for n, _ in run_side_by_side(_ProfileSide.trace, sides, jobs, TaskStop(stop)):
+            traced.add(n)
+            ended = min(ended + 1, 2 * len(which))  # those of a better optimum are further ones
+            step(ended, 2 * len(which))
+        optima = {}
+        for n, (low, high) in enumerate(zip(sides[::2], sides[1::2], strict=True)):
+            if not {2 * n, 2 * n + 1} <= traced:
+                paths.pop(low.k, None)
+                continue
+            points = [low.optimum, *low.points, *high.points]
+            paths[low.k] = ProfilePath(points, (low.at_bound, high.at_bound))
+            better = select_best(points)
+            if better.value <= low.optimum.value - MIN_IMPROVEMENT:
+                optima[low.k] = minimize_squares(target, better.theta)
+    return paths
 
 
 def select_best(points: Sequence[LocalMinimum]) -> LocalMinimum:
@@ -256,7 +272,6 @@ End = Literal["closed", "bound", "lost"]
 
 DEVIANCE_95 = float(2 * gammaincinv(0.5, 0.95))  #: deviance at the ends of a 95 % interval, 3.84
 MIN_POINT_DISTANCE = 1e-6  #: points closer than this part of the range are one
-CURVE_POINTS = 401  #: points on which the curve between the computed ones is searched
 
 
 @dataclass(frozen=True)
@@ -292,13 +307,13 @@ class LikelihoodProfile:
         return float(np.max(self.deviance))
 
 
-def compute_profile(target: Problem, k: int, optimum: LocalMinimum, scale: float = 1.0) -> LikelihoodProfile:
-    """Compute the profile of parameter `k` about an optimum; the others are re-optimised within their bounds.
+def summarize_profile(target: Problem, k: int, path: ProfilePath, scale: float = 1.0) -> LikelihoodProfile:
+    """Return the profile of parameter `k` by the points that were traced; the best of these has deviance 0.
 
-    Should it find a better optimum, that takes its place. `scale` is what the sum of squares is divided by to
-    give the deviance: above 1 where residuals are larger than the noise explains.
+    `scale` is what the sum of squares is divided by to give the deviance: above 1 where residuals are larger
+    than the noise explains.
     """
-    path, width = trace_profile(target, k, optimum, scale), target.upper - target.lower
+    width = target.upper - target.lower
     points: list[LocalMinimum] = []  # along the parameter; of those that were computed twice the lower one
     for point in sorted(path.points, key=lambda point: float(point.theta[k])):
         if points and point.theta[k] - points[-1].theta[k] < MIN_POINT_DISTANCE * width[k]:
@@ -337,21 +352,6 @@ def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int
     outermost = -1 if side > 0 else 0
     if deviance[outermost] <= DEVIANCE_95:
         return float(at[outermost]), "bound" if path.at_bound[side > 0] else "lost"
-    # the outermost crossing counts, so the curve is scanned before it is bisected: it may cross more than
-    # once
-    fine = np.unique(np.concatenate([np.linspace(at[0], at[-1], CURVE_POINTS), at]))
-    inside = np.flatnonzero(_interpolate(*curve, fine) <= DEVIANCE_95)
-    within, beyond = float(fine[inside[outermost]]), float(fine[inside[outermost] + side])
-    for _ in range(50):
-        middle = 0.5 * (within + beyond)
-        if _interpolate(*curve, np.array([middle]))[0] <= DEVIANCE_95:
-            within = middle
-        else:
-            beyond = middle
-    return within, "closed"
-
-
-def _interpolate(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats:
-    if len(at) == 1:
-        return np.full(len(where), deviance[0])
-    return interpolate_hermite(at, deviance, slope, where)
+    # it may cross more than once: the outermost crossing counts
+    crossings = scipy.interpolate.CubicHermiteSpline(*curve).solve(DEVIANCE_95, extrapolate=False)
+    return float(crossings[outermost]), "closed"

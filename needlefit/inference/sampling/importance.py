@@ -23,7 +23,6 @@ data is the ratio of two evidences: the mean of their likelihood over draws woul
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,7 @@ from needlefit.inference.identifiability.profile import (
     LocalMinimum,
     ProfileSteps,
     minimize_squares,
-    trace_profile,
+    trace_profiles,
 )
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import Draws
@@ -52,9 +51,6 @@ from needlefit.inference.sampling.log_density import (
     LogDensityFunction,
     approximate_by_information,
 )
-from needlefit.inference.side_by_side import run_side_by_side
-from needlefit.project.progress import never_stop
-from needlefit.project.tasks import TaskStop
 
 MAX_PARETO_K = 0.7  #: largest k of weights whose means come to rest at any practical number of draws
 MIN_TAIL_WEIGHTS = 5  #: fewer weights make no tail
@@ -487,7 +483,7 @@ def sample_about_modes(
     """
     known, problem = problem.parameters, problem.searched
     uniform = find_uninformed(problem, modes[0])
-    traced = trace_profiles(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
+    traced = list_profile_points(problem, modes[0], jobs, uniform) if efforts[0].profiles else []
     points = [*modes, *traced]
     bounds = (problem.lower, problem.upper)
     # each with the information of its search: that costs no density
@@ -513,7 +509,9 @@ def find_uninformed(problem: Problem, mode: LocalMinimum) -> Bools:
     return found
 
 
-def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int, uninformed: Bools) -> list[LocalMinimum]:
+def list_profile_points(
+    problem: Problem, mode: LocalMinimum, jobs: int, uninformed: Bools
+) -> list[LocalMinimum]:
     """Return points along the profiles, about a mode, of parameters neither tied nor a spread.
 
     Nor of those marked `uninformed` (P,), which are drawn without.
@@ -524,10 +522,9 @@ def trace_profiles(problem: Problem, mode: LocalMinimum, jobs: int, uninformed: 
     """
     stated = {tie.name for tie in problem.parameters.prior.ties} | set(problem.parameters.half_normal)
     traced = [k for k, name in enumerate(problem.names) if name not in stated and not uninformed[k]]
-    work = partial(trace_profile, problem.near(mode.theta), optimum=mode, steps=PROFILE_STEPS)
-    found = dict(run_side_by_side(work, traced, jobs, TaskStop(never_stop)))
+    paths = trace_profiles(problem.near(mode.theta), traced, mode, jobs, steps=PROFILE_STEPS)
     # without the optimum, which comes first
-    points = [one for n in range(len(traced)) for one in found[n].points[1:]]
+    points = [one for path in paths.values() for one in path.points[1:]]
     return [one for one in points if one.value - mode.value <= 2 * MAX_LOG_DENSITY_GAP]
 
 

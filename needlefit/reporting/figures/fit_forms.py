@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import scipy
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -14,7 +15,6 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, NullLocator
 
 from needlefit.arrays import Floats
-from needlefit.geometry.curves import interpolate_hermite
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.drawing import Drawing
 from needlefit.reporting.figures.forms import lighten
@@ -334,7 +334,7 @@ def _draw_profile(axes: Axes, row: Row, points: pd.DataFrame, unit: float) -> No
     fine = np.linspace(at[0], at[-1], 400)
     values, places = (np.exp(one) if logarithmic else one for one in (at, fine))
     deviance, threshold = points["deviance"].to_numpy(dtype=np.float64), float(points["threshold"].iloc[0])
-    curve = interpolate_hermite(at, deviance, points["slope"].to_numpy(dtype=np.float64), fine)
+    curve = scipy.interpolate.CubicHermiteSpline(at, deviance, points["slope"])(fine)
     # the interval of the tables; of a profile alone, what is within the threshold
     inside = curve <= threshold
     if _is_of_draws(row):
