@@ -29,32 +29,29 @@ def log_marginals(whites: Sequence[Floats], group: NodeGroup, scale: Floats, spr
         reduced, log_det = _integrate_effects(whole, nodes, spread)
         density = density - white.shape[2] * np.log(scale) - 0.5 * log_det
         products.append(reduced)
-    size, surfaces = 1 + len(group.surfaces) + group.centred, np.arange(len(group.surfaces))
-    total, log_det = np.zeros((len(scale), size, size)), _begin_log_det(group, scale)
-    for block in group.blocks:
-        part, own_det = _sum_over_group([products[k] for k in block.members], block.group, spread)
-        at = np.array([0, *(1 + block.places)])
-        # a block without a bevel has a condition less; its row and column of zeros change nothing
-        parted = np.zeros((len(scale), block.bevels + len(at), block.bevels + len(at)))
-        parted[:, : part.shape[1], : part.shape[1]] = part
-        if block.bevels:
-            stiff, row = 1 + parted[:, 1, 1], np.delete(parted[:, 1], 1, axis=1)
-            row[:, len(part[0]) - 1 :] = 1.0  # of the condition that they sum to zero
-            parted = np.delete(np.delete(parted, 1, axis=1), 1, axis=2)
-            parted = parted - row[:, :, None] * row[:, None] / stiff[:, None, None]
-            own_det = own_det + np.log(stiff)
-        total[:, at[:, None], at] += parted
-        log_det = log_det + own_det
+    total, log_det = _sum_over_group(products, group, spread)
     # completing the square in what is shared: its precision is stiff, its mean solve(stiff, -pull)
-    stiff, pull = total[:, 1:, 1:], total[:, 1:, 0]
-    stiff[:, surfaces, surfaces] += 1.0
+    stiff, constant = _begin_precision(group, len(scale))
+    count = len(group.surfaces)
+    stiff[:, :count, :count] += total[:, 1:, 1:]
+    pull = np.zeros((len(scale), len(stiff[0])))
+    pull[:, :count] = total[:, 1:, 0]
     gained = np.sum(pull * np.linalg.solve(stiff, pull[..., None])[..., 0], axis=1)
-    return density - 0.5 * (total[:, 0, 0] - gained + log_det + _log_det(stiff))
+    return density - 0.5 * (total[:, 0, 0] - gained + log_det + constant + _log_det(stiff))
 
 
-def _begin_log_det(group: NodeGroup, scale: Floats) -> Floats:
-    """Return what the log det (B,) has before all blocks: the condition on N bevels is not of unit length."""
-    return np.full(len(scale), -math.log(len(group.bevels)) if group.centred else 0.0)
+def _begin_precision(group: NodeGroup, sets: int) -> tuple[Floats, float]:
+    """Return the prior precision (B, k, k) of what is shared, and a constant of its log determinant.
+
+    Where bevels sum to zero, a last row and column state that: Lagrange's multiplier of a condition, which is
+    not of unit length.
+    """
+    stiff = np.eye(len(group.surfaces) + group.centred)
+    if group.centred:
+        stiff[-1, :-1] = stiff[:-1, -1] = group.bevels
+        stiff[-1, -1] = 0.0
+    constant = -math.log(group.bevels.sum()) if group.centred else 0.0
+    return np.tile(stiff, (sets, 1, 1)), constant
 
 
 def solve_shared(
@@ -139,77 +136,55 @@ def linearize_residuals(
     spread; `by_log_spread` (P,) are the derivatives of the latter's logarithm.
     """
     sets, free = len(at[0]), by[0].shape[-1]
-    # The conditions of a block are met by the others in the surfaces and in the sum of all bevels alone.
-    # With those at last, the precision of all conditions is block-diagonal with a border.
-    size, surfaces = len(group.surfaces) + group.centred, np.arange(len(group.surfaces))
-    corner, pull = np.zeros((sets, size, size)), np.zeros((sets, size))
-    corner[:, surfaces, surfaces] = 1.0
-    log_det, blocks = _begin_log_det(group, at[0]), []
-    for block in group.blocks:
-        first, slopes = stack_residuals([whites[k] for k in block.members], block.group, *at)
-        by_first, by_slopes = stack_residuals([by[k] for k in block.members], block.group, *at)
-        bevels = np.array(_list_bevel_conditions(block.group), dtype=np.float64)
+    # the conditions of an insertion meet those of the others in what is shared alone: with that at last, the
+    # precision of all conditions is block-diagonal with a border
+    corner, constant = _begin_precision(group, sets)
+    pull, log_det, known = np.zeros(corner.shape[:2]), np.full(sets, constant), []
+    for white, by_white, (own_group, places) in zip(whites, by, group.members, strict=True):
+        first, slopes = stack_residuals([white], own_group, *at)
+        by_first, by_slopes = stack_residuals([by_white], own_group, *at)
+        bevels = np.array(_list_bevel_conditions(own_group), dtype=np.float64)
         by_slopes = by_slopes + (bevels[:, None] * slopes)[..., None] * by_log_spread
-        count = slopes.shape[1] - len(block.group.surfaces) + block.bevels  # conditions of its own
-        own, others = slopes[:, :count], slopes[:, count:]
-        held = np.zeros((sets, len(block.places), first.shape[1]))  # of the sum there are no residuals
-        held[:, : others.shape[1]] = others
-        border = own @ held.transpose(0, 2, 1)  # (B, count, places)
-        if count:
-            border[:, -1, others.shape[1] :] = 1.0
-        stiff = np.eye(count) + own @ own.transpose(0, 2, 1)
-        pulled = np.concatenate([(own @ first[..., None]), border, own], axis=2)
+        own, held = np.split(slopes, [slopes.shape[1] - len(places)], axis=1)  # conditions of its own, shared
+        border = own @ held.transpose(0, 2, 1)
+        stiff = np.eye(own.shape[1]) + own @ own.transpose(0, 2, 1)
+        pulled = np.concatenate([own @ first[..., None], border, own], axis=2)
         solved = np.linalg.solve(stiff, pulled)
-        to_pull, to_border, to_own = np.split(solved, [1, 1 + len(block.places)], axis=2)
-        places = block.places[:, None], block.places
-        corner[:, *places] += held @ held.transpose(0, 2, 1) - border.transpose(0, 2, 1) @ to_border
-        pull[:, block.places] += (held @ first[..., None] - border.transpose(0, 2, 1) @ to_pull)[..., 0]
+        to_pull, to_border, to_own = np.split(solved, [1, 1 + len(places)], axis=2)
+        turned = border.transpose(0, 2, 1)
+        corner[:, places[:, None], places] += held @ held.transpose(0, 2, 1) - turned @ to_border
+        pull[:, places] += (held @ first[..., None] - turned @ to_pull)[..., 0]
         log_det = log_det + _log_det(stiff)
-        blocks.append((first, own, held, border, stiff, to_pull, to_border, to_own, by_first, by_slopes))
+        known.append((places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes))
     inverse, log_det = np.linalg.inv(corner), log_det + _log_det(corner)
-    best = -(inverse @ pull[..., None])[..., 0]  # (B, size)
-    by_pull, by_det, parts = np.zeros((sets, size, free)), np.zeros((sets, free)), []
-    for block, known in zip(group.blocks, blocks, strict=True):
-        first, own, held, border, stiff, to_pull, to_border, to_own, by_first, by_slopes = known
-        shared = len(held[0]) - (group.centred and block.bevels)
-        fits = np.concatenate([-(to_pull + to_border @ best[:, block.places, None])[..., 0],
-                               best[:, block.places[:shared]]], axis=1)  # fmt: skip
-        slopes = np.concatenate([own, held[:, :shared]], axis=1)
-        rows, conditions = first.shape[1], slopes.shape[1]
+    best = -(inverse @ pull[..., None])[..., 0]
+    by_pull, by_det, parts = np.zeros((*pull.shape, free)), np.zeros((sets, free)), []
+    for places, first, slopes, border, stiff, to_pull, to_border, to_own, by_first, by_slopes in known:
+        count, rows, conditions = len(stiff[0]), first.shape[1], slopes.shape[1]
+        own_best = -(to_pull + to_border @ best[:, places, None])[..., 0]
+        fits = np.concatenate([own_best, best[:, places]], axis=1)
         left = first + (fits[:, None] @ slopes)[:, 0]  # (B, R)
         flat = by_slopes.reshape(sets, conditions, rows * free)
         by_left = by_first + (fits[:, None] @ flat).reshape(sets, rows, free)  # conditions held
         # derivative of the normal equations stiff @ best = -slopes @ first; terms in by_slopes @ left are not
         # zero off the optimum
-        by_own = (left[:, None, None] @ by_slopes)[:, :, 0] + slopes @ by_left  # (B, D, P)
-        own_count = own.shape[1]
-        by_best = np.linalg.solve(stiff, by_own[:, :own_count])
-        by_pull[:, block.places[:shared]] += by_own[:, own_count:]
-        by_pull[:, block.places] -= border.transpose(0, 2, 1) @ by_best
-        inner = inverse[:, block.places[:, None], block.places]
-        weights = inner @ (held - border.transpose(0, 2, 1) @ to_own)
-        weights = np.concatenate([to_own - to_border @ weights, weights[:, :shared]], axis=1)
+        by_normal = (left[:, None, None] @ by_slopes)[:, :, 0] + slopes @ by_left  # (B, D, P)
+        by_best = np.linalg.solve(stiff, by_normal[:, :count])
+        turned = border.transpose(0, 2, 1)
+        by_pull[:, places] += by_normal[:, count:] - turned @ by_best
+        weights = inverse[:, places[:, None], places] @ (slopes[:, count:] - turned @ to_own)
+        weights = np.concatenate([to_own - to_border @ weights, weights], axis=1)
         flat = weights.reshape(sets, 1, conditions * rows)
         by_det = by_det + 2 * (flat @ by_slopes.reshape(sets, conditions * rows, free))[:, 0]
-        parts.append((left, fits[:, :own_count], by_left, by_best, slopes, to_border))
-    by_shared = -(inverse @ by_pull)
-    found: dict[int, list[tuple[Floats, Floats]]] = {}
-    together: list[tuple[Floats, Floats]] = []
-    for block, (left, fits, by_left, by_best, slopes, to_border) in zip(group.blocks, parts, strict=True):
-        by_best = -by_best - to_border @ by_shared[:, block.places]
-        shared = slopes.shape[1] - fits.shape[1]
-        by_all = np.concatenate([by_best, by_shared[:, block.places[:shared]]], axis=1)
-        by_left = by_left + slopes.transpose(0, 2, 1) @ by_all
-        row = condition = 0
-        for k, own_count in zip(block.members, _count_own(block.group), strict=True):
-            rows = slice(row, row + whites[k].shape[2])
-            conditions = slice(condition, condition + own_count)
-            found[k] = [(left[:, rows], by_left[:, rows]), (fits[:, conditions], by_best[:, conditions])]
-            row, condition = rows.stop, conditions.stop
-        together.append((fits[:, condition:], by_best[:, condition:]))
-    together.append((best[:, surfaces], by_shared[:, surfaces]))
-    found[0] += together
-    pairs = [pair for k in sorted(found) for pair in found[k]]
+        parts.append((places, left, own_best, by_left, by_best, slopes, to_border))
+    by_shared, shared = -(inverse @ by_pull), slice(len(group.surfaces))
+    pairs = []
+    for places, left, own_best, by_left, by_best, slopes, to_border in parts:
+        by_own = -by_best - to_border @ by_shared[:, places]
+        by_all = np.concatenate([by_own, by_shared[:, places]], axis=1)
+        pairs += [(left, by_left + slopes.transpose(0, 2, 1) @ by_all), (own_best, by_own)]
+        if len(pairs) == 2:  # what is shared stands behind the first insertion
+            pairs.append((best[:, shared], by_shared[:, shared]))
     residuals, by_residuals = (np.concatenate(side, axis=1) for side in zip(*pairs, strict=True))
     return residuals, log_det, by_residuals, by_det
 
@@ -229,7 +204,7 @@ def count_residuals(group: NodeGroup, rows: Sequence[int]) -> list[int]:
     What insertions share stands behind the first of them.
     """
     counts = [row + size for row, size in zip(rows, _count_own(group), strict=True)]
-    counts[0] += len(group.surfaces) + len(group.bevels)
+    counts[0] += len(group.surfaces)
     return counts
 
 

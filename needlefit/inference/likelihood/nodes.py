@@ -199,13 +199,17 @@ def enforce_order(boundaries: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class NodeGroup:
-    """Insertions whose depths err together, as the surfaces of one specimen do."""
+    """Insertions whose depths err together, as the surfaces of one specimen do, or whose bevels do."""
 
     nodes: tuple[Nodes, ...]
-    surfaces: tuple[tuple[str, int, int | str], ...]  #: the k that at least two of them cross
-    #: bevels that belong to a block of insertions each: to those that were made in one, at several depths
-    bevels: tuple[tuple[str, int, int | str], ...] = ()
-    centred: bool = False  #: whether these are deviations from their mean
+    #: the k that at least two of them share: surfaces that they cross, bevels of one at several depths
+    surfaces: tuple[tuple[str, int, int | str], ...]
+    centred: bool = False  #: whether the bevels among these are deviations from their mean, which sum to zero
+
+    @cached_property
+    def bevels(self) -> Floats:
+        """Which of the shared ones are bevels, 1 or 0: (k,)."""
+        return np.array([float(surface[1] == BEVEL) for surface in self.surfaces])
 
     @cached_property
     def own(self) -> tuple[Floats, ...]:
@@ -224,23 +228,12 @@ class NodeGroup:
         return tuple(found)
 
     @cached_property
-    def blocks(self) -> "tuple[Block, ...]":
-        """The blocks of insertions that have a bevel together, or stand alone."""
-        places, bevels = {surface: k for k, surface in enumerate(self.surfaces)}, set(self.bevels)
-        members: dict[object, list[int]] = {}
-        for k, one in enumerate(self.nodes):
-            own = [axis.surface for axis in one.axes if axis.surface in bevels]
-            members.setdefault(own[0] if own else k, []).append(k)
+    def members(self) -> "tuple[tuple[NodeGroup, Ints], ...]":
+        """Each insertion by itself, with the surfaces that it shares, and their places among all."""
         found = []
-        for key, some in members.items():
-            nodes = tuple(self.nodes[k] for k in some)
-            crossed = {axis.surface for one in nodes for axis in one.axes}
-            bevel = tuple(one for one in (key,) if one in bevels)
-            here = [k for surface, k in places.items() if surface in crossed]
-            group = NodeGroup(nodes, (*bevel, *(self.surfaces[k] for k in here)))
-            # the condition that all bevels' deviations sum to zero stands behind the surfaces
-            held = [len(places)] * bool(bevel and self.centred)
-            found.append(Block(tuple(some), group, len(bevel), np.array([*here, *held], dtype=np.intp)))
+        for nodes, shared in zip(self.nodes, self.shared, strict=True):
+            places = np.flatnonzero(shared.any(axis=0))
+            found.append((NodeGroup((nodes,), tuple(self.surfaces[k] for k in places)), places))
         return tuple(found)
 
     def _split(self, axis: ErrorAxis) -> tuple[float, float]:
@@ -248,18 +241,6 @@ class NodeGroup:
         if axis.surface in self.surfaces:
             return axis.own, axis.shared
         return float(np.hypot(axis.own, axis.shared)), 0.0
-
-
-@dataclass(frozen=True)
-class Block:
-    """Insertions of a group that have a bevel together, or one that has none or its own."""
-
-    members: tuple[int, ...]  #: places in the group
-    group: NodeGroup  #: of these alone; their bevel is the first of its surfaces
-    bevels: int  #: 1, or 0 without a common one
-    #: places among the group's surfaces of those that they cross, and behind them of the condition that all
-    #: bevels sum to zero
-    places: Ints
 
 
 def group_nodes(
@@ -280,11 +261,9 @@ def group_nodes(
     found = []
     for members in groups.values():
         every = sorted({surface for place in members for surface in crossed[place]})
-        common = [one for one in every if counts[one] > 1 or (centred and one in bevels)]
-        shared, own = ([one for one in common if (one in bevels) == of] for of in (False, True))
+        shared = tuple(one for one in every if counts[one] > 1 or (centred and one in bevels))
         some = tuple(nodes[place] for place in members)
-        group = NodeGroup(some, tuple(shared), tuple(own), centred and bool(own))
-        found.append((tuple(members), group))
+        found.append((tuple(members), NodeGroup(some, shared, centred and not bevels.isdisjoint(shared))))
     return tuple(found)
 
 
