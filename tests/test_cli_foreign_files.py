@@ -73,7 +73,7 @@ CASES = {
     "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
-        "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.ply"
+        "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"
     ),
 }
 STUBBED = {name for name in CASES if name.startswith(("twin build", "view"))}
@@ -165,7 +165,7 @@ def test_folders_with_foreign_files_are_refused_before_the_run(command, place, w
     if whose == "a result":
         shutil.rmtree(folder)
         (folder / "slicer").mkdir(parents=True)
-        (folder / "slicer" / "a.ply").touch()
+        (folder / "slicer" / "a.mrk.json").touch()
         write_manifest(folder)
         plant(folder)
     before = everything(project)

@@ -59,9 +59,8 @@ def simulate(
     slicer: Annotated[
         Path | None,
         option(
-            "Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the last. "
-            "Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured insertion "
-            "lies in its scan; mm.",
+            "Write the needle for 3D Slicer, a curve for every step: .mrk.json. Scene coordinates are taken "
+            "as LPS, in the plane z = 0; a recording of a measured insertion lies in its scan; mm.",
             "FILE",
         ),
     ] = None,
@@ -157,7 +156,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
     def write_curves(path: Path) -> bool:
         from needlefit.reporting.slicer import write_simulated_needle
 
-        return write_simulated_needle(scene.entry.placement, shapes, path, record.needle.outer_diameter_mm)
+        return write_simulated_needle(scene.entry.placement, shapes, path)
 
     def draw_animation(path: Path) -> None:
         from needlefit.reporting.figures.animation import animate

@@ -160,11 +160,6 @@ class Placement:
             entry_to_world=self.frame.rows.tolist(), lps_to_world=self.patient.rows.tolist()
         )
 
-    @property
-    def across(self) -> Floats:
-        """C's y axis in patient coordinates, (3,)."""
-        return self.frame.rotation[:, 1] @ self.patient.rotation
-
     def to_world(self, points: ArrayLike) -> Floats:
         """Return points (K, 2), in C's plane, or (K, 3), in C, in world coordinates, (K, 3) mm."""
         return self.frame.to_world(pad_axis(np.asarray(points, dtype=np.float64), 3))

@@ -195,16 +195,12 @@ def transform_surface(surface: Surface, frame: Frame) -> Surface:
     return replace(surface, mesh=make_mesh(vertices, surface.mesh.faces))
 
 
-@dataclass(frozen=True)
-class NearestSurface:
-    """The nearest place of some surfaces for each of N points: its distance (N,), mm, and normal (N, 3)."""
-
-    distances: NDArray[np.float64]
-    normals: NDArray[np.float64]
-
-
-def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurface:
-    """Return the distance of `points` (N, 3) from the nearest of some surfaces, and unit normals there."""
+def find_nearest(
+    points: ArrayLike, surfaces: Sequence[Surface]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the distance (N,), mm, of `points` (N, 3) from the nearest of some surfaces, and unit normals
+    (N, 3) there.
+    """
     from trimesh.triangles import closest_point
 
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
@@ -219,7 +215,7 @@ def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurfa
         away = np.linalg.norm(closest - point, axis=1)
         distances.append(away.min())
         found.append(normals[near[np.argmin(away)]])
-    return NearestSurface(np.array(distances), np.array(found).reshape(-1, 3))
+    return np.array(distances), np.array(found).reshape(-1, 3)
 
 
 def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:

@@ -274,7 +274,7 @@ def find_crossed_layers(
     places = interpolate_at_arc(points, crossed.arc)
     before, after = (interpolate_at_arc(points, crossed.arc + s * TANGENT_STEP_MM) for s in (-1, 1))
     tangents = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
-    normals = find_nearest(places, surfaces).normals
+    _, normals = find_nearest(places, surfaces)
     cosines = np.sum(normals * tangents, axis=1)
     across = np.interp(crossed.arc, arc_length(points), errors.centerline)
     # sin^2 of the angle between needle and normal

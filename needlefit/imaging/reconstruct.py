@@ -242,7 +242,7 @@ def check_layers(
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
     missed = [one for one in beyond if not len(find_surface_hits(course, one))]
     if missed:
-        away = [f"{one.name} ({find_nearest(points, [one]).distances.min():.1f} mm away)" for one in missed]
+        away = [f"{one.name} ({find_nearest(points, [one])[0].min():.1f} mm away)" for one in missed]
         yield f"the needle does not cross {', '.join(away)}: LPS, RAS?"
     crossed = [f"{depth:.2f}" for depth in layers.boundaries]
     soft = [(before, run) for before, run in pairwise(passed) if before.kind == run.kind == "soft"]

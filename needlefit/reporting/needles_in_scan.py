@@ -9,8 +9,7 @@ import pandas as pd
 
 from needlefit.arrays import Floats
 
-#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan;
-#: the single point of the curve "toward" is a direction.
+#: Of the table "needles": every insertion held out, or, of a single fold, any, point by point in its scan.
 NEEDLE_COLUMNS = (
     *("fold", "role", "insertion", "diameter_mm", "band_source"),
     *("curve", "j", "x_mm", "y_mm", "z_mm"),
@@ -35,7 +34,6 @@ class NeedleInScan:
     fold: str
     role: str  # "validate" where the fit never saw it, else "tune"
     measured: Floats  # (N, 3); the centreline, entry first
-    toward: Floats  # (3,); unit vector across the entry, in the bending plane
     diameter: float  # of the needle as it is drawn
     fitted: Floats | None = None  # (K, 3); in the bending plane; None where the solve failed
     band: Band | None = None  # None where no draws are certified, or none of them has a solution
@@ -47,7 +45,7 @@ def tabulate_needles_in_scan(needles: Iterable[NeedleInScan]) -> pd.DataFrame:
     for one in needles:
         band = one.band
         about = (one.fold, one.role, one.insertion, one.diameter, band.source if band else "")
-        curves = {"measured": one.measured, "toward": one.toward[None]}
+        curves = {"measured": one.measured}
         curves |= {} if one.fitted is None else {"fitted": one.fitted}
         curves |= {} if band is None else {"low": band.low, "middle": band.middle, "high": band.high}
         rows += [
@@ -74,7 +72,6 @@ def read_needles_in_scan(frame: pd.DataFrame) -> dict[str, NeedleInScan]:
             str(first["fold"]),
             str(first["role"]),
             measured=curves["measured"],
-            toward=curves["toward"][0],
             diameter=float(first["diameter_mm"]),
             fitted=curves.get("fitted"),
             band=band,

@@ -1,4 +1,4 @@
-"""Write needles for 3D Slicer: curves (`.mrk.json`), bodies (`.ply`), simulated or reconstructed; LPS, mm."""
+"""Write needles for 3D Slicer as curves (`.mrk.json`), simulated or reconstructed; LPS, mm."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -13,9 +13,7 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Placement
 from needlefit.geometry.measured_curve import measure_curve
-from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_SD
-from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
@@ -35,44 +33,32 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), the edges of the
     simultaneous 95 % band and its median. The band of a held-out needle is the predicted one of its
-    measurement, that of a fitted needle the one of the parameters. `<id>.needle.ply` is the fitted needle's
-    body.
+    measurement, that of a fitted needle the one of the parameters.
     """
     folder.mkdir(exist_ok=True)
     summary = " (synthetic)" if synthetic else ""
     for needle in read_needles_in_scan(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
-        if needle.fitted is not None:
-            comments = (f"needlefit: {needle.insertion}, needle{summary}, mm",)
-            body = make_tube(needle.fitted, needle.diameter / 2, needle.toward)
-            write_ply(*body, folder / f"{needle.insertion}.needle.ply", comments)
 
 
-def write_simulated_needle(
-    placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
-) -> bool:
-    """Write a simulated needle, base to tip, in patient coordinates.
+def write_simulated_needle(placement: Placement, shapes: Sequence[NeedleShape], path: Path) -> bool:
+    """Write a simulated needle, base to tip, in patient coordinates: a curve for every step that was solved.
 
-    A `.mrk.json` holds a curve for every step, a `.ply` the body after the last; a step that failed is left
-    out. Return whether there was any to write.
+    Return whether there was any to write.
 
-    ConfigError if the ending of `path` is another one or its folder does not exist.
+    ConfigError if the ending of `path` is not .mrk.json or its folder does not exist.
     """
-    if not path.name.lower().endswith((".mrk.json", ".ply")):
+    if not path.name.lower().endswith(".mrk.json"):
         raise ConfigError(
             f"cannot write a `{path.suffix}` file for 3D Slicer",
             where=path,
-            expected="a name that ends in .mrk.json or .ply",
+            expected="a name that ends in .mrk.json",
             fix=f"write to {path.stem or 'needle'}.mrk.json",
         )
     require_folder(path)
     curves = [_place_simulated(placement, shape) for shape in shapes if shape.converged]
     if not curves:
         return False
-    if path.suffix.lower() == ".ply":
-        radius = (DEFAULT_DIAMETER_MM if diameter is None else diameter) / 2
-        write_ply(*make_tube(curves[-1][0], radius, placement.across), path)
-        return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
     lists = [
         Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _arc_labels(s), points)
@@ -86,7 +72,7 @@ def _needle_curves(needle: NeedleInScan, summary: str) -> Iterator[tuple[Markups
     found = "predicted" if needle.role == "validate" else "fitted"
     lines = [("measured", needle.measured, _MEASURED_COLOUR, LINE_WIDTH_MM)]
     if needle.fitted is not None:
-        lines.append((found, needle.fitted, _FITTED_COLOUR, LINE_WIDTH_MM))
+        lines.append((found, needle.fitted, _FITTED_COLOUR, needle.diameter))
     if band := needle.band:
         source = "predicted" if band.source == "predicted" else "parameters"
         lines.append((f"median, {source}", band.middle, _BAND_COLOUR, LINE_WIDTH_MM))
@@ -122,21 +108,14 @@ def _arc_labels(s: Floats, begins: str = "entry") -> tuple[str, ...]:
 POINT_SIZE_MM = 1.5  # points, mm
 
 
-def write_scan(reconstruction: "Reconstruction", folder: Path, diameter: float) -> tuple[Path, ...]:
-    """Write the objects that Slicer shows over the scan to `folder`; return the files.
+def write_scan(reconstruction: "Reconstruction", folder: Path) -> None:
+    """Write the objects that Slicer shows over the scan to `folder`.
 
     `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its pointwise 95 % band
     toward and away from the bending side, entry and tip, where layers are crossed, and the markers found.
-    `<id>.needle.ply` is the needle's body, of `diameter` (mm).
     """
     folder.mkdir(parents=True, exist_ok=True)
-    name = reconstruction.scan.id
-    summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
-    files = folder / f"{name}.mrk.json", folder / f"{name}.needle.ply"
-    write_mrk_json(files[0], _scan_markups(reconstruction))
-    body = make_tube(reconstruction.needle_axis.points, diameter / 2, _band_direction(reconstruction))
-    write_ply(*body, files[1], (f"needlefit: {name}, needle{summary}, mm",))
-    return files
+    write_mrk_json(folder / f"{reconstruction.scan.id}.mrk.json", _scan_markups(reconstruction))
 
 
 def _scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:

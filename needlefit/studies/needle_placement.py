@@ -60,7 +60,6 @@ def place_needles(
                 fold.name,
                 role,
                 measured=insertion.patient.to_local(insertion.centerline),
-                toward=placement.across,
                 diameter=insertion.needle.outer_diameter or DEFAULT_DIAMETER_MM,
                 fitted=None if points is None else placement.to_patient(points),
                 band=band,

@@ -75,12 +75,11 @@ def write_table(outcome: RecordingOutcome, path: Path) -> None:
 
 
 def write_curve(outcome: RecordingOutcome, path: Path) -> None:
-    """Write the needle for 3D Slicer, .mrk.json or .ply."""
+    """Write the needle for 3D Slicer, .mrk.json."""
     from needlefit.reporting.slicer import write_simulated_needle
 
     placement = outcome.placement or outcome.scene.entry.placement
-    diameter = outcome.recording.head.scene.needle.outer_diameter_mm
-    write_simulated_needle(placement, [outcome.state.shape], path, diameter)
+    write_simulated_needle(placement, [outcome.state.shape], path)
 
 
 def write_picture(outcome: RecordingOutcome, path: Path) -> None:

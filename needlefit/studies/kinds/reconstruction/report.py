@@ -319,7 +319,7 @@ def write_reconstruction(
             write_scan_table([one.scan for one in kept], fresh / SCANS_FILE, folder)
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
-            write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
+            write_scan(one, fresh / "slicer")
             write_control_points(list_control_points(one), fresh / "slicer")
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
         title = f"Reconstruction: {description.title or description.name}"
