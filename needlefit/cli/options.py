@@ -153,6 +153,39 @@ class RunOptions:
 
 
 @dataclass(frozen=True)
+class StudyOptions:
+    """How studies run, and what they print and write."""
+
+    seed: Seed = None
+    jobs: Jobs = None
+    scheduler: Scheduler = None
+    insecure: Insecure = False
+    out: Out = None
+    reference: Reference = False
+    resume: Resume = False
+    strict: Strict = False
+    explain: Explain = False
+    json: Json = False
+    quiet: Quiet = False
+    plugins: Plugins = None
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How a fit, or a prediction with one, runs on this machine, and what it prints."""
+
+    seed: Seed = None
+    jobs: Jobs = None
+    out: Out = None
+    resume: Resume = False
+    strict: Strict = False
+    explain: Explain = False
+    json: Json = False
+    quiet: Quiet = False
+    plugins: Plugins = None
+
+
+@dataclass(frozen=True)
 class CheckOptions:
     """What a command that makes or checks data prints, and when it fails."""
 

@@ -43,6 +43,7 @@ class SimulationOutcome:
     placement: "Placement | None" = None
 
 
+@options.fill_records
 def simulate(
     context: typer.Context,
     scene: Annotated[
@@ -70,9 +71,8 @@ def simulate(
     html: Annotated[
         Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
     ] = None,
-    strict: options.Strict = False,
-    json: options.Json = False,
-    plugins: options.Plugins = None,
+    *,
+    common: options.CheckOptions,  # read where they are needed
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 

@@ -21,6 +21,7 @@ from needlefit.cli.options import (
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
+@options.fill_records
 def tune(
     context: typer.Context,
     target: options.Target,
@@ -34,15 +35,8 @@ def tune(
     ] = False,
     free: options.Free = None,
     fix: options.Fix = None,
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    out: options.Out = None,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
+    *,
+    common: options.FitOptions,  # read where they are needed
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
@@ -96,6 +90,7 @@ def tune(
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
+@options.fill_records
 def calibrate(
     context: typer.Context,
     target: options.Target,
@@ -109,18 +104,8 @@ def calibrate(
             "fitted one)."
         ),
     ] = "prior",
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    out: options.Out = None,
-    reference: options.Reference = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
+    *,
+    common: options.StudyOptions,  # read where they are needed
 ) -> None:
     """Test whether the intervals of a TARGET are right.
 
@@ -157,6 +142,7 @@ def calibrate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
+@options.fill_records
 def validate(
     context: typer.Context,
     study: Annotated[
@@ -166,18 +152,8 @@ def validate(
             "study1 ... study5, all (those five), another, or a path.",
         ),
     ],
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    out: options.Out = None,
-    reference: options.Reference = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
+    *,
+    common: options.StudyOptions,  # read where they are needed
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
@@ -224,6 +200,7 @@ def validate(
     require_no_faults(f"{run.name}: {fault}" for run in runs for fault in run.faults)
 
 
+@options.fill_records
 def predict(
     context: typer.Context,
     target: options.Target,
@@ -234,15 +211,8 @@ def predict(
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    out: options.Out = None,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
+    *,
+    common: options.FitOptions,  # read where they are needed
 ) -> None:
     """Predict a planned insertion with what was fitted to a TARGET.
 
