@@ -64,12 +64,15 @@ def expect(own: int, design: Floats, values: Floats, stated: Floats, natural: fl
     return Expectation(float(design[own] @ found), variance, (1.0 + lever) * spread, sure)
 
 
-def compare(own: int, design: Floats, values: Floats, stated: Floats, natural: float) -> Deviation:
-    """Compare one of `values` (n,) with what the others lead to `expect` of it."""
-    expected = expect(own, design, values, stated, natural)
-    left = float(values[own]) - expected.value
-    sds = abs(left) / math.sqrt(expected.variance + stated[own])
-    return expected.judge(left, sds, float(stated[own]))
+def compare(design: Floats, values: Floats, stated: Floats, natural: float) -> list[Deviation]:
+    """Compare each of `values` (n,) with what the others lead to `expect` of it."""
+    found = []
+    for own, value in enumerate(values.tolist()):
+        expected = expect(own, design, values, stated, natural)
+        left = value - expected.value
+        sds = abs(left) / math.sqrt(expected.variance + stated[own])
+        found.append(expected.judge(left, sds, float(stated[own])))
+    return found
 
 
 def design_lengths(lengths: Sequence[float]) -> Floats:

@@ -7,7 +7,7 @@ estimated from the others, beginning with `NATURAL_BEND`; of few others nothing 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -271,15 +271,17 @@ def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> Resu
 
 # ---- each needle and the others
 
+Describe = Callable[[Deviation, NeedleEnds], tuple[str, str]]  # -> what is wrong, and the fix
 
-def compare_bends(group: Sequence[NeedleEnds]) -> list[Deviation]:
+
+def compare_bends(group: Sequence[NeedleEnds], design: Floats) -> list[Deviation]:
     """Return by which factor, as its logarithm, each needle bends more than the others of its length.
 
-    Bends grow by a power of the length.
+    Bends grow by a power of the length: `design`.
     """
     sds = np.array([math.sqrt(one.entry_variance[0] + one.tip_variance[0]) for one in group])
     bends = np.array([one.bend for one in group])
-    design, floored = design_lengths([one.length for one in group]), np.maximum(bends, sds)
+    floored = np.maximum(bends, sds)
     stated, found = (sds / floored) ** 2, list[Deviation]()
     for own, (bend, sd) in enumerate(zip(bends, sds, strict=True)):
         expected = expect(own, design, np.log(floored), stated, NATURAL_BEND)
@@ -319,58 +321,37 @@ def _join_evidence(bend: Deviation, less: float) -> Deviation:
     return replace(bend, sds=max(bend.sds, -float(scipy.special.ndtri(both / 2))), chance=both)
 
 
-def compare_leans(group: Sequence[NeedleEnds]) -> list[Deviation]:
-    """Return by which slope each needle leaves the plane of its bevel more than the others."""
-    lengths = np.array([one.length for one in group])
-    leans = np.array([one.tip[1] - one.entry[1] for one in group]) / lengths
-    stated = np.array([one.tip_variance[1] for one in group]) / lengths**2
-    natural = math.hypot(NATURAL_TWIST * _measure_slope(group), NATURAL_SLOPE)
-    design = np.ones((len(group), 1))
-    return [compare(own, design, leans, stated, natural) for own in range(len(group))]
-
-
-def compare_tangents(group: Sequence[NeedleEnds]) -> list[Deviation]:
-    """Return by which slope toward its bevel each needle begins more than the others.
-
-    A larger bend, which may be its nature, changes it little.
-    """
-    tangents = np.array([one.tangent for one in group])
-    stated = np.array([one.tangent_variance for one in group])
-    natural = math.hypot(NATURAL_TANGENT * _measure_slope(group), NATURAL_SLOPE)
-    design = design_lengths([one.length for one in group])
-    return [compare(own, design, tangents, stated, natural) for own in range(len(group))]
-
-
-def _measure_slope(group: Sequence[NeedleEnds]) -> float:
-    """Return the mean slope by which needles bend."""
-    return float(np.mean([abs(one.bend) / one.length for one in group]))
-
-
-def compare_spacings(group: Sequence[NeedleEnds]) -> list[Deviation]:
-    """Return by which factor, as its logarithm, each needle's points lie farther apart than the others'.
-
-    A large one is a choice, and no deviation.
-    """
+def compare_needles(group: Sequence[NeedleEnds]) -> Iterator[tuple[list[Deviation], Describe]]:
+    """Yield by how much each needle differs from the others in each respect, and what describes it."""
+    lengths, slope = np.array([(one.length, one.bend) for one in group]).T
+    slope = np.mean(np.abs(slope) / lengths)  # by which needles bend
+    alike, by_length = np.ones((len(group), 1)), design_lengths(lengths)
+    yield compare_bends(group, by_length), _describe_bend
     steps = [np.linalg.norm(np.diff(one.listed.points.values, axis=0), axis=1) for one in group]
     usual = np.array([float(np.median(one)) for one in steps])
     scatter = np.array([float(np.std(one)) / math.sqrt(len(one)) for one in steps])
-    design, stated = np.ones((len(group), 1)), (scatter / usual) ** 2
-    found = [compare(own, design, np.log(usual), stated, NATURAL_SPACING) for own in range(len(group))]
-    most = math.log(MAX_SPACING_RATIO)
-    return [one if abs(one.value) < most else replace(one, sds=0.0) for one in found]
+    spacings = compare(alike, np.log(usual), (scatter / usual) ** 2, NATURAL_SPACING)
+    most = math.log(MAX_SPACING_RATIO)  # a large factor is a choice, and no deviation
+    yield [one if abs(one.value) < most else replace(one, sds=0.0) for one in spacings], _describe_spacing
+    if group[0].is_placed:  # else each has its own plane
+        leans = np.array([one.tip[1] - one.entry[1] for one in group]) / lengths
+        stated = np.array([one.tip_variance[1] for one in group]) / lengths**2
+        natural = math.hypot(NATURAL_TWIST * slope, NATURAL_SLOPE)
+        yield compare(alike, leans, stated, natural), _describe_lean
+        # which a larger bend, perhaps its nature, changes little
+        tangents, stated = np.array([(one.tangent, one.tangent_variance) for one in group]).T
+        natural = math.hypot(NATURAL_TANGENT * slope, NATURAL_SLOPE)
+        yield compare(by_length, tangents, stated, natural), _describe_tangent
 
 
 def _find_unlike(group: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
     """Yield a warning for each needle that differs from the others of its medium, the worst first."""
     left = list(group)
     while len(left) > MIN_OTHERS:
-        forms = [(compare_bends, _describe_bend), (compare_spacings, _describe_spacing)]
-        if left[0].is_placed:  # else each has its own plane
-            forms += [(compare_leans, _describe_lean), (compare_tangents, _describe_tangent)]
         found = [
             (deviation, needle, describe)
-            for compare_all, describe in forms
-            for deviation, needle in zip(compare_all(left), left, strict=True)
+            for deviations, describe in compare_needles(left)
+            for deviation, needle in zip(deviations, left, strict=True)
             if deviation.is_beyond
         ]
         if not found:

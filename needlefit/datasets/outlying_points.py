@@ -146,13 +146,13 @@ def _find_ends(
             sides = np.array([[one.side, 1] for one in own])
             values = sides * np.array([left for left, _ in pairs])  # (n, 2)
             sds = np.array([f * scatter.sd_of(one)[index] for (_, f), one in zip(pairs, own, strict=True)])
-            for n, one in enumerate(group):
-                found = [compare(n, design, axis, sds**2, natural) for axis in values.T]
+            compared = [compare(design, axis, sds**2, natural) for axis in values.T]
+            for n, found in enumerate(zip(*compared, strict=True)):
                 worst = max(found, key=lambda each: each.sds)
                 if worst.chance < MAX_END_CHANCE:
                     off = sides[n] * [each.value for each in found]
                     at = index % len(own[n].points)
-                    yield _describe(own[n], at, off, worst.sds), one
+                    yield _describe(own[n], at, off, worst.sds), group[n]
 
 
 def _find_uneven(
