@@ -53,6 +53,8 @@ OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that
 MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and entry, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
+# The columns of texts, which are fields of `InsertionRow`.
+TEXT_COLUMNS = ("id", "medium", "specimen", "pose_source", NEEDLE_COLUMN, HOLE_COLUMN, OBSERVED_COLUMN)
 # The columns of single numbers: the field of `InsertionRow`, and the value of an empty cell. NaN: the field
 # is None; None: no cell may be empty. Angles are in rad in the field.
 NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {

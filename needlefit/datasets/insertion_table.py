@@ -1,8 +1,9 @@
 """Parse the table of insertions: from cells to rows, with the faults of each row."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,18 +19,15 @@ from needlefit.datasets.columns import (
     HOLE_COLUMN,
     ID_PATTERN,
     MIN_SENSOR_MM,
-    NEEDLE_COLUMN,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
-    OBSERVED_COLUMN,
     POSE_COLUMNS,
     POSE_SOURCES,
     REQUIRED_COLUMNS,
     ROLL_COLUMNS,
     SCAN_COLUMNS,
-    SCAN_ROTATION_COLUMNS,
-    SCAN_SHIFT_COLUMNS,
     SHARED_COLUMN,
+    TEXT_COLUMNS,
     TURN_COLUMNS,
     InsertionRow,
     describe_column,
@@ -166,18 +164,27 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     def texts(name: str) -> list[str]:
         return list(table.cells[name]) if name in table.cells else [""] * len(table.lines)
 
-    layers, alternative = column("layers"), column("layers_alternative", math.nan)
-    bevel = vectors(BEVEL_COLUMNS)
-    turn, shift = vectors(SCAN_ROTATION_COLUMNS, math.nan), vectors(SCAN_SHIFT_COLUMNS, math.nan)
-    entry, direction = (vectors(ENTRY_COLUMNS), vectors(DIRECTION_COLUMNS)) if pose_known else (None, None)
-    numbers = {}
+    count, layers = range(len(table.lines)), column("layers")
+    alternative = column("layers_alternative", math.nan)
+    fields: dict[str, Iterable[Any]] = {name: texts(name) for name in TEXT_COLUMNS} | {
+        "layers": map(_to_int, layers),
+        "layers_alternative": map(_to_int, np.where(np.isnan(alternative), layers, alternative)),
+        "bevel": [None if np.isnan(one).all() else one for one in vectors(BEVEL_COLUMNS)],
+        "patient": map(_make_patient_frame, vectors(SCAN_COLUMNS, math.nan)),
+        "line": table.lines.tolist(),
+    }
+    if pose_known:
+        fields |= {"entry": vectors(ENTRY_COLUMNS), "direction": vectors(DIRECTION_COLUMNS)}
+    else:
+        fields["pose_source"] = ["none" for _ in count]
     for name, (field, default) in NUMBER_COLUMNS.items():
         values = column(name, default)
         values = np.radians(values) if name.endswith("_deg") else values
-        numbers[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
-    boundaries = [_parse_boundaries(table, n, found) for n in range(len(table.lines))]
-    needles, observed = texts(NEEDLE_COLUMN), texts(OBSERVED_COLUMN)
-    side, ids, holes = column("bevel_side", 1.0), texts("id"), texts(HOLE_COLUMN)
+        fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
+    fields["boundaries"] = [_parse_boundaries(table, n, found) for n in count]
+    fields["side"] = map(_to_int, column("bevel_side", 1.0))
+    names = zip(*(texts(name) for name in ("specimen", HOLE_COLUMN, "id")), strict=True)
+    fields["specimen"] = [next(filter(None, one), "") for one in names]
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")
     for n, both in enumerate(zip(rolls, sides, strict=True) if any(rolls) else ()):
         if all(both) or not any(both):
@@ -188,29 +195,8 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
                 fix: fill one of the two cells
                 where: {table.where(n)}""")
             )
-    sources = texts("pose_source") if pose_known else ["none"] * len(ids)
-    return [
-        InsertionRow(
-            id=ids[n],
-            medium=medium,
-            specimen=specimen or holes[n] or ids[n],
-            layers=_to_int(layers[n]),
-            layers_alternative=_to_int(layers[n] if np.isnan(alternative[n]) else alternative[n]),
-            side=_to_int(side[n]),
-            entry=None if entry is None else entry[n],
-            direction=None if direction is None else direction[n],
-            bevel=None if np.isnan(bevel[n]).all() else bevel[n],
-            pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
-            patient=_make_patient_frame(turn[n], shift[n]),
-            needle=needles[n],
-            boundaries=boundaries[n],
-            hole=holes[n],
-            observed=observed[n],
-            line=int(table.lines[n]),
-            **{field: values[n] for field, values in numbers.items()},  # type: ignore[arg-type]
-        )
-        for n, (medium, specimen) in enumerate(zip(texts("medium"), texts("specimen"), strict=True))
-    ]
+    rows = zip(*fields.values(), strict=True)
+    return [InsertionRow(**dict(zip(fields, values, strict=True))) for values in rows]
 
 
 def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[float, ...] | None:
@@ -235,14 +221,15 @@ def _parse_boundaries(table: CsvTable, row: int, found: list[Fault]) -> tuple[fl
     return None
 
 
-def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:
+def _make_patient_frame(motion: Floats) -> Frame | None:
     """Return a scan's frame in the world, None where all six cells are empty; NaN where only some are."""
-    six = np.concatenate([turn, shift])
-    if np.isnan(six).all():
+    if np.isnan(motion).all():
         return None
-    if np.isnan(six).any():
+    if np.isnan(motion).any():
         return Frame(np.full(3, np.nan), np.full((3, 3), np.nan))
-    return Frame(shift, scipy.spatial.transform.Rotation.from_rotvec(turn, degrees=True).as_matrix())
+    return Frame(
+        motion[3:], scipy.spatial.transform.Rotation.from_rotvec(motion[:3], degrees=True).as_matrix()
+    )
 
 
 def _to_int(value: float) -> int:

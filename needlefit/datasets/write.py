@@ -29,6 +29,7 @@ from needlefit.datasets.columns import (
     SCAN_SHIFT_COLUMNS,
     SD_COLUMN,
     SHARED_COLUMN,
+    TEXT_COLUMNS,
     TIP_COLUMNS,
     TURN_COLUMNS,
     InsertionRow,
@@ -127,18 +128,12 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
     turn = shift = None
     if row.patient is not None:
         turn, shift = Rotation.from_matrix(row.patient.rotation).as_rotvec(degrees=True), row.patient.origin
-    cells = {
-        "id": row.id,
-        "medium": row.medium,
+    cells = {name: getattr(row, name) for name in TEXT_COLUMNS} | {
         "specimen": row.specimen or row.hole or row.id,
-        HOLE_COLUMN: row.hole,
-        NEEDLE_COLUMN: row.needle,
-        OBSERVED_COLUMN: row.observed,
         BOUNDARIES_COLUMN: _format_boundaries(row.boundaries),
         "layers": str(row.layers),
         "layers_alternative": str(alternative),
         "bevel_side": f"{row.side:+d}" if row.roll is None else "",
-        "pose_source": row.pose_source,
     }
     for names, vector, digits in (
         (ENTRY_COLUMNS, row.entry, 4),
