@@ -60,14 +60,8 @@ class NeedlefitError(Exception):
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Return the error that is written as it is printed: what is wrong, then lines that begin with a key.
-
-        The keys are `expected:`, `fix:`, `key:`, and `where:`, a path or a place in words. Further lines that
-        are indented go on with what stands before them.
-        """
-        parts = re.split(r"\n +(expected|fix|key|where): ", text)
-        what, *more = (re.sub(r"\n +", " ", part) for part in parts)
-        return cls(what, **dict(zip(more[::2], more[1::2], strict=True)))
+        """Return the error that is written as it is printed: see `split_message`."""
+        return cls(**split_message(text))
 
     def replace(self, **parts: str | Path) -> Self:
         """Return the same error with some of its parts changed."""
@@ -76,6 +70,17 @@ class NeedlefitError(Exception):
     def at(self, where: str | Path) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
         return self.replace(where=where)
+
+
+def split_message(text: str) -> dict[str, str]:
+    """Return the parts of a message that is written as it is printed: `what` is wrong, then lines with a key.
+
+    The keys are `expected:`, `fix:`, `key:`, `kind:` of a warning, and `where:`, a path or a place in words.
+    Further lines that are indented go on with what stands before them.
+    """
+    parts = re.split(r"\n +(expected|fix|key|kind|where): ", text)
+    what, *more = (re.sub(r"\n +", " ", part) for part in parts)
+    return {"what": what, **dict(zip(more[::2], more[1::2], strict=True))}
 
 
 def printable(text: str) -> str:

@@ -101,11 +101,12 @@ def find_length_warnings(
         worst = found[0]
         cause, fix = _find_cause(worst, found, every, f"`{depth_column}`")
         names = join_names([one.name for one in found], MAX_NAMED_INSERTIONS)
-        what = (
-            f"{names}: the curve is longer or shorter than `{depth_column}` by more than noise explains, "
-            f"that of {worst.name} by {worst.gap:+.2f} mm; the stated depth is used. {cause}"
-        )
-        yield ResultWarning("length", what, worst.listed.where, fix)
+        yield ResultWarning.of(f"""{names}: the curve is longer or shorter than `{depth_column}`
+                by more than noise explains, that of {worst.name} by {worst.gap:+.2f} mm; the
+                stated depth is used. {cause}
+            fix: {fix}
+            where: {worst.listed.where}
+            kind: length""")
 
 
 def _find_cause(

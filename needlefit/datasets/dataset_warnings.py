@@ -83,16 +83,20 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     where = format_place(file)
     texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
     if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
-        what = f'"{PLACEHOLDER}" is left in {", ".join(f"`{key}`" for key in keys)}'
-        yield ResultWarning("placeholder", what, where(keys[0]), "write what was measured; reports print it")
+        yield ResultWarning.of(f""""{PLACEHOLDER}" is left in
+                {", ".join(f"`{key}`" for key in keys)}
+            fix: write what was measured; reports print it
+            where: {where(keys[0])}
+            kind: placeholder""")
     needles = list_needles(record)
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
     decisions = () if record.import_ is None else record.import_.decisions
     if assumed := [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]:
-        fix = 'correct what is wrong, and write source = "confirmed" in its line of [import]'
-        what = f"the import assumed {'; '.join(assumed)}"
-        yield ResultWarning("assumed", what, where("import.decisions"), fix)
+        yield ResultWarning.of(f"""the import assumed {"; ".join(assumed)}
+            fix: correct what is wrong, and write source = "confirmed" in its line of [import]
+            where: {where("import.decisions")}
+            kind: assumed""")
     pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
     for name, plausible, units in (
@@ -156,22 +160,30 @@ def find_side_warnings(
     clear = sum(side != "unknown" for side in sides)
     away = [(one, where) for (one, where), side in zip(listed, sides, strict=True) if side == "away"]
     if len(away) == clear > 1:
-        what = f"all {clear} insertions that bend clearly bend away from their bevel side"
-        fix = f"the side convention is probably flipped: change the sign of `{column}` in every row"
-        yield ResultWarning("bevel_side", what, away[0][1], fix)
+        yield ResultWarning.of(f"""all {clear} insertions that bend clearly bend away from their
+                bevel side
+            fix: the side convention is probably flipped: change the sign of `{column}` in every
+                row
+            where: {away[0][1]}
+            kind: bevel_side""")
         return
     if away:
         names = join_names([one.id for one, _ in away], MAX_NAMED_INSERTIONS)
-        what = f"{names} bend away from the bevel side ({len(away)} of {clear} that bend clearly)"
-        fix = f"check `{column}` and the bevel direction of these rows"
-        yield ResultWarning("bevel_side", what, away[0][1], fix)
+        yield ResultWarning.of(f"""{names} bend away from the bevel side ({len(away)} of {clear}
+                that bend clearly)
+            fix: check `{column}` and the bevel direction of these rows
+            where: {away[0][1]}
+            kind: bevel_side""")
     for medium in dict.fromkeys(one.medium for one, _ in listed):
         group = [(_compute_bend_z(one, noise), where) for one, where in listed if one.medium == medium]
         group = [(z, where) for z, where in group if not math.isnan(z)]
         total = sum(max(-REVERSED_SD, min(z, REVERSED_SD)) for z, _ in group)
         if len(group) > 1 and total < -REVERSED_SD * math.sqrt(len(group)):
-            what = f"the {len(group)} insertions into {medium} together bend away from their bevels"
-            yield ResultWarning("bevel_side", what, min(group)[1], f"change the sign of `{column}` there")
+            yield ResultWarning.of(f"""the {len(group)} insertions into {medium} together bend
+                    away from their bevels
+                fix: change the sign of `{column}` there
+                where: {min(group)[1]}
+                kind: bevel_side""")
 
 
 def _compute_bend_z(insertion: Insertion, noise: Noise) -> float:
@@ -264,8 +276,11 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
                     f"{later.id} and {one.id} are the same in {same} of {count} points, within {least:.1g} mm"
                 )
                 what += f", which noise{' and rounding do' if step > least else ' does'} not explain"
-                fix = "remove one of the two if it was exported twice; else correct `noise.point_sd_mm`"
-                yield ResultWarning("copy", what, place, fix)
+                yield ResultWarning.of(f"""{what}
+                    fix: remove one of the two if it was exported twice; else correct
+                        `noise.point_sd_mm`
+                    where: {place}
+                    kind: copy""")
                 break
 
 
@@ -289,8 +304,11 @@ def find_insertion_warnings(
     yield from _find_own_boundary_warnings(record, listed)
     deepest = max(insertions, key=lambda one: one.depth, default=None)
     if deepest is not None and (unit := name_small_unit(deepest)):
-        what = f"the deepest insertion is {deepest.depth:.3g} mm deep: this looks like {unit}"
-        yield ResultWarning("units", what, listed[0].where, f"multiply all lengths by {LENGTH_UNITS[unit]:g}")
+        yield ResultWarning.of(f"""the deepest insertion is {deepest.depth:.3g} mm deep: this
+                looks like {unit}
+            fix: multiply all lengths by {LENGTH_UNITS[unit]:g}
+            where: {listed[0].where}
+            kind: units""")
     for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
         group = [one for one in insertions if one.medium == name]
         yield from _find_surface_warnings(name, group, where(f"media.{name}.surfaces"))
@@ -332,15 +350,21 @@ def _find_surface_warnings(name: str, group: Sequence[Insertion], where: str) ->
         points = np.vstack([one.centerline[:1] for one in missed])
         bounds = [surface.mesh.bounds for surface in group[0].surfaces]
         within = any(((low <= points) & (points <= high)).all() for low, high in bounds)
-        what = f"{len(missed)} of {len(group)} insertions into {name} meet none of its surfaces"
         fix = "they begin within its bounds: close the hole where they enter" if within else MISSED_FIX
-        yield ResultWarning("surfaces", what, where, fix)
+        yield ResultWarning.of(f"""{len(missed)} of {len(group)} insertions into {name} meet none
+                of its surfaces
+            fix: {fix}
+            where: {where}
+            kind: surfaces""")
     orders = [[layer for layer in dict.fromkeys(one.sequence) if layer in sheets] for one in meeting]
     turned = [order != sorted(order) for order in orders if len(order) > 1]
     if turned and all(turned):
-        what = f"needles into {name} meet its layers in the order {' > '.join(map(str, max(orders)))}"
-        fix = "number `into` (at an import: name the files) in the order in which needles meet the surfaces"
-        yield ResultWarning("surfaces", what, where, fix)
+        yield ResultWarning.of(f"""needles into {name} meet its layers in the order
+                {" > ".join(map(str, max(orders)))}
+            fix: number `into` (at an import: name the files) in the order in which needles meet
+                the surfaces
+            where: {where}
+            kind: surfaces""")
 
 
 def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -365,9 +389,10 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     begin, end, sd = np.linalg.norm(slopes, axis=0) / math.sqrt(max(len(slopes) - 1, 1))
     if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
         why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
-        what = f"curves seem to run from the tip to the entry: they {why}"
-        fix = "reverse the points and the entry direction; at an import state --entry last"
-        yield ResultWarning("reversed", what, listed[0].where, fix)
+        yield ResultWarning.of(f"""curves seem to run from the tip to the entry: they {why}
+            fix: reverse the points and the entry direction; at an import state --entry last
+            where: {listed[0].where}
+            kind: reversed""")
 
 
 def _find_noise_warnings(
@@ -378,13 +403,17 @@ def _find_noise_warnings(
     largest = max((abs(one.deflection) for one in insertions), default=0.0)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
     if not noise.stated and any(one.sd is None for one in insertions):
-        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
-        fix = "write `noise.point_sd_mm`, the standard deviation of a point per axis"
-        yield ResultWarning("no_noise", what, where("noise.point_sd_mm"), fix)
+        yield ResultWarning.of(f"""no noise of the points is stated, so fits have neither noise
+                floor nor predictive intervals
+            fix: write `noise.point_sd_mm`, the standard deviation of a point per axis
+            where: {where("noise.point_sd_mm")}
+            kind: no_noise""")
     if sd > MAX_NOISE_FRACTION * largest:
-        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
-        fix = "check its unit, mm; such data determine nothing"
-        yield ResultWarning("noise", what, where(_name_larger_sd(noise)), fix)
+        yield ResultWarning.of(f"""the noise of the points, {sd:g} mm, hides deflections of
+                {largest:.3g} mm at most
+            fix: check its unit, mm; such data determine nothing
+            where: {where(_name_larger_sd(noise))}
+            kind: noise""")
     elif record.centerlines is not None:
         is_smoothed = record.measurement is not None and record.measurement.operator != "none"
         yield from find_scatter_warnings(insertions, noise, where, is_smoothed)
@@ -413,10 +442,13 @@ def find_scatter_warnings(
         # errors that neighbours share, and those of a column, need not scatter
         too_large = scatter < MIN_SCATTER_RATIO * noise.point_sd and not is_smoothed
         if too_large or scatter > MAX_SCATTER_RATIO * stated:
-            what = f"points scatter by {scatter:.2g} mm about smooth curves, and {stated:.2g} mm are stated"
             fix = "state the noise that the points have; too little of it narrows every interval"
             fix = "state the noise, or under [measurement] what smoothed the points" if too_large else fix
-            yield ResultWarning("noise", what, where(_name_larger_sd(noise)), fix)
+            yield ResultWarning.of(f"""points scatter by {scatter:.2g} mm about smooth curves, and
+                    {stated:.2g} mm are stated
+                fix: {fix}
+                where: {where(_name_larger_sd(noise))}
+                kind: noise""")
 
 
 def find_boundary_warnings(
@@ -444,8 +476,10 @@ def _find_own_boundary_warnings(
             if (doubts := list(doubt_layers(one.row.boundaries or (), deepest, column)))
         ]
         for _, what, fix in found[0][0] if found else ():
-            counted = f"{what} ({len(found)} of {len(group)} rows of {name})"
-            yield ResultWarning("units", counted, found[0][1], fix)
+            yield ResultWarning.of(f"""{what} ({len(found)} of {len(group)} rows of {name})
+                fix: {fix}
+                where: {found[0][1]}
+                kind: units""")
 
 
 def _find_number_warnings(
@@ -465,5 +499,7 @@ def _find_number_warnings(
             constant = name in source.constants and name not in source.columns
             place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
             what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not {least:g} to {most:g}"
-            fix = "check its unit"
-            yield ResultWarning("units", f"{what} ({len(bad)} of {len(listed)} rows)", place, fix)
+            yield ResultWarning.of(f"""{what} ({len(bad)} of {len(listed)} rows)
+                fix: check its unit
+                where: {place}
+                kind: units""")

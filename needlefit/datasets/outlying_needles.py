@@ -205,8 +205,10 @@ def _find_common_shift(placed: Sequence[NeedleEnds], noise: Noise) -> Iterator[R
     if found and found.is_beyond(stated, MIN_SHIFT_MM):
         what = f"all {len(placed)} needles begin {found.size:.2g} mm from their stated entries, on one side"
         what += f" whichever way their bevels face: by {_list_numbers(found.vector)} mm"
-        fix = "correct the entry points, or the frame in which the points are"
-        yield ResultWarning("common_pose", what, placed[0].listed.where, fix)
+        yield ResultWarning.of(f"""{what}
+            fix: correct the entry points, or the frame in which the points are
+            where: {placed[0].listed.where}
+            kind: common_pose""")
 
 
 def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
@@ -227,7 +229,10 @@ def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
         fix, along = "correct the entry directions or the frame", np.array([one.axes[0] for one in placed])
         if float(np.ptp(along, axis=0).max()) < MIN_BEND_SLOPE:
             fix += f": the direction {_list_numbers(normalize(along[0] + found.vector), 3)} fits"
-        yield ResultWarning("common_pose", what, placed[0].listed.where, fix)
+        yield ResultWarning.of(f"""{what}
+            fix: {fix}
+            where: {placed[0].listed.where}
+            kind: common_pose""")
 
 
 def _list_numbers(vector: Floats, digits: int = 2) -> str:
@@ -264,9 +269,11 @@ def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> Resu
         f"{one.insertion.id} by {_list_numbers(vector @ one.axes)} mm ({sds:.0f} SD)"
         for one, vector, sds in off
     ]
-    what = f"needles begin off their stated entries: {join_names(named, MAX_NAMED_INSERTIONS)}"
-    fix = "correct the entry or the points of these needles, or state a larger pose_shift_sd_mm"
-    return ResultWarning("entry_offset", what, off[0][0].listed.points.where(0), fix)
+    return ResultWarning.of(f"""needles begin off their stated entries:
+            {join_names(named, MAX_NAMED_INSERTIONS)}
+        fix: correct the entry or the points of these needles, or state a larger pose_shift_sd_mm
+        where: {off[0][0].listed.points.where(0)}
+        kind: entry_offset""")
 
 
 # ---- each needle and the others
@@ -360,7 +367,10 @@ def _find_unlike(group: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
         what, fix = describe(worst, needle)
         what = f"{needle.insertion.id} {what}, {worst.sds:.0f} SD from the other {len(left) - 1} needles"
         what += f" into {needle.insertion.medium}"
-        yield ResultWarning("needle_outlier", what, needle.listed.where, fix)
+        yield ResultWarning.of(f"""{what}
+            fix: {fix}
+            where: {needle.listed.where}
+            kind: needle_outlier""")
         left.remove(needle)
 
 

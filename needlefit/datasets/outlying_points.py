@@ -217,8 +217,10 @@ def find_point_warnings(listed: Sequence[ListedInsertion], found: OutlyingPoints
             name = {0: "the first point", last: "the tip"}.get(point.index, f"point {point.index + 1}")
             what = f"{name} of {one.insertion.id} is {point.distance:.2g} mm off the curve of the others"
             what += f" ({point.sds:.0f} SD){_name_cause(point)}"
-            fix = "correct it, or remove the row"
-            yield ResultWarning("point_outlier", what, one.points.where(point.index), fix)
+            yield ResultWarning.of(f"""{what}
+                fix: correct it, or remove the row
+                where: {one.points.where(point.index)}
+                kind: point_outlier""")
 
 
 def _warn_of_step(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
@@ -230,8 +232,10 @@ def _warn_of_step(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
         if abs(off) > STEP_AXIS_PART * point.distance
     )
     rows = ", ".join(dict.fromkeys(one.points.where(n) for n in (point.index - 1, point.index)))
-    fix = f"find what moved between {rows}: correct all points of one side"
-    return ResultWarning("point_outlier", what, one.points.where(point.index), fix)
+    return ResultWarning.of(f"""{what}
+        fix: find what moved between {rows}: correct all points of one side
+        where: {one.points.where(point.index)}
+        kind: point_outlier""")
 
 
 def _name_cause(point: OutlyingPoint) -> str:
@@ -284,9 +288,11 @@ def find_constant_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> I
         if still.any() and len(one.points.values) >= MIN_CURVE_POINTS:
             axis = int(np.argmax(still))
             name, value = "xyz"[axis], one.points.values[0, axis]
-            what = f"{one.insertion.id}: {name} is {value:g} at all points, where that of the others varies"
-            fix = f"export its points again: an empty column may have been saved as {value:g}"
-            yield ResultWarning("needle_outlier", what, one.points.where(), fix)
+            yield ResultWarning.of(f"""{one.insertion.id}: {name} is {value:g} at all points,
+                    where that of the others varies
+                fix: export its points again: an empty column may have been saved as {value:g}
+                where: {one.points.where()}
+                kind: needle_outlier""")
 
 
 def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -307,5 +313,7 @@ def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Itera
     looks = f": this looks like {unit}" if units[unit] < math.log(2) else ""
     what = f"points scatter by {ratios[axis] * stated:.2g} mm along {name}, and by "
     what += f"{float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as stated{looks}"
-    fix = f"check the unit of {name}: of the points alone it is {1 / factor:.2g} times too large"
-    yield ResultWarning("axis_unit", what, listed[0].points.where(), fix)
+    yield ResultWarning.of(f"""{what}
+        fix: check the unit of {name}: of the points alone it is {1 / factor:.2g} times too large
+        where: {listed[0].points.where()}
+        kind: axis_unit""")

@@ -133,8 +133,11 @@ def find_left_planes(
         what = f"compared in the plane of their bevels, which they leave: {named}"
         if any(one.curvature is not None for one in insertions):
             what += ", and by their curvatures along y alone"
-        fix = 'leave `compared` out, or write "space": needles are then simulated and compared in space'
-        yield ResultWarning("bevel_plane", what, where, fix)
+        yield ResultWarning.of(f"""{what}
+            fix: leave `compared` out, or write "space": needles are then simulated and compared
+                in space
+            where: {where}
+            kind: bevel_plane""")
 
 
 def find_curve_roll(insertion: Insertion) -> float:
@@ -204,17 +207,20 @@ def find_plane_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
     aside = _find_aside([one for one in listed if one.insertion.pose_source != "none"], noise)
     if aside:
         names = join_names([one.insertion.id for one in aside], MAX_NAMED_INSERTIONS)
-        what = (
-            f"needles are up to {max(measure_aside(one.insertion) for one in aside):.1f} mm from where their "
-            f"bevels lead them, which errors of points, pose and rolls do not explain: {names}"
-        )
         fix = _propose_bevel([one.insertion for one in aside], noise)
         fix += '; `compared = "space"` in the study or fit compares them there'
-        yield ResultWarning("bevel_plane", what, aside[0].where, fix)
+        yield ResultWarning.of(f"""needles are up to
+                {max(measure_aside(one.insertion) for one in aside):.1f} mm from where their
+                bevels lead them, which errors of points, pose and rolls do not explain: {names}
+            fix: {fix}
+            where: {aside[0].where}
+            kind: bevel_plane""")
     elif twisted := _find_twisted([one.insertion for one in listed], noise):
-        what = f"{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane"
-        fix = "check whether the needle turned on its way, and state its turns by `insertions.turns`"
-        yield ResultWarning("bevel_plane", what, listed[0].where, fix)
+        yield ResultWarning.of(f"""{join_names(twisted, MAX_NAMED_INSERTIONS)} bend in no plane
+            fix: check whether the needle turned on its way, and state its turns by
+                `insertions.turns`
+            where: {listed[0].where}
+            kind: bevel_plane""")
 
 
 def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iterator[ResultWarning]:
@@ -232,9 +238,11 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
             if led * away < 0 and min(abs(led), abs(away)) > least:
                 against.setdefault(column, []).append(one.id)
     for column, names in against.items():
-        what = f"`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away from the measured tips"
-        fix = "change its sign: curvatures are toward +y and +z of a bevel with a roll of 0"
-        yield ResultWarning("curvature", what, listed[0].where, fix)
+        yield ResultWarning.of(f"""`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away
+                from the measured tips
+            fix: change its sign: curvatures are toward +y and +z of a bevel with a roll of 0
+            where: {listed[0].where}
+            kind: curvature""")
 
 
 def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedInsertion]:

@@ -6,7 +6,7 @@ no suspicious one.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, pairwise, starmap
+from itertools import chain, pairwise
 from pathlib import Path
 
 from needlefit.project.result_warnings import ResultWarning
@@ -72,7 +72,7 @@ def format_place(file: Path | str) -> FormatPlace:
 
 def warn(doubts: Iterable[Doubt], where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield doubts as warnings that name the places of their keys."""
-    return starmap(lambda key, what, fix: ResultWarning("units", what, where(key), fix), doubts)
+    return (ResultWarning("units", what, where(key), fix) for key, what, fix in doubts)
 
 
 def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
@@ -94,12 +94,15 @@ def extrapolation_warnings(
     `z_unfitted`: another one, as a needle is predicted in space by a fit in one plane.
     """
     if z_unfitted:
-        what = "z is predicted, but the needles were fitted in one plane: no error along z was compared"
-        yield ResultWarning("extrapolation", what, fix='write `compared = "space"` in the study or fit')
+        yield ResultWarning.of("""z is predicted, but the needles were fitted in one plane: no
+                error along z was compared
+            fix: write `compared = "space"` in the study or fit
+            kind: extrapolation""")
     if fitted and not _is_within(depth, (FITTED_RANGE[0] * min(fitted), FITTED_RANGE[1] * max(fitted))):
-        what = f"{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g} to {max(fitted):.3g} mm"
-        fix = "check its unit, mm; that the model may not hold there is not included"
-        yield ResultWarning("extrapolation", what, fix=fix)
+        yield ResultWarning.of(f"""{depth:.4g} mm is no depth that was fitted, {min(fitted):.3g}
+                to {max(fitted):.3g} mm
+            fix: check its unit, mm; that the model may not hold there is not included
+            kind: extrapolation""")
 
 
 def medium_warnings(medium: MediumRecord, file: Path | str) -> Iterator[ResultWarning]:
