@@ -315,7 +315,7 @@ def linearize_steps(
     steps = turn_tip(needle, tissue, steps)
     columns = find_columns(tuple(wrt), tissue, steps, rules)
     insertion = PreparedInsertion(needle, tissue, steps, rules, lattice, columns)
-    one = Evaluation(insertion, {}, np.ones(1, dtype=bool), {})
+    one = Evaluation(insertion, {}, np.ones(1, dtype=bool))
     run_evaluations([one], 1)
     scales = compute_scales(tissue, insertion.depth, insertion.lattice.spacing)
     shape = read_shape(one.shapes, scales)
@@ -515,29 +515,16 @@ def _run(
     require_type("batches", batches, Sequence)
     for batch in batches:
         require_type("a batch", batch, Batch)
-    shared: tuple[dict[object, Bools], dict[object, native.SetArrays]] = {}, {}
-    evaluations = [_evaluate(batch, wrt, *shared, tracked) for batch in batches]
+    evaluations = [_evaluate(batch, wrt, tracked) for batch in batches]
     run_evaluations(evaluations, threads or count_cores())
     return [(one, _read_shapes(batch, one)) for batch, one in zip(batches, evaluations, strict=True)]
 
 
-def _evaluate(
-    batch: Batch,
-    wrt: tuple[str, ...] | None,
-    accepted: dict[object, Bools],
-    shared: dict[object, native.SetArrays],
-    tracked: bool = True,
-) -> Evaluation:
-    """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`.
-
-    Batches with the same arrays of values have in common which sets are `accepted`, and `shared` arrays.
-    """
+def _evaluate(batch: Batch, wrt: tuple[str, ...] | None, tracked: bool) -> Evaluation:
+    """Return the sets of a batch, of an insertion that is prepared once for all batches of `with_sets`."""
     values = {name: getattr(batch, name) for name in VARYING_FIELDS if getattr(batch, name) is not None}
     place = max(step.depth for step in batch.steps) - batch.needle.length if "guide_x" in values else 0.0
-    key = batch.tissue.law, place, *map(id, values.values())
-    if key not in accepted:
-        accepted[key] = _find_valid(batch, values, place)
-    valid = accepted[key]
+    valid = _find_valid(batch, values, place)
     if wrt not in batch.prepared:
         # depths and controls are alike in all valid sets: so one of them is used for all
         steps = batch.vary_inputs(int(np.argmax(valid)))[1] if valid.any() else batch.steps
@@ -561,7 +548,7 @@ def _evaluate(
             "shape": batch.tissue.shape,
         }
         values = {name: np.full(array.shape, own[name]) for name, array in values.items()}
-    return Evaluation(insertion, values, valid, shared, tracked)
+    return Evaluation(insertion, values, valid, tracked)
 
 
 def _find_valid(batch: Batch, values: Mapping[str, Floats], base: float) -> Bools:

@@ -13,7 +13,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from ctypes import byref, c_double, c_int64, c_void_p
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -157,33 +157,25 @@ class KernelProblem(ctypes.Structure):
         problem.room, problem.max_points, problem.max_quadrature = found
         return problem
 
-    def with_sets(self, given: "SetArrays") -> "KernelProblem":
-        """Return the insertion with other parameter sets; TypeError if their arrays have other sizes."""
-        if given.arrays.keys() != self.arrays.keys() & _SET_ARRAYS or given.sizes != self.set_sizes:
-            raise TypeError(f"arrays of {', '.join(given.arrays)} are not all that differ between sets")
+    def with_sets(self, sets: int, arrays: Mapping[str, np.ndarray]) -> "KernelProblem":
+        """Return the insertion with other parameter sets.
+
+        Raises TypeError if the arrays are not all that differ between sets, or have other sizes.
+        """
+        if arrays.keys() != self.arrays.keys() & _SET_ARRAYS:
+            raise TypeError(f"arrays of {', '.join(arrays)} are not all that differ between sets")
+        addresses = _find_addresses(
+            arrays, {name: getattr(self, name) for name in _SET_SIZES} | {"sets": sets}
+        )
         problem = KernelProblem.from_buffer_copy(self)
         problem.__dict__.update(self.__dict__)
-        problem.sets, problem.arrays = given.sets, self.arrays | given.arrays
-        problem._point_to(given.addresses)
+        problem.sets, problem.arrays = sets, self.arrays | dict(arrays)
+        problem._point_to(addresses)
         return problem
-
-    @cached_property
-    def set_sizes(self) -> tuple[int, ...]:
-        """The sizes of which arrays with an axis of sets have axes, but for that one."""
-        return tuple(getattr(self, name) for name in _SET_SIZES)
 
     def _point_to(self, addresses: Mapping[str, int]) -> None:
         for name, address in addresses.items():
             setattr(self, name, address)
-
-
-class SetArrays:
-    """Arrays with an axis of sets, checked once for all insertions that they serve: those packed alike."""
-
-    def __init__(self, like: KernelProblem, sets: int, arrays: Mapping[str, np.ndarray]) -> None:
-        """Raises TypeError if an array is not as a problem `like` this one needs it with so many sets."""
-        self.sets, self.arrays, self.sizes = sets, dict(arrays), like.set_sizes
-        self.addresses = _find_addresses(arrays, dict(zip(_SET_SIZES, self.sizes, strict=True), sets=sets))
 
 
 def _find_addresses(arrays: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> dict[str, int]:

@@ -367,10 +367,6 @@ def pack_problem(
     return native.KernelProblem.make(of_layers | numbers | sizes, arrays | of_sets)
 
 
-#: gives the same object for the same arguments: it is compared faster than these are
-_find_alike = lru_cache(maxsize=512)(lambda *_: object())
-
-
 #: Newton tolerance of shapes that are differentiated, mm; at this, `simulate_steps` gives the same shape
 MAX_TOLERANCE_MM = 1e-9
 
@@ -403,42 +399,27 @@ class PreparedInsertion:
         # about: it orders insertions by their cost
         self.nodes_solved = float(self._packed.stops["tip"].sum())
         self._problem: native.KernelProblem | None = None
-        self._alike = object()  # stands for all that arrays of sets depend on, but for the values
 
-    def pack(
-        self, sets: int, values: Mapping[str, Floats], shared: dict[object, native.SetArrays]
-    ) -> native.KernelProblem:
+    def pack(self, sets: int, values: Mapping[str, Floats]) -> native.KernelProblem:
         """Return the problem of so many parameter sets; `values` are named as in `batch.Batch`.
 
-        Every call gives values of the same names. `shared` keeps the arrays of sets for other insertions that
-        are given the same values, and are packed alike.
+        Every call gives values of the same names.
         """
         if self._problem is None:
             self._problem = pack_problem(
                 self.needle, self.tissue, self.steps, self.lattice, self.rules, self._packed,
                 sets=sets, values=values, columns=self.columns,
             )  # fmt: skip
-            names = (name for name in ("mu", "shape", "thickness", "friction") if name not in values)
-            self._alike = _find_alike(
-                self.needle.flexural_rigidity, self.tissue.law, self.rules, self._inputs,
-                *(getattr(self.tissue, name).tobytes() for name in names),
-                self._problem.planes, self.columns and (self.columns.total, self.columns.first.tobytes()),
-            )  # fmt: skip
             return self._problem
-        key = self._alike, *map(id, values.values())
-        if key not in shared:
-            given = self.needle, self.tissue, self._inputs, self.rules, self._problem.planes
-            _, arrays = pack_sets(*given, sets, values, self.columns)
-            shared[key] = native.SetArrays(self._problem, sets, arrays)
-        return self._problem.with_sets(shared[key])
+        given = self.needle, self.tissue, self._inputs, self.rules, self._problem.planes
+        return self._problem.with_sets(sets, pack_sets(*given, sets, values, self.columns)[1])
 
 
 class Evaluation:
     """Parameter sets of a prepared insertion, and room for their shapes.
 
     `values` are named as in `batch.Batch`. Sets that are not `valid` (B,), made of numbers that a tissue or
-    needle may have, are not computed. `shared` are arrays of sets that evaluations have in common. `tracked`:
-    with the derivatives of the tip at every constraint point.
+    needle may have, are not computed. `tracked`: with the derivatives of the tip at every constraint point.
     """
 
     def __init__(
@@ -446,7 +427,6 @@ class Evaluation:
         insertion: PreparedInsertion,
         values: Mapping[str, Floats],
         valid: Bools,
-        shared: dict[object, native.SetArrays],
         tracked: bool = True,
     ) -> None:
         self.insertion, self.valid, self.some = insertion, valid, int(valid.argmax())
@@ -455,7 +435,7 @@ class Evaluation:
             rows = np.where(valid, np.arange(len(valid)), self.some)
             values = {name: array[rows] for name, array in values.items()}
         self.values = values
-        self.problem = insertion.pack(len(valid), values, shared)
+        self.problem = insertion.pack(len(valid), values)
         self.shapes = native.make_shapes(self.problem, insertion.points, tracked)
 
     @property
