@@ -14,7 +14,7 @@ def make_problem(rng: np.random.Generator) -> native.KernelProblem:
     """Return a random insertion with all derivatives, or one with several parameter sets."""
     if rng.random() < 0.5:
         batch = random_batch(rng, int(rng.integers(2, 12)), within=True, friction=0.3)
-        return _evaluate(batch, None, {}, {}).problem
+        return _evaluate(batch, None, tracked=True).problem
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     steps = random_steps(rng, int(rng.integers(0, 4)))
