@@ -195,17 +195,9 @@ async def test_malformed_http_is_answered_and_logs_nothing(server, page) -> None
 
 @visit
 async def test_requests_that_are_not_sent_to_their_end_time_out(server, page) -> None:
-    """No headers, half of them, half a body; a connection that has sent a whole request is kept."""
+    """Half a body; a connection that has sent a whole request is kept."""
     server.patch.setattr(server_module, "REQUEST_TIMEOUT_S", 0.3)
-    server.patch.setattr(server_module, "CHECK_INTERVAL_S", 0.1)
-    place = ("127.0.0.1", server.access.port)
-    await asyncio.sleep(1.0)  # the pause that began before
-    for begun in (b"", b"GET / HTTP/1.1\r\nHo"):
-        reader, writer = await asyncio.open_connection(*place)
-        writer.write(begun)
-        assert await asyncio.wait_for(reader.read(), 5) == b""
-        writer.close()
-    reader, writer = await asyncio.open_connection(*place)
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.access.port)
     writer.write(server.post(100) + b"{")
     assert (await reader.readline()).split()[1] == b"408"
     assert await asyncio.wait_for(reader.read(), 5)  # to its end: the connection is closed

@@ -9,13 +9,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from socket import create_server
-from time import monotonic
 from typing import TYPE_CHECKING
 
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.typedefs import Handler
-from aiohttp.web_protocol import RequestHandler
 
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.project.json_values import parse_json_text
@@ -31,7 +29,6 @@ LOOPBACK = "127.0.0.1"
 MAX_MESSAGE_BYTES = 64 * 1024  #: size limit of a message; the largest from the page are steps
 TOKEN_TIMEOUT_S = 10.0  #: time in which a window must send its token, s
 REQUEST_TIMEOUT_S = 10.0  #: time in which a request must have come whole, s
-CHECK_INTERVAL_S = 1.0  #: pause between two looks at the connections, s
 CLOSE_NO_TOKEN = 4401  #: code for closing a socket of which the token is missing or wrong
 
 #: headers of every answer: the page runs only code of this server, and connects only to it
@@ -46,9 +43,6 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-
-#: connections that have sent the headers of a request
-_HEARD: web.AppKey[set[RequestHandler]] = web.AppKey("heard", set)
 
 
 @dataclass(frozen=True)
@@ -110,34 +104,16 @@ async def serve(
         access_log=None,
         shutdown_timeout=2.0,
         keepalive_timeout=REQUEST_TIMEOUT_S,
-        lingering_time=CHECK_INTERVAL_S,  # for the rest of a request that was answered
+        lingering_time=1.0,  # s, for the rest of a request that was answered
     )
-    closing = None
     try:
         await runner.setup()
         await web.SockSite(runner, listening).start()
-        closing = asyncio.create_task(_close_silent(runner, app))
         ready(access)
         await stop()
     finally:
-        if closing is not None:
-            closing.cancel()
         await runner.cleanup()
         listening.close()  # also where the setup failed before anything was served
-
-
-async def _close_silent(runner: web.AppRunner, app: web.Application) -> None:
-    """Close connections that have not sent the headers of a first request in time: they hold a place."""
-    since: dict[RequestHandler, float] = {}
-    while True:
-        await asyncio.sleep(CHECK_INTERVAL_S)
-        assert runner.server is not None
-        here, now = set(runner.server.connections), monotonic()
-        since = {one: since.get(one, now) for one in here}
-        app[_HEARD].intersection_update(here)
-        for one, began in since.items():
-            if one not in app[_HEARD] and now - began > REQUEST_TIMEOUT_S:
-                one.force_close()
 
 
 def _make_application(access: AccessControl, page: "SteeringPage") -> web.Application:
@@ -146,7 +122,6 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
     @web.middleware
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
         """Keep out who calls this server by another name, and who has no token where one is due."""
-        request.app[_HEARD].add(request.protocol)
         if request.headers.get("Host", "") not in access.names:
             raise web.HTTPMisdirectedRequest(text="this server answers to 127.0.0.1 and localhost alone")
         if request.method == "POST":
@@ -171,7 +146,7 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
             raise web.HTTPNotFound from None  # the path is no file name
 
     async def send_index(_: web.Request) -> web.FileResponse:
-        return web.FileResponse(PAGE / "index.html", headers={"Link": _list_preloads()})
+        return web.FileResponse(PAGE / "index.html")
 
     async def answer(request: web.Request) -> web.Response:
         """Return what the page asks for; a fault is one that it shows."""
@@ -195,7 +170,6 @@ def _make_application(access: AccessControl, page: "SteeringPage") -> web.Applic
         response.headers.update(HEADERS)
 
     app = web.Application(middlewares=[guard], client_max_size=MAX_MESSAGE_BYTES)
-    app[_HEARD] = set()
     app.router.add_get("/", send_index)
     app.router.add_static("/page", PAGE)
     app.router.add_post("/{name:.+}", answer)
@@ -212,15 +186,6 @@ async def _send_kernel(request: web.Request) -> web.FileResponse:
     if name not in KERNEL_FILES:
         raise web.HTTPNotFound
     return web.FileResponse(KERNEL / name)
-
-
-def _list_preloads() -> str:
-    """Return the header by which a browser loads the modules of the page and the kernel at once."""
-    modules = [one.relative_to(PAGE) for one in sorted(PAGE.rglob("*.js"))]
-    names = [f"/page/{one.as_posix()}" for one in modules if one.parts[0] != "share"]
-    names += [f"/mechanics/native/{name}" for name in KERNEL_FILES if name.endswith(".js")]
-    links = [f"<{name}>; rel=modulepreload" for name in names]
-    return ", ".join((*links, "</mechanics/native/kernel.wasm>; rel=preload; as=fetch; crossorigin"))
 
 
 async def _attend(access: AccessControl, page: "SteeringPage", request: web.Request) -> web.WebSocketResponse:

@@ -97,7 +97,6 @@ class SteeringPage:
         """Note that a window steers a needle no more, unless another one has taken it."""
         if self._sockets.get(trial.name) is socket:
             del self._sockets[trial.name]
-            self.trials.close(trial)
 
 
 async def _send(socket: web.WebSocketResponse, *replies: Reply) -> None:

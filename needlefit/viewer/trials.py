@@ -11,10 +11,6 @@ from needlefit.planning.recording import Recording
 from needlefit.viewer.trial import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
 
-#: number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
-#: stay.
-MAX_TRIALS = 32
-
 
 class TrialRegistry:
     """All trials of the server; a page that reconnects gets its own trial again.
@@ -33,26 +29,16 @@ class TrialRegistry:
         self._viewed_scene, self._folder, self._reopen, self._source = viewed_scene, folder, reopen, source
         self._all: dict[str, InteractiveTrial] = {}
         self._viewed_scenes: dict[str, ViewedScene] = {}
-        self._paths: list[Path] = []
-        self._steered: set[str] = set()
 
     def open(self, name: str) -> InteractiveTrial:
         """Return the trial of this name, or a new one if there is none."""
-        trial = self._all.get(name) or self._begin(self._viewed_scene, self._source)
-        self._steered.add(trial.name)
-        return trial
+        return self._all.get(name) or self._begin(self._viewed_scene, self._source)
 
     def known(self, name: str) -> InteractiveTrial | None:
         return self._all.get(name)
 
-    def close(self, trial: InteractiveTrial) -> None:
-        """Note that no window controls a trial any more; it is kept until there are too many others."""
-        self._steered.discard(trial.name)
-        if trial.name in self._all:  # becomes the newest of those without a window
-            self._all[trial.name] = self._all.pop(trial.name)
-
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
-        """Return a new trial with another insertion, for the window of a trial, which the caller closes.
+        """Return a new trial with another insertion, for the window of a trial.
 
         ModelError if the dataset has no such insertion.
         """
@@ -60,12 +46,10 @@ class TrialRegistry:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
         if insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
-        other = self._begin(self._viewed_scenes[insertion])
-        self._steered.add(other.name)
-        return other
+        return self._begin(self._viewed_scenes[insertion])
 
     def written(self) -> list[Path]:
-        return [path for path in self._paths if path.exists()]
+        return [path for one in self._all.values() if (path := one.recorder.path).exists()]
 
     def _begin(self, viewed_scene: ViewedScene, source: Recording | None = None) -> InteractiveTrial:
         name = secrets.token_hex(4)
@@ -77,9 +61,4 @@ class TrialRegistry:
         self._all[name] = trial = InteractiveTrial(name, viewed_scene, path)
         for step in source.steps if source else ():
             trial.record(replace(step, gesture=-step.number))  # each is undone by itself
-        self._paths.append(path)
-        for old in [one for one in self._all if one not in self._steered and one != name]:
-            if len(self._all) <= MAX_TRIALS:
-                break
-            del self._all[old]
         return trial
