@@ -15,7 +15,6 @@ from needlefit.inference.sampling.log_density import (
 )
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
 EFFORT = Effort(draws=1000, min_ess=1000)
@@ -82,12 +81,11 @@ def draw(
     known: Known,
     begin: WeightedDraws,
     callbacks: Callbacks | None = None,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
     seed: int = 1,
     **changed: object,
 ) -> Posterior:
     settings = SampleRecord.model_validate(changed)
-    found = sample(known, begin, settings, np.random.default_rng(seed), callbacks, checkpoint, "known")
+    found = sample(known, begin, settings, np.random.default_rng(seed), callbacks)
     assert found is not None
     return found
 

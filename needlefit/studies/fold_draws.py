@@ -27,7 +27,6 @@ from needlefit.inference.sampling.importance import (
 )
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint
 from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import TaskStop, run_parts
@@ -67,7 +66,6 @@ def sample_posterior(
     begin: WeightedDraws,
     key: tuple[str, ...],
     settings: Settings,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
     step: Callable[[int, int], None] = lambda done, total: None,
 ) -> Posterior | None:
     """Return the posterior by MCMC, from weighted draws about a fit; None after a stop before there is any.
@@ -77,9 +75,7 @@ def sample_posterior(
     known = add_estimated_noise(problem.holding(fit.held), np.array(fit.theta))
     rng = random_stream(job.recipe.seed, *key, "posterior")
     callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
-    # of another fit with the same key the chain would be another
-    name = f"{'/'.join(key)} about {fit.theta}"
-    return sample(known, begin, job.recipe.sample, rng, callbacks, checkpoint, name)
+    return sample(known, begin, job.recipe.sample, rng, callbacks)
 
 
 @dataclass(frozen=True)
@@ -96,14 +92,13 @@ def draw_fold_parameters(
     fold: Fold,
     fit: Fit,
     settings: Settings,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
     step: Callable[[int, int], None] = lambda done, total: None,
 ) -> FoldDraws:
     """Draw parameters of a fold by importance sampling about its fit.
 
     Where the settings ask for it, or the weights are not certified, an ensemble of walkers goes on from these
-    draws. Its draws are used if it has converged, or those by importance are not certified. `checkpoint` and
-    `step` are the ensemble's.
+    draws. Its draws are used if it has converged, or those by importance are not certified. `step` is the
+    ensemble's.
     """
     counts = (PREDICTION_DRAWS, FIGURE_DRAWS)
     # no job's name is in it: the same fit has the same draws, whichever command runs it
@@ -118,7 +113,7 @@ def draw_fold_parameters(
     few, many = (resample_draws(found, count, rng) for count in counts)
     posterior = None
     if (settings.sample or not found.certified) and not settings.stop():
-        posterior = sample_posterior(job, problem, fit, found, key, settings, checkpoint, step)
+        posterior = sample_posterior(job, problem, fit, found, key, settings, step)
     if posterior is not None and not (posterior.faults and found.certified):
         few, many = (thin_posterior(posterior, job.parameters, count, found.k) for count in counts)
     return FoldDraws(replace(few, mode=np.array(fit.theta)), many, posterior)

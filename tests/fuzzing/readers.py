@@ -118,11 +118,7 @@ def _results(folder: Path) -> object:
 
 def _checkpoint(folder: Path) -> object:
     kept = _late("project.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
-    backend = import_module("emcee").backends.Backend()
-    backend.reset(4, 2)
-    rows = kept.rows("chain", import_module("needlefit.inference.sampling.sample").BLOCK_KEYS)
-    _late("inference.sampling.sample._restore_chain")(backend, rows)
-    return _late("inference.fit.read_fit")(kept, "fit"), kept.rows("rows"), backend.iteration
+    return _late("inference.fit.read_fit")(kept, "fit"), kept.rows("rows"), kept.rows("arrays")
 
 
 # ---- texts

@@ -1,4 +1,4 @@
-"""Sample a posterior by emcee: an ensemble of walkers that starts from draws by importance; resumable.
+"""Sample a posterior by emcee: an ensemble of walkers that starts from draws by importance.
 
 Most steps propose, for every walker, a draw of a fixed mixture of Student's t that is fitted to the draws by
 importance (Metropolis-Hastings). Of emcee's own moves one independent draw costs several times as many
@@ -7,7 +7,6 @@ stand where the mixture is too thin.
 """
 
 import math
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,10 +21,9 @@ from needlefit.inference.sampling import importance
 from needlefit.inference.sampling.interpolated_density import MAX_RMS_ERROR
 from needlefit.inference.sampling.log_density import Evaluator
 from needlefit.inference.sampling.posterior import LOG_POSTERIOR, Posterior
-from needlefit.project.checkpoint import ARRAYS_KEY, NO_CHECKPOINT, Checkpoint
 from needlefit.schemas.recipe import SampleRecord
 
-BLOCK_STEPS = 10  #: between two checks of convergence; the chain is stored at each
+BLOCK_STEPS = 10  #: between two checks of convergence
 INDEPENDENT_SHARE = 0.9  #: of the steps, by proposals of the mixture
 CHECKED_DRAWS = 64  #: in which interpolated densities are checked in the end
 FITS = 6  #: to the draws by importance, from other beginnings each, so that none follows their noise
@@ -40,20 +38,16 @@ def sample(
     settings: SampleRecord,
     rng: np.random.Generator,
     callbacks: Callbacks | None = None,
-    checkpoint: Checkpoint = NO_CHECKPOINT,
-    name: str = "",
 ) -> Posterior | None:
     """Return the posterior by an ensemble of walkers; None after a stop before the first step.
 
     Walkers start from draws by importance, none twice while these suffice. Where these are not certified, the
     first half of the steps is burn-in; else densities are interpolated as those of the draws were, and if
-    that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`, nor on
-    where a run was interrupted that goes on from the chain that `checkpoint` keeps under `name`.
+    that errs in the chain, it is made again without. The result does not depend on `callbacks.jobs`.
 
     Parameters that are held are independent draws of their prior.
     """
-    options = (settings, rng, callbacks or Callbacks(), checkpoint, name)
-    found = _sample(problem.searched, begin, *options, interpolated=True)
+    found = _sample(problem.searched, begin, settings, rng, callbacks or Callbacks(), interpolated=True)
     return found and _add_held(found, problem.parameters, rng.spawn(1)[0])
 
 
@@ -85,8 +79,6 @@ def _sample(
     settings: SampleRecord,
     rng: np.random.Generator,
     callbacks: Callbacks,
-    checkpoint: Checkpoint,
-    name: str,
     *,
     interpolated: bool,
 ) -> Posterior | None:
@@ -105,18 +97,10 @@ def _sample(
     if nodes is not None:
         nodes.fixed = True
     evaluator = Evaluator(problem, callbacks.jobs, interpolated=nodes)
-    work, backend = f"posterior of {name}", emcee.backends.Backend()
-    backend.reset(walkers, len(problem.names))
-    evaluator.failures = _restore_chain(backend, checkpoint.rows(work, BLOCK_KEYS))
-    sampler = emcee.EnsembleSampler(
-        walkers,
-        len(problem.names),
-        evaluator,
-        moves=make_sampler_moves(proposal),
-        backend=backend,
-        vectorize=True,
-    )
-    steps, stopped, found = int(sampler.iteration), callbacks.stop(), None
+    moves = make_sampler_moves(proposal)
+    sampler = emcee.EnsembleSampler(walkers, len(problem.names), evaluator, moves=moves, vectorize=True)
+    state = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
+    steps, stopped, found = 0, callbacks.stop(), None
     while True:
         if steps:
             burn_in = 0 if begin.certified else steps // 2
@@ -138,42 +122,16 @@ def _sample(
         if ended and found is not None and nodes is not None:
             thetas = found.draws.reshape(-1, len(problem.names))
             if nodes.find_error(thetas[:: -(-len(thetas) // CHECKED_DRAWS)]) > MAX_RMS_ERROR:
-                name = f"{name} with all nodes"
-                return _sample(problem, begin, settings, rng, callbacks, checkpoint, name, interpolated=False)
+                return _sample(problem, begin, settings, rng, callbacks, interpolated=False)
         if ended:
             return found and replace(found, draws=problem.tabulate_values(found.draws))
-        first = emcee.State(begin.thetas[order], begin.log_density[order], random_state=random)
-        state, count = sampler.get_last_sample() if steps else first, min(BLOCK_STEPS, most - steps)
-        block = slice(steps, steps + count)
+        count = min(BLOCK_STEPS, most - steps)
         for _ in sampler.sample(state, iterations=count, skip_initial_state_check=True):
             steps += 1
             callbacks.step(steps, most)
             if stopped := callbacks.stop():
                 break
-        if not stopped:  # HDF5 would keep it too, but ends the interpreter where the disk is full
-            kind, words, *rest = backend.random_state
-            row = {"begin": block.start, "failures": evaluator.failures, "random": [kind, *rest]}
-            arrays = {"chain": backend.chain[block], "log_prob": backend.log_prob[block]}
-            checkpoint.keep_row(work, row, arrays | {"accepted": backend.accepted, "random": words})
-
-
-BLOCK_KEYS = ("begin", "failures", "random", ARRAYS_KEY)  #: of a row that keeps some steps of a chain
-
-
-def _restore_chain(backend: Any, rows: Iterable[Mapping[str, Any]]) -> int:  # noqa: ANN401  (emcee's backend)
-    """Fill an empty backend with the blocks of a chain, up to one that is missing; return its failures."""
-    chains, densities, failures = [backend.chain], [backend.log_prob], 0
-    for row in rows:
-        if row["begin"] == sum(map(len, chains)):
-            arrays = row[ARRAYS_KEY]
-            chains.append(arrays["chain"])
-            densities.append(arrays["log_prob"])
-            kind, *rest = row["random"]
-            backend.accepted, backend.random_state = arrays["accepted"], (kind, arrays["random"], *rest)
-            failures = row["failures"]
-    backend.chain, backend.log_prob = np.concatenate(chains), np.concatenate(densities)
-    backend.iteration = len(backend.chain)
-    return failures
+        state = sampler.get_last_sample()
 
 
 def make_sampler_moves(proposal: importance.Proposal) -> list[tuple[Any, float]]:

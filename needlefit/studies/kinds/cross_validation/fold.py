@@ -283,7 +283,7 @@ def _draw(job: Job, fold: Fold, fits: Mapping[str, Fit], services: FoldServices)
         return None
     sampled, step = (services.progress.phase(fold, phase) for phase in ("posterior draws", "predictions"))
     sampled(0)
-    made = draw_fold_parameters(job, fold, fit, settings, services.checkpoint, sampled)
+    made = draw_fold_parameters(job, fold, fit, settings, sampled)
     sampled(1)
     specimens = Specimens(job, fold, made.draws, settings.jobs, services.specimens)
     step(0)
