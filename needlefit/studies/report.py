@@ -274,26 +274,22 @@ def list_run_files(run: Run) -> dict[str, pd.DataFrame | str]:
 
 def write_files(run: Run, folder: Path) -> None:
     """Write the files of a result, as `write_run`, into a folder that takes the place of another."""
-    from needlefit.reporting.figures.style import draw_together  # late: matplotlib takes its time to load
-
     page = find_kind(run.kind).report
-    with draw_together() as begin_drawing:
-        figures = page.draw(run, folder)
-        begin_drawing()
-        for name, file in list_run_files(run).items():
-            if isinstance(file, str):
-                (folder / name).write_text(file, encoding="utf-8")
-            elif name not in figures and len(file.columns):
-                # of a frame that a figure shows, the figure's is the file
-                rows = file if "origin" in file else file.assign(origin=run.origin)
-                write_csv(rows, folder / f"{name}.csv")
-        for table in page.lay_out(run):
-            path = folder / f"{table.name}.tex"
-            path.write_text(format_latex(table, run.synthetic), encoding="utf-8")
-        if "needles" in run.frames and len(run.frames["needles"]):
-            write_needles(run.frames["needles"], run.synthetic, folder / "slicer")
-        store_run(run, folder)
-        report = compose_run_report(run, figures)
+    figures = page.draw(run, folder)
+    for name, file in list_run_files(run).items():
+        if isinstance(file, str):
+            (folder / name).write_text(file, encoding="utf-8")
+        elif name not in figures and len(file.columns):
+            # of a frame that a figure shows, the figure's is the file
+            rows = file if "origin" in file else file.assign(origin=run.origin)
+            write_csv(rows, folder / f"{name}.csv")
+    for table in page.lay_out(run):
+        path = folder / f"{table.name}.tex"
+        path.write_text(format_latex(table, run.synthetic), encoding="utf-8")
+    if "needles" in run.frames and len(run.frames["needles"]):
+        write_needles(run.frames["needles"], run.synthetic, folder / "slicer")
+    store_run(run, folder)
+    report = compose_run_report(run, figures)
     write_report(report, folder)
     label_figures(figures, run.synthetic)
     write_json(folder / "run.json", run.run_json)

@@ -5,8 +5,8 @@ of labels.
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from contextvars import ContextVar, copy_context
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
 
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_folder
-from needlefit.project.tasks import compute_beside
 from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
 from needlefit.reporting.sheet import PLAIN_SHEET, compile_sheet
 from needlefit.reporting.table_files import write_csv
@@ -116,24 +115,15 @@ def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path
     require_folder(path)
     if suffix != ".pdf":
         path.write_bytes(_paint_bytes(paint, suffix, description))
-    elif (waiting := _waiting.get()) is not None:
-        context = copy_context()  # a painter may ask for `fix_width`
-        waiting.append((path, lambda: context.run(_paint_sheet, paint)))
     else:
         words = json.dumps(description, ensure_ascii=False)
         sheet = PLAIN_SHEET.replace(
             "date: none", f"date: none, description: {words}" if description else "date: none"
         )
-        path.write_bytes(compile_sheet(_paint_sheet(paint), ".svg", sheet))
+        # text as text, whose fonts typst embeds: matplotlib takes half of its time to a PDF for the part of a
+        # font that is used
+        path.write_bytes(compile_sheet(_paint_bytes(paint, ".svg", text_as_text=True), ".svg", sheet))
     return path
-
-
-def _paint_sheet(paint: Callable[[], Figure]) -> bytes:
-    """Return a figure as SVG with its text as text, whose fonts typst embeds.
-
-    matplotlib takes half of its time to a PDF for the part of a font that is used.
-    """
-    return _paint_bytes(paint, ".svg", text_as_text=True)
 
 
 def _paint_bytes(
@@ -155,33 +145,6 @@ def save_figure(figure: Figure, suffix: str, description: str = "") -> bytes:
     # `savefig` would draw twice, once for the layout alone
     getattr(canvas, f"print_{suffix[1:]}")(drawing, metadata={**_METADATA[suffix], **about})
     return drawing.getvalue()
-
-
-_waiting: ContextVar[list[tuple[Path, Callable[[], bytes]]] | None] = ContextVar("waiting", default=None)
-
-
-@contextmanager
-def draw_together() -> Iterator[Callable[[], None]]:
-    """Collect the figures (PDF) of a `with` block, and draw them at its end, on two cores where possible.
-
-    Yields a function that lets a copy of this process begin to draw: call it after the last figure.
-    """
-    waiting: list[tuple[Path, Callable[[], bytes]]] = []
-    around = _waiting.get()
-    _waiting.set(waiting)
-    with ExitStack() as stack:
-        stack.callback(_waiting.set, around)
-        begun = []
-
-        def begin() -> None:
-            _waiting.set(around)
-            begun.append(stack.enter_context(compute_beside([paint for _, paint in waiting])))
-
-        yield begin
-        if not begun:
-            begin()
-        for (path, _), drawing in zip(waiting, begun[0](), strict=True):
-            path.write_bytes(compile_sheet(drawing, ".svg"))
 
 
 # Inches.
