@@ -116,11 +116,9 @@ def _result_of(future: "Future[Result]") -> Result:
 
 
 def _lost_scheduler() -> ConfigError:
-    return ConfigError(
-        "the scheduler of the cluster was lost",
-        expected="a scheduler that runs until the work is done",
-        fix="start it again, then go on with --resume: finished tasks are kept",
-    )
+    return ConfigError.of("""the scheduler of the cluster was lost
+        expected: a scheduler that runs until the work is done
+        fix: start it again, then go on with --resume: finished tasks are kept""")
 
 
 @contextmanager

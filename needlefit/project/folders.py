@@ -84,12 +84,10 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
 
 def not_writable_error(place: Path, reason: str) -> ConfigError:
     """Return what is raised of a place where nothing can be written."""
-    return ConfigError(
-        f"cannot be written to: {reason}",
-        where=place,
-        expected="a folder in which you may write",
-        fix="choose another one with --out, or check its permissions",
-    )
+    return ConfigError.of(f"""cannot be written to: {reason}
+        expected: a folder in which you may write
+        fix: choose another one with --out, or check its permissions
+        where: {place}""")
 
 
 # ---- the manifest

@@ -37,15 +37,18 @@ def open_regular(
     try:  # without waiting for somebody who writes to a pipe
         file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")
     except FileNotFoundError:
-        raise error(
-            "there is no such file", where=where, fix="check the name and the path, or restore the file"
-        ) from None
+        raise error.of(f"""there is no such file
+            fix: check the name and the path, or restore the file
+            where: {where}""") from None
     except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
         raise unreadable_error(fault, error, where) from None
     with file:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
-            raise error("is no regular file", where=where, expected="a file", fix="name a file")
+            raise error.of(f"""is no regular file
+                expected: a file
+                fix: name a file
+                where: {where}""")
         if status.st_size > max_bytes:
             raise _too_large(status.st_size, max_bytes, error, where)
         yield file
@@ -76,12 +79,10 @@ def read_text(
     try:
         return TextIOWrapper(BytesIO(data), encoding="utf-8-sig").read()
     except UnicodeDecodeError as fault:
-        raise error(
-            f"cannot be read as text: the byte at position {fault.start} is not UTF-8",
-            where=where or str(path),
-            expected="UTF-8 text",
-            fix=SAVE_AS_UTF8,
-        ) from None
+        raise error.of(f"""cannot be read as text: the byte at position {fault.start} is not UTF-8
+            expected: UTF-8 text
+            fix: {SAVE_AS_UTF8}
+            where: {where or str(path)}""") from None
 
 
 def read_json(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> Any:  # noqa: ANN401 - whatever the file holds
@@ -120,12 +121,10 @@ def parse_toml(text: str, where: str, error: FileErrorType = ConfigError) -> dic
             raise ValueError(f"nested more than {MAX_NESTING} deep")
         return tables
     except (RecursionError, ValueError) as fault:
-        raise error(
-            f"is not valid TOML: {fault}",
-            where=where,
-            expected="TOML: key = value, texts in quotes",
-            fix="correct it",
-        ) from None
+        raise error.of(f"""is not valid TOML: {fault}
+            expected: TOML: key = value, texts in quotes
+            fix: correct it
+            where: {where}""") from None
 
 
 @contextmanager
@@ -191,18 +190,14 @@ def unreadable_error(
     reason = "its name is not valid"
     if isinstance(fault, OSError):
         reason = fault.strerror or type(fault).__name__
-    return error(
-        f"cannot be read: {reason}",
-        where=where if where.isprintable() else repr(where),
-        expected="a file that you may read",
-        fix="check the path and its permissions",
-    )
+    return error.of(f"""cannot be read: {reason}
+        expected: a file that you may read
+        fix: check the path and its permissions
+        where: {where if where.isprintable() else repr(where)}""")
 
 
 def _too_large(size: int, max_bytes: int, error: FileErrorType, where: str) -> DataError | ConfigError:
-    return error(
-        f"is too large: {size / 2**20:.0f} MiB",
-        where=where,
-        expected=f"at most {max_bytes / 2**20:.0f} MiB",
-        fix="check that it is the file that you meant, or divide it",
-    )
+    return error.of(f"""is too large: {size / 2**20:.0f} MiB
+        expected: at most {max_bytes / 2**20:.0f} MiB
+        fix: check that it is the file that you meant, or divide it
+        where: {where}""")
