@@ -15,7 +15,7 @@ from needlefit.errors import ConfigError
 from needlefit.project import cluster, tasks
 from needlefit.project.cluster import connect, require_secured
 from needlefit.project.processes import THREAD_VARIABLES
-from needlefit.project.tasks import LocalPool, compute_beside, run_in_order
+from needlefit.project.tasks import LocalPool, compute_beside
 from tests.cluster_processes import start_scheduler, start_worker
 from tests.cluster_work import fail, kill_once, nap, square, wait_for_stop
 
@@ -43,7 +43,7 @@ if __name__ == "__main__":
     pool = tasks.LocalPool(2)
     for expected in ("before", "since"):
         loaded = expected
-        found = list(tasks.run_in_order(tell, [1, 2, 3, 4], pool))
+        found = [one for _, one in sorted(pool.run(tell, [1, 2, 3, 4]))]
         assert [n for n, _, _ in found] == [1, 2, 3, 4] and {one for *_, one in found} == {expected}
         assert len({process for _, process, _ in found} - {os.getpid()}) == 2
         assert threading.active_count() == 1
@@ -103,7 +103,7 @@ def test_a_stop_and_an_error_end_the_processes(processes):
         list(pool.run(fail, [1, 1]))
     with pytest.raises(ConfigError, match="ended from outside"):
         list(pool.run(os._exit, [1, 1]))
-    assert list(run_in_order(square, [1.0, 2.0, 3.0], pool)) == [1.0, 4.0, 9.0]
+    assert run_in_order(square, [1.0, 2.0, 3.0], pool) == [1.0, 4.0, 9.0]
     assert time.monotonic() < begun + 60
 
 
@@ -122,6 +122,10 @@ def compute(work):
 
 def tell_process(number):
     return f"{number} {os.getpid()}".encode()
+
+
+def run_in_order(work, items, pool):
+    return [result for _, result in sorted(pool.run(work, items))]
 
 
 def test_results_come_in_order(copied):
@@ -196,13 +200,13 @@ def address(tmp_path_factory):
 def test_results_are_those_of_this_machine_in_order(address):
     work, items = partial(square, offset=0.1), [3.0, 1.0, 2.0, 1.0]
     with connect(address) as pool:
-        assert list(run_in_order(work, items, pool)) == list(run_in_order(work, items, LocalPool()))
+        assert run_in_order(work, items, pool) == run_in_order(work, items, LocalPool())
 
 
 def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     work = partial(kill_once, folder=str(tmp_path))
     with connect(address) as pool:
-        assert list(run_in_order(work, list(range(6)), pool)) == list(range(6))
+        assert run_in_order(work, list(range(6)), pool) == list(range(6))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
 
 

@@ -38,7 +38,7 @@ from needlefit.imaging.scans import Scan
 from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, no_progress
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool, run_in_order
+from needlefit.project.tasks import THIS_PROCESS, LocalPool, TaskPool
 from needlefit.project.toml import dumps
 from needlefit.synthetic import design
 from needlefit.synthetic.build import describe_dataset
@@ -78,6 +78,11 @@ SAMPLE_SETUP = ScanSetup(
     high=np.array([30.0, 15.0, 11.0]),
     outside=12.0,
 )
+
+
+def _run_in_order(work, items, pool):
+    """Return what `work` makes of each item, in their order."""
+    return [result for _, result in sorted(pool.run(work, items), key=lambda one: one[0])]
 
 
 def choose_setup(planned: InsertionDesign) -> ScanSetup:
@@ -185,7 +190,7 @@ def write_scans(
     write_layers(folder, plan)
     scans = []
     progress("rendering", 0, len(plan))
-    for done in run_in_order(partial(_render_scan, folder, seed, dicom), plan, pool):
+    for done in _run_in_order(partial(_render_scan, folder, seed, dicom), plan, pool):
         scans.append(done)
         progress(f"rendered {done.id}", len(scans), len(plan))
     if any(choose_setup(planned) is WHOLE_BOX_SETUP for planned in plan):
@@ -374,7 +379,7 @@ def build_scanned(
     """
     built = list[ReconstructedInsertion]()
     progress("reconstructing", 0, len(plan))
-    for one in run_in_order(partial(_build_insertion, seed), plan, pool):
+    for one in _run_in_order(partial(_build_insertion, seed), plan, pool):
         built.append(one)
         progress(f"reconstructed {one.insertion.planned.id}", len(built), len(plan))
     write_truth(folder / "truth.toml", seed, built)

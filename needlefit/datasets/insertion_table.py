@@ -151,25 +151,18 @@ def _is_finite(row: InsertionRow) -> bool:
 def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
 
-    def column(name: str, default: float | None = None) -> Floats:
-        fill = math.nan if default is None else default
-        if name not in table.cells:
-            return np.full(len(table.lines), fill)
-        values = parse_numbers(table, name, found, optional=default is not None or name in BEVEL_COLUMNS)
-        return np.where(np.isnan(values), fill, values)
-
     def vectors(names: tuple[str, ...], default: float | None = None) -> Floats:
-        return np.column_stack([column(name, default) for name in names])
+        return np.column_stack([parse_numbers(table, name, found, default) for name in names])
 
     def texts(name: str) -> list[str]:
         return list(table.cells[name]) if name in table.cells else [""] * len(table.lines)
 
-    count, layers = range(len(table.lines)), column("layers")
-    alternative = column("layers_alternative", math.nan)
+    count, layers = range(len(table.lines)), parse_numbers(table, "layers", found)
+    alternative = parse_numbers(table, "layers_alternative", found, math.nan)
     fields: dict[str, Iterable[Any]] = {name: texts(name) for name in TEXT_COLUMNS} | {
         "layers": map(_to_int, layers),
         "layers_alternative": map(_to_int, np.where(np.isnan(alternative), layers, alternative)),
-        "bevel": [None if np.isnan(one).all() else one for one in vectors(BEVEL_COLUMNS)],
+        "bevel": [None if np.isnan(one).all() else one for one in vectors(BEVEL_COLUMNS, math.nan)],
         "patient": map(_make_patient_frame, vectors(SCAN_COLUMNS, math.nan)),
         "line": table.lines.tolist(),
     }
@@ -178,11 +171,11 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
     else:
         fields["pose_source"] = ["none" for _ in count]
     for name, (field, default) in NUMBER_COLUMNS.items():
-        values = column(name, default)
+        values = parse_numbers(table, name, found, default)
         values = np.radians(values) if name.endswith("_deg") else values
         fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
     fields["boundaries"] = [_parse_boundaries(table, n, found) for n in count]
-    fields["side"] = map(_to_int, column("bevel_side", 1.0))
+    fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", found, 1.0))
     names = zip(*(texts(name) for name in ("specimen", HOLE_COLUMN, "id")), strict=True)
     fields["specimen"] = [next(filter(None, one), "") for one in names]
     rolls, sides = texts(ROLL_COLUMNS[0]), texts("bevel_side")

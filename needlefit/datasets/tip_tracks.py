@@ -90,11 +90,8 @@ def _parse_track_columns(
     if note_missing_columns(table, REQUIRED_TRACK_COLUMNS, found) or len(found) > before:
         return None
     values = {name: parse_numbers(table, name, found) for name in REQUIRED_TRACK_COLUMNS[2:]}
-    for name, default in OPTIONAL_TRACK_COLUMNS.items():
-        values[name] = np.full(len(table.lines), default)
-        if name in table.cells:
-            given = parse_numbers(table, name, found, optional=True)
-            values[name] = np.where(np.isnan(given), default, given)
+    optional = OPTIONAL_TRACK_COLUMNS.items()
+    values |= {name: parse_numbers(table, name, found, default) for name, default in optional}
     texts = {name: table.cells[name].to_numpy(dtype=str) for name in ("id", "medium")}
     no_needle = np.full(len(table.lines), "")
     texts[NEEDLE_COLUMN] = table.cells.get(NEEDLE_COLUMN, pd.Series(no_needle)).to_numpy(dtype=str)

@@ -330,7 +330,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
             )
     lines, stated = range(len(table.lines)), [name for name in NUMBER_COLUMNS if name in cells]
     texts = {name: cells[name].tolist() for name in SCAN_COLUMNS if name in cells}
-    numbers = {name: parse_numbers(table, name, found, optional=True) for name in stated}
+    numbers = {name: parse_numbers(table, name, found, math.nan) for name in stated}
     rows = [
         ScanRow(
             table.where(n),

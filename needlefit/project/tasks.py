@@ -132,17 +132,6 @@ def as_finished(
         yield running.pop(future), future
 
 
-def run_in_order(work: Callable[[Item], Result], items: Sequence[Item], pool: TaskPool) -> Iterator[Result]:
-    """Yield what `work` makes of each item, in their order; else as `TaskPool.run`."""
-    finished: dict[int, Result] = {}
-    due = 0
-    for n, result in pool.run(work, items, never_stop):
-        finished[n] = result
-        while due in finished:
-            yield finished.pop(due)
-            due += 1
-
-
 class TaskStop:
     """A request to stop that parts of one task share: each then ends early with what it has."""
 

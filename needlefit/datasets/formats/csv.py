@@ -79,17 +79,19 @@ def read_table(path: Path) -> CsvTable:
     return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
-def parse_numbers(table: CsvTable, column: str, found: list[Fault], *, optional: bool = False) -> Floats:
-    """Return a column as numbers (N,); NaN where a cell is faulty, or empty in an `optional` column.
+def parse_numbers(table: CsvTable, column: str, found: list[Fault], default: float | None = None) -> Floats:
+    """Return a column as numbers (N,); NaN where a cell is faulty.
 
-    What exceeds `MAX_COORDINATE` is faulty.
+    What exceeds `MAX_COORDINATE` is faulty; so is an empty cell, and a missing column, without a `default`.
     """
+    if column not in table.cells and default is not None:
+        return np.full(len(table.lines), default)
     text = table.cells[column]
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
     # Infinity parses as a number; this comparison rejects it too.
     values = np.where(np.abs(values) <= MAX_COORDINATE, values, np.nan)
     empty = (text == "").to_numpy()
-    bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
+    bad = np.flatnonzero(np.isnan(values) & ~(empty & (default is not None)))
     for row in bad[:MAX_LISTED_CELLS]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
         found.append(
@@ -107,7 +109,7 @@ def parse_numbers(table: CsvTable, column: str, found: list[Fault], *, optional:
             fix: fix the cells
             where: {table.path}:{line}""")
         )
-    return values
+    return values if default is None else np.where(empty, default, values)
 
 
 def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:

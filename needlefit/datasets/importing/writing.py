@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
@@ -23,6 +24,7 @@ from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetR
 TRACKS_FILE = "tracks.csv"
 TURNS_FILE = "turns.csv"
 CURVATURE_FILE = "curvature.csv"
+TRACK_COLUMNS = ("depth_mm", "tip_mm", "tip_z_mm", "guide_mm", "guide_z_mm")
 _NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
 
 
@@ -121,31 +123,26 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
 
 def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft: dict[str, object]) -> Path:
     """Write a dataset of tip tracks."""
-    curves, media = content.curves, dict[str, object]()
-    flat = not any(curve.line[:, 1].any() for curve in curves)
-    is_guided = any(curve.guide is not None for curve in curves)
-    columns = ["id", "medium", "needle", "bevel_side", "depth_mm", "tip_mm", *["tip_z_mm"] * (not flat)]
-    columns += ["guide_mm", "guide_z_mm"][: 2 - flat] if is_guided else []
-    kept = [n for n, name in enumerate(columns) if name != "needle" or plan.needles]
-    lines = [columns]
-    for row, curve in zip(plan.rows, curves, strict=True):
+    tables, media = list[pd.DataFrame](), dict[str, object]()
+    for row, curve in zip(plan.rows, content.curves, strict=True):
         depths = plan.boundaries_mm[row.medium] if row.boundaries is None else row.boundaries
         layers = [*range(1, len(depths) + 2)]
         media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
-        places = curve.line[:, : 2 - flat]
-        if is_guided:
-            guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
-            places = np.column_stack([places, guide[:, : 2 - flat]])
-        for depth, place in zip(curve.track.depth, places, strict=True):
-            numbers = [f"{value:.4f}" for value in (depth, *place)]
-            lines.append([row.id, row.medium, row.needle, f"{row.side}", *numbers])
+        named = {"id": row.id, "medium": row.medium, "needle": row.needle, "bevel_side": row.side}
+        guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
+        numbers = curve.track.depth, *curve.line.T[:2], *guide.T[:2]
+        tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
+    table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE}
-    if not is_guided:
+    left_out = [] if plan.needles else ["needle"]
+    if not table["tip_z_mm"].any():
+        left_out += ["tip_z_mm", "guide_z_mm"]
+    if all(curve.guide is None for curve in content.curves):
+        left_out += ["guide_mm", "guide_z_mm"]
         source["constants"] = {"guide_mm": 0.0}  # at rest
-    tables = {"tip_tracks": source, "media": media}
-    record = check_record(draft | tables, TrackDatasetRecord, folder)
-    text = "".join(f"{','.join(line[n] for n in kept)}\n" for line in lines)
-    (folder / TRACKS_FILE).write_bytes(text.encode("utf-8"))
+    record = check_record(draft | {"tip_tracks": source, "media": media}, TrackDatasetRecord, folder)
+    table = table.drop(columns=left_out)
+    table.to_csv(folder / TRACKS_FILE, index=False, float_format="%.4f", lineterminator="\n")
     file = folder / "dataset.toml"
     file.write_bytes(dumps(record.model_dump(mode="json", by_alias=True)).encode("utf-8"))
     return file
