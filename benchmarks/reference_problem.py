@@ -30,6 +30,6 @@ def batch(count: int, tolerance: float, depth: float = DEPTH, tissue: Tissue = T
     spread = np.random.default_rng(1).uniform(1.0 - SPREAD, 1.0 + SPREAD, (count, 2 * n + 1))
     return Batch(
         NEEDLE, tissue, (Step(depth, BEVEL),), ModelOptions(tolerance=tolerance),
-        mu=tissue.mu * spread[:, :n], alpha=tissue.alpha * spread[:, n:-1],
+        mu=tissue.mu * spread[:, :n], shape=(tissue.alpha * spread[:, n:-1])[:, None],
         offset=BEVEL.offset * spread[:, -1],
     )  # fmt: skip

@@ -12,7 +12,7 @@ from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import native, reference
-from needlefit.mechanics.batch import Batch, linearize_steps
+from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.laws import LAWS, Numbers, TissueLaw
@@ -155,12 +155,7 @@ def differences(function, arguments, which: int, step: float = 2e-4) -> np.ndarr
     return (8 * near - far) / (12 * step)
 
 
-def test_alpha_alone_and_a_law_without_shape_parameters(monkeypatch):
-    alpha = np.ones((3, LAYERS))
-    assert Batch(NEEDLE, make_tissue("ogden", 1), STEPS, alpha=alpha).shape.shape == (3, 1, LAYERS)
-    for law, more in (("gent", {}), ("two_term_ogden", {}), ("ogden", {"shape": np.ones((3, 1, LAYERS))})):
-        with pytest.raises(ModelError, match="alpha"):
-            Batch(NEEDLE, make_tissue(law, 1), STEPS, alpha=alpha, **more)
+def test_a_law_without_shape_parameters_is_a_table(monkeypatch):
     # exp(2 (1 - lambda)) is no sum of powers; a table and the reference agree.
 
     class Exponential(TissueLaw):

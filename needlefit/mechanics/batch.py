@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import InitVar, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, Self, TypeVar
 
@@ -80,20 +80,12 @@ class Batch:
     base_slope_z: Floats | None = None
     roll: Floats | None = None  #: (B,) rad, added to the roll of every bevel
     guide_x: Floats | None = None  #: (B,) where the one guide before the tissue stands, mm; there must be one
-    alpha: InitVar[Floats | None] = None  #: (B, n) in place of `shape`, of a law whose one parameter is alpha
     #: the insertion as the kernel reads it, by kinds of derivatives; filled when it is first used
     prepared: dict[tuple[str, ...] | None, PreparedInsertion] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
-    def __post_init__(self, alpha: Floats | None) -> None:
-        if alpha is not None:
-            if LAWS[self.tissue.law].shape_names != ("alpha",) or self.shape is not None:
-                raise ModelError(
-                    "a batch is given alpha",
-                    expected="shape, or alpha alone, of a law with no other parameter",
-                )
-            object.__setattr__(self, "shape", np.asarray(alpha)[:, None])
+    def __post_init__(self) -> None:
         sizes = {}
         for name in VARYING_FIELDS:
             value = getattr(self, name)
