@@ -163,7 +163,7 @@ REFUSED = [
     ("words.stl", b"solid x\nendsolid x\n"),
     ("count.stl", bytes(80) + struct.pack("<I", 5) + bytes(50), "134", "334"),
     ("cut.stl", bytes(80) + struct.pack("<I", 1) + bytes(43), "127", "134"),
-    ("corner.obj", f"{OBJ}f 1/1 2/7 9/2\n", "3"),
+    ("corner.obj", f"{OBJ}f 1/1 2/7 9/2\n"),
     ("cut.ply", binary(2)[:-5]),
 ]
 

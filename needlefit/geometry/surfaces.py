@@ -28,8 +28,6 @@ MAX_MERGED_MM = 1e9
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
-_OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
-_OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
 STL_HEADER_BYTES = 84  # of a binary STL file: 80 of any text, and the number of triangles
 STL_TRIANGLE_BYTES = 50  # of each triangle behind it
 READ_SUFFIXES = (".stl", ".ply", ".obj")
@@ -94,7 +92,7 @@ def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
             BytesIO(data), file_type=ending[1:], process=False, resolver=None, skip_materials=True
         )
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
-        raise _mesh_error(path, _describe_damage(data, ending)) from None
+        raise _mesh_error(path, "its header, or what follows it, is cut short or damaged") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
         counts = [int(count) for name, count in _ELEMENT.findall(data) if name == b"vertex"]
         is_cloud = any(counts) if ending == ".ply" else ending == ".obj" and _OBJ_VERTEX.search(data)
@@ -127,21 +125,6 @@ def _check_stl(data: bytes, path: Path) -> None:
     if len(data) < STL_HEADER_BYTES:
         raise _mesh_error(path, f"is no text STL, and too short for a binary one: {len(data)} bytes")
     raise _mesh_error(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
-
-
-def _describe_damage(data: bytes, ending: str) -> str:
-    """Return why a file could not be read, as far as its bytes show."""
-    if ending == ".ply" and b"end_header" not in data:
-        return "its header is cut short, or not that of a PLY file"
-    if ending == ".ply":
-        return "what follows its header is not what the header claims: it is cut short or damaged"
-    if ending == ".stl":
-        return "its text is cut short or damaged: not every facet has a normal and three vertices"
-    count = len(_OBJ_VERTEX.findall(data))
-    named = (int(index) for face in _OBJ_FACE.findall(data) for index in _OBJ_INDEX.findall(face))
-    if any(not (1 <= index <= count or -count <= index <= -1) for index in named):
-        return f"a triangle names a vertex beyond the {count} that there are"
-    return "its lines are not those of an OBJ file of triangles"
 
 
 def _mesh_error(path: Path, what: str, fix: str = _MESH_FIX) -> DataError:
