@@ -94,7 +94,8 @@ class Problem:
 
     def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
-        return evaluate(self._objective_gradients, np.asarray(theta))
+        found = self.distances(theta)
+        return found.total, found.differentiate()
 
     def objectives(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `objective` (B,) of many thetas (B, P) at once, on `jobs` threads."""
@@ -107,9 +108,6 @@ class Problem:
             aligned = align(goal.pose, goal.select(simulated), goal.target)
             total += metric_misfits(aligned - goal.target, weights)
         return [math.inf if math.isnan(one) else float(one) / len(goals) for one in total]
-
-    def _objective_gradients(self, thetas: Floats, jobs: int) -> list[tuple[float, Floats]]:
-        return [(one.total, one.differentiate()) for one in self._distances(thetas, jobs)]
 
     def distances(self, theta: Theta) -> WeightedDistances:
         """Return the distances whose weighted sum is `objective`, with exact derivatives."""
