@@ -235,7 +235,7 @@ def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement 
         "tip_z_mm": shape.tip_z if shape.converged else math.nan,
         "tip_slope": float(shape.slope[-1]),
         "tip_slope_z": float(shape.slope_z[-1]),
-        "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
+        "tip_mm": (placement or entry.placement).to_world(compute_positions(shape, shape.x[-1:]))[0],
         "tip_angle_deg": math.degrees(entry.angle + angle),
         "tip_elevation_deg": math.degrees(elevation),
         "converged": shape.converged,

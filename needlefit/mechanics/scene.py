@@ -8,9 +8,7 @@ from itertools import pairwise
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from needlefit.arrays import Floats
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -47,18 +45,6 @@ class Entry:
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Placement(Frame(np.array([self.x, self.y, 0.0]), rotation))
-
-    def to_world(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2) or (K, 3), given in C, in world coordinates, mm; both have the same z."""
-        cos, sin = math.cos(self.angle), math.sin(self.angle)
-        x, y, *z = np.asarray(points, dtype=np.float64).T  # (K,)
-        return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y, *z))
-
-    def to_frame(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2), given in world coordinates, in C, mm."""
-        cos, sin = math.cos(self.angle), math.sin(self.angle)
-        x, y = (np.asarray(points, dtype=np.float64) - [self.x, self.y]).T  # (K,)
-        return np.column_stack((cos * x + sin * y, cos * y - sin * x))
 
     def slope_of(self, angle: float) -> float:
         """Return the slope in C of an axis with direction `angle` (rad) in the world.
@@ -165,7 +151,7 @@ def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) ->
     guides = []
     for key, guide in ((key, guide) for key, guide in whole.guides if guide.engaged):
         with _name_keys(where, key):
-            (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
+            (x, y, _), slope = entry.placement.frame.to_local([guide.x_mm, guide.y_mm, 0.0]), 0.0
             if guide.angle_deg is not None and not guide.turns_freely:
                 slope = entry.slope_of(math.radians(guide.angle_deg))
             at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue

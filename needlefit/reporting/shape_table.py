@@ -44,7 +44,7 @@ def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | Non
     near = np.abs(whole[:, None] - shape.x).min(axis=1) < _MIN_STATION_DISTANCE_MM
     s = np.union1d(shape.x, whole[~near])
     place = compute_positions(shape, s)
-    world = (placement or scene.entry).to_world(place)
+    world = (placement or scene.entry.placement).to_world(place)
     layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
     layer[s < 0] = pd.NA
     load, load_z = compute_lateral_load(shape, tissue, s, scene.rules)
