@@ -1,6 +1,5 @@
 """The messages between a needle and its page, as values for JSON; lengths in mm, frame C."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -142,15 +141,6 @@ class Message:
     content: dict[str, Any] = field(default_factory=dict)  #: all other keys of the message
     fault: ModelError | None = None  #: why it cannot be carried out
 
-    def number(self, key: str, default: float | None = None, most: float = math.inf, unit: str = "") -> float:
-        """Return a finite number of the message; without a default it is required."""
-        value = self.content.get(key, default)
-        found = _read_finite(value)
-        if found is None or abs(found) > most:
-            upto = f", at most {most:g} {unit}".rstrip() if math.isfinite(most) else ""
-            raise ModelError(f"{key} is {value!r:.40} {unit}".rstrip(), expected=f"a finite number{upto}")
-        return found
-
     def text(self, key: str) -> str:
         """Return a text of the message; empty if there is none."""
         value = self.content.get(key)
@@ -184,42 +174,19 @@ def read_message(text: str) -> Message:
         return Message("", known, fault=error)
 
 
-def _read_step(row: object) -> RecordedStep:
+def _read_step(row: Any) -> RecordedStep:  # noqa: ANN401 - whatever a page sent
     """Return a step: its number, time, gesture, changes, and the tip's lateral displacement after it."""
-    if not isinstance(row, list) or len(row) != 5 or type(row[0]) is not int or not row[3]:
-        raise ModelError(f"{row!r:.60} is no step", expected="[number, time, gesture, changes, tip]")
-    time, tip = _read_finite(row[1]), _read_finite(row[4])
-    if time is None or time < 0 or tip is None:
-        raise ModelError(f"{row!r:.60} is no step", expected="a finite time and place of the tip")
-    return RecordedStep(row[0], time, _read_changes(row[3]), tip, gesture=_read_gesture(row[2]))
-
-
-def _read_gesture(value: object) -> int | str | None:
-    return value if type(value) is int or value in ("undo", "redo") else None
-
-
-def _read_changes(rows: object) -> tuple[Change, ...]:
-    if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
-        expected = f"up to {MAX_CHANGES} of [input, item, value]"
-        raise ModelError("the step has no inputs", expected=expected)
-    return tuple(map(_read_change, rows))
-
-
-def _read_change(row: object) -> Change:
-    name, item, value = row if isinstance(row, list) and len(row) == 3 else (None, None, 0)
-    number = _read_finite(value, math.inf)  # a `Change` names its own limit, in the unit of its field
-    if number is None:
-        raise ModelError(f"{name!r:.40} is {value!r:.40}", expected="a finite number")
-    if not isinstance(name, str) or not (item is None or type(item) is int):
-        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
-    return Change(name[:40], item, number)
-
-
-def _read_finite(value: object, most: float = MAX_NUMBER) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
     try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if abs(number) <= most else None
+        number, time, gesture, changes, tip = row
+        # a sum refuses what is no number; a `Change` names its own limit, in the unit of its field
+        made = tuple(Change(name[:40], item, value + 0.0) for name, item, value in changes)
+        time, tip = time + 0.0, tip + 0.0
+        fits = type(number) is int and are_bounded([time, tip]) and time >= 0 and 0 < len(made) <= MAX_CHANGES
+        fits = fits and all(one.item is None or type(one.item) is int for one in made)
+    except (OverflowError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        expected = f"[number, time, gesture, changes, tip], with up to {MAX_CHANGES} of [input, item, value]"
+        raise ModelError(f"{row!r:.60} is no step", expected=expected)
+    known = type(gesture) is int or gesture in ("undo", "redo")
+    return RecordedStep(number, time, made, tip, gesture=gesture if known else None)

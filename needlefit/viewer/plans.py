@@ -1,13 +1,14 @@
 """Targets, obstacles and plans of a shown needle: read, sought, sent to the page, and recorded."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from needlefit.arrays import are_bounded
 from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Placement
 from needlefit.inference.forward_model import ParameterDraws
@@ -19,7 +20,7 @@ from needlefit.planning.steering import StartedInsertion, SteeringPlan
 from needlefit.project.unit_warnings import extrapolation_warnings
 from needlefit.reporting.needle_page import encode_step
 from needlefit.schemas.planning import ObstacleRecord
-from needlefit.viewer.messages import Message, round_lengths
+from needlefit.viewer.messages import round_lengths
 from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_RADIUS_MM = 2.0  #: a tip that ends within it has reached the target
@@ -31,28 +32,27 @@ SPEED_MM_S = 10.0  #: speed of insertion in the recording of a plan
 RECORDED_STEP_MM = 1.0
 
 
-def read_goal(message: Message) -> Goal:
-    """Return the goal of a message; ModelError without a target, or if a place is no finite number."""
-    radius = message.number("radius", DEFAULT_RADIUS_MM, MAX_PLACE_MM, "mm")
-    rows = message.content.get("obstacles", [])
-    if not isinstance(rows, list) or len(rows) > MAX_OBSTACLES:
-        raise ModelError("these are no obstacles", expected=f"up to {MAX_OBSTACLES} of [x, y, radius]")
-    x, y = _read_numbers(message.content.get("target"), 2)
-    circles = [_read_numbers(row, 3) for row in rows]
-    if min([radius, *(size for *_, size in circles)]) <= 0:
-        raise ModelError("a radius is not above 0 mm", expected="above 0 mm")
+def read_goal(content: Mapping[str, Any]) -> Goal:
+    """Return the goal of a page; ModelError without a target, or if a place is no finite number."""
+    try:
+        target = np.array(content["target"], dtype=np.float64)
+        circles = np.array(content.get("obstacles", []), dtype=np.float64).reshape(-1, 3)
+        radius = float(content.get("radius", DEFAULT_RADIUS_MM))
+        fits = target.shape == (2,) and len(circles) <= MAX_OBSTACLES
+        fits &= are_bounded([*target, *circles.ravel(), radius], MAX_PLACE_MM)
+        fits &= min([radius, *circles[:, 2]]) > 0
+    except (KeyError, OverflowError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        expected = (
+            f"x and y, and up to {MAX_OBSTACLES} of x, y, radius: up to {MAX_PLACE_MM:g} mm, radii above 0"
+        )
+        raise ModelError("these are no target and obstacles", expected=expected)
     obstacles = tuple(
         ObstacleRecord(name=f"obstacle {number}", centre_mm=(at, across), radius_mm=size)
-        for number, (at, across, size) in enumerate(circles, start=1)
+        for number, (at, across, size) in enumerate(circles.tolist(), start=1)
     )
-    return Goal((x, y), radius, obstacles)
-
-
-def _read_numbers(row: object, count: int) -> list[float]:
-    if not isinstance(row, list) or len(row) != count:
-        raise ModelError(f"{row!r:.60} is no place", expected=f"{count} numbers, mm")
-    place = Message("plan", content=dict(zip(("x", "y", "radius"), row, strict=False)))
-    return [place.number(key, None, MAX_PLACE_MM, "mm") for key in place.content]
+    return Goal((float(target[0]), float(target[1])), radius, obstacles)
 
 
 def begin_insertion(viewed_scene: ViewedScene) -> StartedInsertion:

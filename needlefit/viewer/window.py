@@ -58,7 +58,7 @@ class Window:
             case "plan":
                 from needlefit.viewer.plans import read_goal
 
-                self.orders["plan"] = self._plan(trial, read_goal(message), message.id)
+                self.orders["plan"] = self._plan(trial, read_goal(message.content), message.id)
 
     def _is_dropped(self, kind: str) -> bool:
         """Return whether nobody waits for it: another one is ordered, or the window was closed."""
