@@ -90,36 +90,29 @@ def make_nodes(
     the nodes; the last of these lie along the axes `shared` with other insertions. Of tip tracks, `gain`: the
     axis and relative SD of a moved guide's effect, and `roll_sd_deg`: the SD of the bevel's roll.
     """
-    moves = _list_depth_errors(insertion) if depths == "linear" else []
-    found = [(insertion, s)]
-    for _, boundaries, depth in moves:
-        found += [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
-    axes = [axis for axis, *_ in moves]
-    changes = []
+    pairs: list[tuple[ErrorAxis | None, float, list[tuple[Insertion, Floats]]]] = []
+    for axis, boundaries, depth in _list_depth_errors(insertion) if depths == "linear" else ():
+        moved = [shift_depths(insertion, s, t * boundaries, t * depth) for t in DEPTH_STEPS_SD]
+        pairs.append((axis, 0.5, moved))
     if gain is not None:
-        both = [scale_guide(insertion, 1 + step) for step in (-GAIN_STEP, GAIN_STEP)]
-        changes.append((*gain, GAIN_STEP, both))
+        axis, sd = gain
+        both = [(scale_guide(insertion, 1 + step), s) for step in (-GAIN_STEP, GAIN_STEP)]
+        pairs.append((axis, 0.5 * sd / GAIN_STEP, both))
     if roll_sd_deg:
-        both = [roll_bevel(insertion, step) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
-        changes.append((ErrorAxis(), roll_sd_deg, ROLL_STEP_DEG, both))
-    axes += [axis for axis, *_ in changes]
-    found += [(one, s) for *_, both in changes for one in both]
+        both = [(roll_bevel(insertion, step), s) for step in (-ROLL_STEP_DEG, ROLL_STEP_DEG)]
+        pairs.append((ErrorAxis(), 0.5 * roll_sd_deg / ROLL_STEP_DEG, both))
     if bevel:
         factors = (insertion.bevel_factor * (1 + step) for step in (-BEVEL_STEP, BEVEL_STEP))
-        found += [(replace(insertion, bevel_factor=factor), s) for factor in factors]
-    insertions, at = zip(*found, strict=True)
-    linear = np.zeros((1 + len(axes) + len(shared), len(found) + constants))
-    linear[0, 0] = 1.0
-    for j in range(len(moves)):
-        linear[1 + j, 1 + 2 * j : 3 + 2 * j] = [-0.5, 0.5]  # central difference
-    for j, (_, sd, step, _) in enumerate(changes, start=len(moves)):
-        linear[1 + j, 1 + 2 * j : 3 + 2 * j] = np.array([-0.5, 0.5]) * sd / step
-    apart = constants - len(shared)
-    linear[1 + len(axes) :, len(found) + apart :] = np.eye(len(shared))
-    effects = np.zeros((bevel + apart, len(found) + constants))
-    if bevel:
-        effects[0, len(found) - 2 : len(found)] = np.array([-0.5, 0.5]) / BEVEL_STEP
-    effects[int(bevel) :, len(found) : len(found) + apart] = np.eye(apart)
+        pairs.append((None, 0.5 / BEVEL_STEP, [(replace(insertion, bevel_factor=one), s) for one in factors]))
+    insertions, at = zip((insertion, s), *(one for *_, both in pairs for one in both), strict=True)
+    curves = np.eye(len(insertions) + constants)
+    rows = [curves[0]]
+    for j, (_, weight, _) in enumerate(pairs):  # central differences
+        rows.append(weight * (curves[2 + 2 * j] - curves[1 + 2 * j]))
+    axes = [axis for axis, *_ in pairs if axis is not None]
+    along, apart = 1 + len(axes), len(curves) - len(shared)  # the last constant curves lie along axes
+    linear = np.array([*rows[:along], *curves[apart:]])
+    effects = np.array([*rows[along:], *curves[len(insertions) : apart]]).reshape(-1, len(curves))
     return Nodes(insertions, np.array(at), (*axes, *shared), linear, effects, bevel)
 
 
