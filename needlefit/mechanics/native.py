@@ -8,7 +8,6 @@ with the sizes here, and what the numbers mean is checked by `native/checks.hpp`
 import ctypes
 import hashlib
 import json
-import math
 import os
 import sys
 from collections.abc import Mapping, Sequence
@@ -222,28 +221,23 @@ class Shapes(ctypes.Structure):
         cls, sets: int, room: int, points: int, columns: int = 0, planes: int = 1, tracked: bool = True
     ) -> "Shapes":
         """Return room for so many shapes, and columns of derivatives: of the tip's track if `tracked`."""
-        sizes: dict[str, tuple[int, ...]] = {
-            "nodes": (1 + 2 * planes, sets, room),
-            "constraints": (sets, points, 1 + planes),
-            "track": (sets, points, 2 * planes),
+        nodes = np.empty((1 + 2 * planes, sets, room))
+        arrays = {
+            "x": nodes[0],
+            "u": nodes[1 : 1 + planes],
+            "slope": nodes[1 + planes :],
+            "constraints": np.empty((sets, points, 1 + planes)),
+            "track": np.empty((sets, points, 2 * planes)),
+            "status": np.zeros(sets, np.int64),
+            "passes": np.zeros(sets, np.int64),
+            "nodes": np.zeros(1, np.int64),
         }
         if columns:
-            sizes |= dict.fromkeys(("u_by", "slope_by"), (planes, sets, room, columns))
-            names = ("constraints_by", "track_by")[: 1 + tracked]
-            sizes |= dict.fromkeys(names, (planes, sets, points, columns))
-        # One piece of memory, which the allocator keeps from call to call: new pages take long.
-        memory, end, arrays = np.empty(sum(map(math.prod, sizes.values()))), 0, dict[str, np.ndarray]()
-        counts = np.zeros(2 * sets + 1, np.int64)
-        at, at_counts = memory.ctypes.data, counts.ctypes.data
-        places = {"status": at_counts, "passes": at_counts + 8 * sets, "nodes": at_counts + 16 * sets}
-        for name, size in sizes.items():
-            begin, end = end, end + math.prod(size)
-            arrays[name], places[name] = memory[begin:end].reshape(size), at + 8 * begin
-        nodes, wide = arrays["nodes"], 8 * sets * room
-        arrays |= {"x": nodes[0], "u": nodes[1 : 1 + planes], "slope": nodes[1 + planes :]}
-        arrays |= {"status": counts[:sets], "passes": counts[sets : 2 * sets], "nodes": counts[2 * sets :]}
-        places |= {"x": at, "u": at + wide, "slope": at + wide * (1 + planes), "nodes": at_counts + 16 * sets}
-        made = cls(room, points, **places)
+            for name in ("u_by", "slope_by"):
+                arrays[name] = np.empty((planes, sets, room, columns))
+            for name in ("constraints_by", "track_by")[: 1 + tracked]:
+                arrays[name] = np.empty((planes, sets, points, columns))
+        made = cls(room, points, **{name: array.ctypes.data for name, array in arrays.items()})
         made.arrays, made.nodes_of_sets = arrays, nodes
         made.sets, made.columns, made.planes = sets, columns, planes
         return made
