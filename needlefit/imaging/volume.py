@@ -189,7 +189,7 @@ READABLE_VOLUMES = (
     "or a .zip of these"
 )
 
-_DICOM_PREAMBLE_BYTES = 132
+DICOM_PREAMBLE_BYTES = 132
 
 
 def is_dicomdir(path: Path) -> bool:
@@ -210,7 +210,7 @@ def list_series_files(path: Path) -> list[Path]:
 def begins_as_dicom(path: Path) -> bool:
     """Return whether a file begins like a DICOM file: with a preamble, or with its first entry."""
     with open_regular(path, sys.maxsize) as content:
-        head = content.read(_DICOM_PREAMBLE_BYTES)
+        head = content.read(DICOM_PREAMBLE_BYTES)
     if len(head) < 8 or head.endswith(b"DICM"):
         return len(head) >= 8
     # an entry of the groups 2 or 8, and the name of its type, or (in group 8 alone) a length

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import pydicom
@@ -30,6 +30,7 @@ from needlefit.errors import DataError, located, refusal
 from needlefit.geometry.frames import normalize
 from needlefit.imaging.volume import (
     AXES_COSINE_TOLERANCE,
+    DICOM_PREAMBLE_BYTES,
     VoxelGrid,
     begins_as_dicom,
     check_expansion,
@@ -58,9 +59,15 @@ _FRAME_ENTRIES = {
     "CTImageFrameTypeSequence": ("FrameType",),
 }
 
+# By the field of a slice: entries that are texts as they are.
+_TEXTS = {
+    "number": "SeriesNumber",
+    "description": "SeriesDescription",
+    "acquisition": "AcquisitionNumber",
+    "frame_of_reference": "FrameOfReferenceUID",
+}
 MAX_FRAMES = 2**16
 _SUFFIXES = (".dcm", ".ima", ".dicom")
-_PREAMBLE_BYTES = 132
 # So much more may be asked for than there is: a preamble, the head of an element behind the last.
 MAX_OVERREAD_BYTES = 256
 
@@ -195,7 +202,8 @@ def _merge_groups(data: pydicom.Dataset, *groups: pydicom.Dataset) -> pydicom.Da
 
 
 def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
-    kind, number = data.get("ImageType") or (), _to_text(data.get("SeriesNumber"))
+    kind = data.get("ImageType") or ()
+    texts: dict[str, Any] = {field: _to_text(data.get(tag)) for field, tag in _TEXTS.items()}
     tilt = _parse_numbers(data, ("GantryDetectorTilt",), (1,))
     stated = [n for n in ("PixelPaddingValue", "PixelPaddingRangeLimit") if data.get(n) is not None]
     values = [_parse_whole_number(data, name, 0) for name in stated]
@@ -207,14 +215,12 @@ def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
         padding = np.array([min(values), max(values)], dtype=np.float64)
     return DicomSlice(
         file=file,
-        series=_to_text(data.get("SeriesInstanceUID")) or f"not stated, number {number or 'not stated'}",
-        number=number,
-        description=_to_text(data.get("SeriesDescription")),
+        series=_to_text(data.get("SeriesInstanceUID"))
+        or f"not stated, number {texts['number'] or 'not stated'}",
+        **texts,
         modality=_to_text(data.get("Modality")).upper(),
-        acquisition=_to_text(data.get("AcquisitionNumber")),
         tilt=0.0 if tilt is None else float(tilt[0]),
         syntax=UID(str(data.file_meta.get("TransferSyntaxUID") or ImplicitVRLittleEndian)),
-        frame_of_reference=_to_text(data.get("FrameOfReferenceUID")),
         kind=(kind,) if isinstance(kind, str) else tuple(map(str, kind)),
         rows=_parse_whole_number(data, "Rows", 0),
         columns=_parse_whole_number(data, "Columns", 0),
@@ -279,7 +285,7 @@ def _unclear_entry_error(name: str, value: object) -> DataError:
 
 def damaged_file_error(file: Path) -> DataError:
     """Return the error for a file of a series that is not DICOM, or is truncated."""
-    empty = file.stat().st_size <= _PREAMBLE_BYTES
+    empty = file.stat().st_size <= DICOM_PREAMBLE_BYTES
     return refusal(f"""{"is empty" if empty else "its DICOM header is damaged or cut short"}
         expected: a whole DICOM file
         fix: copy the file again, or export the series again

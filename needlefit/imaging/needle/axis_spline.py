@@ -15,10 +15,11 @@ from needlefit.imaging.volume import Volume, to_index
 AXIS_HUBER_SD = 1.5  # residuals beyond so many deviations count less
 MAX_POINT_WEIGHT = 30.0  # a point counts at most for so many cross-sections
 REWEIGHTING_ROUNDS = 4  # rounds of reweighting
-# A step is looked for in cross-sections at this distance, mm, as bright as this part of the others; at least
-# so many on the side of the base, and on that of the tip.
+# Sections fainter than this part of the needle's middle one show no needle.
+MIN_RELATIVE_AMPLITUDE = 0.3
+# A step is looked for in cross-sections at this distance, mm; at least so many on the side of the base, and
+# on that of the tip.
 STEP_SPACING_MM = 0.25  # mm
-MIN_STEP_AMPLITUDE = 0.3  # of the others' brightness
 MIN_BASE_SECTIONS = 24  # sections
 MIN_END_SECTIONS = 2  # sections
 
@@ -170,7 +171,7 @@ def find_step(
     # their centroids, and not the sections that the axis was drawn through: those beside it were left out
     found = find_centroids(values, plane, diameter)
     shown = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
-    shown &= found.amplitude > MIN_STEP_AMPLITUDE * np.median(found.amplitude)
+    shown &= found.amplitude > MIN_RELATIVE_AMPLITUDE * np.median(found.amplitude)
     matrix = design_matrix(s[shown], axis.spline.t) @ free_end_basis(axis.spline.t)
     basis, _ = np.linalg.qr(matrix)
     left = found.shifts[shown] - basis @ (basis.T @ found.shifts[shown])

@@ -12,6 +12,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.imaging.needle.axis_spline import (
     MIN_FRACTION_IN_VOLUME,
+    MIN_RELATIVE_AMPLITUDE,
     AxisSpline,
     CrossSections,
     axis_frames,
@@ -25,7 +26,6 @@ from needlefit.imaging.needle.axis_spline import (
     fit_sections,
     sample_planes,
 )
-from needlefit.imaging.needle.follow import MIN_RELATIVE_AMPLITUDE
 from needlefit.imaging.needle.hub import find_hub
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, median_tissue_hu, principal_axes
 from needlefit.imaging.needle.slice_fit import MIN_SLICE_MM, place_in_slices

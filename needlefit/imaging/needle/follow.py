@@ -10,6 +10,7 @@ from needlefit.arrays import Floats, Ints
 from needlefit.errors import located, refusal
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.needle.axis_spline import (
+    MIN_RELATIVE_AMPLITUDE,
     AxisSpline,
     disc_points,
     find_centroids,
@@ -32,8 +33,6 @@ MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
 MIN_POINTS = 3  # fewer do not show which way a needle bends
 STEP_MM = 1.0  # distance of the places at which the needle is looked for, mm
 ROUNDS = 3  # of moving the places to the needle's middle
-# Sections fainter than this part of the needle's middle one show no needle, as when an axis is fitted.
-MIN_RELATIVE_AMPLITUDE = 0.3
 # The needle ends where it is faint for longer, mm; a longer gap must have points on both sides.
 MAX_FAINT_MM = 3.0
 END_LENGTH_MM = 12.0  # length at an end by whose line the next place is predicted, mm

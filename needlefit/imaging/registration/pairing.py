@@ -103,13 +103,9 @@ def mirror(sets: MarkerSets) -> MarkerSets:
 
 def motion_jacobian(arms: ArrayLike) -> Floats:
     """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
-    a = np.asarray(arms, dtype=np.float64)
-    moved = np.zeros((len(a), 3, 6))
-    moved[:, 0, 1], moved[:, 0, 2] = a[:, 2], -a[:, 1]
-    moved[:, 1, 0], moved[:, 1, 2] = -a[:, 2], a[:, 0]
-    moved[:, 2, 0], moved[:, 2, 1] = a[:, 1], -a[:, 0]
-    moved[:, :, 3:] = np.eye(3)
-    return moved
+    turned = np.cross(np.eye(3), np.asarray(arms, dtype=np.float64)[:, None])  # by each axis
+    shifted = np.broadcast_to(np.eye(3), turned.shape)
+    return np.concatenate([np.swapaxes(turned, 1, 2), shifted], axis=2)
 
 
 def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
