@@ -80,23 +80,21 @@ def write_dataset(
     assert table is not None and (pattern is None) == (record.centerlines is None), "files of both"
     files = {table: _format_rows(rows)}
     if (turns := record.insertions.turns) is not None:
-        rolls = [(row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns]
-        cells = [(name, _format_number(depth), _format_number(roll)) for name, depth, roll in rolls]
-        files[turns] = "".join(",".join(line) + "\n" for line in (TURN_COLUMNS, *cells))
+        turned = ((row.id, depth, math.degrees(roll)) for row in rows for depth, roll in row.turns)
+        cells = ((name, _format_number(depth), _format_number(roll)) for name, depth, roll in turned)
+        files[turns] = _to_csv([TURN_COLUMNS, *cells])
     if (curvature := record.insertions.curvature) is not None:
         sensed = ((row.id, row.curvature) for row in rows if row.curvature is not None)
-        lines = [(name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist()]
-        files[curvature] = "".join(",".join(line) + "\n" for line in (CURVATURE_COLUMNS, *lines))
+        lines = ((name, *(f"{value:.7g}" for value in one)) for name, ones in sensed for one in ones.tolist())
+        files[curvature] = _to_csv([CURVATURE_COLUMNS, *lines])
     drawn = None if record.measurement is None else record.measurement.sections
     if drawn is not None:
         files |= {drawn.replace("{id}", row.id): format_sections(sections[row.id]) for row in rows}
-    for row in rows:
-        if pattern is None:
-            break
+    for row in rows if pattern is not None else ():
         values = np.asarray(centerlines[row.id], dtype=np.float64)
         columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
-        table_rows = (columns, *(_format_vector(point, 4) for point in values))
-        files[pattern.replace("{id}", row.id)] = "".join(",".join(one) + "\n" for one in table_rows)
+        table_rows = [columns, *(_format_vector(point, 4) for point in values)]
+        files[str(pattern).replace("{id}", row.id)] = _to_csv(table_rows)
     for name, text in files.items():
         _write_text(folder / name, text)
     for name, surface in surfaces.items():
@@ -112,6 +110,10 @@ def _write_text(path: Path, text: str) -> None:
     path.write_bytes(text.encode("utf-8"))  # bytes: no line ending of the platform's own
 
 
+def _to_csv(lines: Sequence[Sequence[str]]) -> str:
+    return "".join(f"{','.join(one)}\n" for one in lines)
+
+
 def _format_rows(rows: Sequence[InsertionRow]) -> str:
     columns = list(INSERTION_COLUMNS)
     for name in OPTIONAL_COLUMNS:
@@ -119,8 +121,7 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
         columns += [name] * any(getattr(row, field) != getattr(InsertionRow, field) for row in rows)
     columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
-    lines = [columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))]
-    return "".join(",".join(cells) + "\n" for cells in lines)
+    return _to_csv([columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))])
 
 
 def format_cells(row: InsertionRow) -> dict[str, str]:
@@ -160,4 +161,4 @@ def _format_vector(values: Floats | None, digits: int) -> tuple[str, ...]:
 
 def _format_number(value: float, digits: int = 4) -> str:
     """Return `value` with fixed digits; never "-0.0000"."""
-    return f"{round(value, digits) + 0.0:.{digits}f}"
+    return f"{value:z.{digits}f}"

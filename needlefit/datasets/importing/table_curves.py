@@ -51,15 +51,11 @@ class CurveReader:
         arrays = [n for n in self.heads if self.is_array(n)]
         if arrays and not self.content.layout:
             names = [one.name.strip(" /") for one in self.heads[arrays[0]]]
-            what = (
-                f"each row holds {len(names)} places: {names[0] or 'x, y, z'}, {names[1] or 'x, y, z'}, ..."
-            )
-            raise UnclearLayoutError(
-                what,
-                where=self.cells.where(max(arrays[0], 0)),
-                expected=QUESTIONS["layout"].text,
-                fix="state --setup layout=rows or --setup layout=columns",
-            )
+            raise UnclearLayoutError.of(f"""each row holds {len(names)} places:
+                    {names[0] or "x, y, z"}, {names[1] or "x, y, z"}, ...
+                expected: {QUESTIONS["layout"].text}
+                fix: state --setup layout=rows or --setup layout=columns
+                where: {self.cells.where(max(arrays[0], 0))}""")
         if arrays and self.content.layout == "rows":
             for n in self.heads:
                 yield from self.read_rows(n)
@@ -175,7 +171,7 @@ class CurveReader:
         filled = self.cells.filled(n)
         if any(all(map(is_number_like, one)) for one in texts):
             return True
-        if numbers > 1 or not groups or find_pairs(self.cells, n, filled):
+        if numbers > 1 or not groups or find_pairs(self.cells, n):
             return numbers > 1
         if (is_open and numbers) or any(text.lower() in MISSING for one in texts for text in one):
             return True
@@ -207,12 +203,10 @@ class CurveReader:
         """Return what pairs of cells above a block state of a curve in it, and titles name."""
         stated: dict[str, Stated] = {}
         for n in rows:
-            filled = self.cells.filled(n)
-            meanings = [one.meaning for _, one, _ in find_pairs(self.cells, n, filled)]
+            meanings = [one.meaning for _, one, _ in find_pairs(self.cells, n)]
             is_of_all = bool(meanings) and {*meanings} <= {*SHARED_ANSWERS}
             is_of_all = is_of_all and len({*meanings}) == len(meanings)
-            own = filled if is_of_all else [m for m in filled if m in group.span]
-            for places, header, text in find_pairs(self.cells, n, own):
+            for places, header, text in find_pairs(self.cells, n, None if is_of_all else group.span):
                 stated[header.meaning] = Stated(text, header.unit, self.cells.where(n, places[-1]))
                 self.cells.use(n, *places)
         return stated

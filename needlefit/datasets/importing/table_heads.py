@@ -66,7 +66,7 @@ def _read_head(cells: CellTable, content: ImportContent, n: int) -> list[ColumnG
     own = [read_header(cells.cell(n, m).lstrip("#% ") if n >= 0 else "") for m in range(width)]
     own, stated = _name_axes(own)
     rows = range(n - 1, max(n - 1 - MAX_LABEL_ROWS, -1), -1)
-    above = next((m for m in rows if not find_pairs(cells, m, cells.filled(m))), n)
+    above = next((m for m in rows if not find_pairs(cells, m)), n)
     filled = cells.filled(above) if 0 <= above < n else []
     letters = [own[m].axis for m in filled]
     is_numbers = filled and cells.count_numbers(above) > 1  # names of needles, if above each x
@@ -181,24 +181,27 @@ def apply_columns(headers: Sequence[Header], content: ImportContent) -> list[Hea
     return found
 
 
-def find_pairs(cells: CellTable, n: int, filled: Sequence[int]) -> list[tuple[list[int], Header, str]]:
-    """Return the pairs of a known name and a value among some cells of a row, if it is none of headers.
+def find_pairs(
+    cells: CellTable, n: int, span: Container[int] | None = None
+) -> list[tuple[list[int], Header, str]]:
+    """Return the pairs of a known name and a value in a row, or in its columns `span`; none of headers.
 
     `bevel | 1 | depth | 40`, `bevel: 1` in one cell, `diameter | 0.7 | mm`, `boundaries | 20 | 40`, or a
     title such as `Needle 3`.
     """
+    filled = [m for m in cells.filled(n) if span is None or m in span]
     texts = {m: cells.rows[n][m].strip("#% ") for m in filled}
     title = texts[filled[0]] if len(filled) == 1 and not re.search("[:=：]", texts[filled[0]]) else ""
     if 1 < len(title.split()) <= MAX_TITLE_WORDS and find_meaning("column", title.split()[0]) == "needle":
-        return [(list(filled), Header(title, "needle"), title)]
+        return [(filled, Header(title, "needle"), title)]
     head, *others = texts.values() or ("",)
     what = read_header(head.rstrip(":=： "))
     if what.meaning == "boundaries" and others and all(re.search(r"\d", text) for text in others):
-        return [(list(filled), what, "; ".join(others))]
+        return [(filled, what, "; ".join(others))]
     if what.meaning in VECTORS and len(others) == 3:
-        return [(list(filled), what, ",".join(others))]
+        return [(filled, what, ",".join(others))]
     if len(others) == 2 and what.meaning in ATTRIBUTES and (unit := find_meaning("unit", others[1])):
-        return [(list(filled), replace(what, unit=unit), others[0])]
+        return [(filled, replace(what, unit=unit), others[0])]
     split = {m: re.split(r"\s*[:=：]\s*", text, maxsplit=1) for m, text in texts.items()}
     couples = zip(filled[::2], filled[1::2], strict=False)
     pairs = [([a, b], texts[a].rstrip(":=： "), texts[b]) for a, b in couples]

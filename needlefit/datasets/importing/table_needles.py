@@ -33,14 +33,14 @@ def read_shared(cells: CellTable, content: ImportContent) -> bool:
     if any(one.meaning == "needle" for row in heads for one in row):
         return False
     rows = [n for n in range(len(heads)) if cells.filled(n)]
-    named = [n for n in rows if find_pairs(cells, n, cells.filled(n))]
+    named = [n for n in rows if find_pairs(cells, n)]
     stated: dict[str, Stated] = {}
     if len(rows) == 2 and not named:
         group = ColumnGroup(rows[0], apply_columns(heads[rows[0]], content), range(len(heads[rows[0]])))
         stated = read_attributes(cells, group, rows[1:])
         cells.use(rows[0], *range(len(heads[rows[0]])))
     for n in named:
-        for places, header, text in find_pairs(cells, n, cells.filled(n)):
+        for places, header, text in find_pairs(cells, n):
             add_stated(stated, {header.meaning: Stated(text, header.unit, cells.where(n, places[-1]))})
             cells.use(n, *places)
     stated.pop("depth", None)  # which no needles share
@@ -60,9 +60,10 @@ def read_needles(cells: CellTable, content: ImportContent) -> ColumnGroup:
     else:
         texts = dict.fromkeys(text for row in cells.rows[:6] for text in row)
         names = ", ".join(text for text in texts if text and cells.number(text) is None)
-        what = f"no header names coordinates: {names[:MAX_LISTED_CHARS]}"
-        expected = "columns called x, y, z, or depth and deflection"
-        raise UnclearColumnsError(what, where=cells.where(0), expected=expected, fix=COLUMNS_FIX)
+        raise UnclearColumnsError.of(f"""no header names coordinates: {names[:MAX_LISTED_CHARS]}
+            expected: columns called x, y, z, or depth and deflection
+            fix: {COLUMNS_FIX}
+            where: {cells.where(0)}""")
     units = find_units(cells, n + 1)
     cells.use(n, *range(len(row)))
     cells.use(n + 1, *units)
