@@ -116,9 +116,9 @@ def encode_draws(spread: "ParameterDraws", law: str) -> dict[str, Any]:
     }
 
 
-def encode_fault(error: NeedlefitError, *names: str) -> dict[str, str]:
+def encode_fault(error: NeedlefitError) -> dict[str, str]:
     """Return the parts of an error that a page shows."""
-    return {name: getattr(error, name) for name in names or ("what", "expected", "fix")}
+    return {name: getattr(error, name) for name in ("what", "expected", "fix")}
 
 
 def round_lengths(values: Floats) -> list[float]:

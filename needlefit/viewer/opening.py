@@ -117,8 +117,5 @@ def open_recording(recording: Recording) -> ViewedScene:
         record = found.record.model_copy(update={"title": head.scene.title})
         found = replace(found, record=record, title=title)
     if not _is_same(found.record.model_dump(), head.scene.model_dump()):
-        moved = found.record.model_copy(update={"entry": head.scene.entry})
-        shifted = _is_same(moved.model_dump(), head.scene.model_dump())
-        why = "lies at another entry" if shifted else "has changed since"
-        return replace(alone, note=f"{note} {head.target} {why} and is not shown beside it.")
+        return replace(alone, note=f"{note} {head.target} has another scene and is not shown beside it.")
     return replace(found, record=head.scene, first_cell=head.first_cell_mm)

@@ -28,7 +28,6 @@ class TrialRegistry:
     ) -> None:
         self._viewed_scene, self._folder, self._reopen, self._source = viewed_scene, folder, reopen, source
         self._all: dict[str, InteractiveTrial] = {}
-        self._viewed_scenes: dict[str, ViewedScene] = {}
 
     def open(self, name: str) -> InteractiveTrial:
         """Return the trial of this name, or a new one if there is none."""
@@ -44,9 +43,7 @@ class TrialRegistry:
         """
         if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
-        if insertion not in self._viewed_scenes:
-            self._viewed_scenes[insertion] = self._reopen(insertion)
-        return self._begin(self._viewed_scenes[insertion])
+        return self._begin(self._reopen(insertion))
 
     def written(self) -> list[Path]:
         return [path for one in self._all.values() if (path := one.recorder.path).exists()]
