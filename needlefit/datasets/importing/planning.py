@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
 from needlefit.datasets.faults import as_error
 from needlefit.datasets.importing.answers import Answers, Stated
+from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
@@ -70,13 +70,13 @@ class ImportPlan:
     needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
 
 
-class Planner:
+class Planner(CurveAnswers):
     """Settles one question after the other: each may depend on what was settled before."""
 
     def __init__(self, content: ImportContent, answers: Answers) -> None:
         answers.setup = content.setup
-        self.content, self.curves, self.surfaces = content, content.curves, list[Surface]()
-        self.answers, self.settle, self.keep = answers, answers.settle, answers.keep
+        super().__init__(content.curves, answers)
+        self.content, self.surfaces = content, list[Surface]()
         self.entry = "first"  # the end of the curves that is the entry
 
     def make_plan(self) -> ImportPlan:
@@ -130,11 +130,6 @@ class Planner:
         rows = self.add_names(rows, is_track)
         self.answers.keep_unused()
         return self.assemble(rows, pose, sd, depths, needles)
-
-    def each(self, what: str, **options: Any) -> list[Stated]:  # noqa: ANN401 - those of `Answers.settle`
-        """Return the answer of each needle to a question, in their order."""
-        own = {one.name: one.stated for one in self.curves}
-        return [*self.answers.settle_each(what, own, **options).values()]
 
     def assemble(
         self,
@@ -470,49 +465,6 @@ class Planner:
             self.keep("boundary unit", "mm", reason, "assumption")
 
     # ---- bevel
-
-    def settle_sides(self) -> list[float] | None:
-        """Return the direction that each bevel faces, degrees about the needle; None where nobody states it.
-
-        DataError if a cell is not understood.
-        """
-        self.settle_bevel_angle()
-        return [cell.to_angle() for cell in self.each("bevel side")] if self.has_sides else None
-
-    def settle_flat_sides(self, fix: str) -> list[int]:
-        """Return the side of each bevel, of needles of which no shape was measured.
-
-        DataError, with a `fix`, if bevels face several planes, or were turned.
-        """
-        angles = self.settle_sides()
-        if angles is None:
-            self.keep("bevel side", "1", "not stated", "assumption")
-        sides, turns = to_sides(angles or [0.0] * len(self.curves))
-        if any(turns) or any(one.turns or (one.sensors and len(one.line) > 1) for one in self.curves):
-            what, where = "bevels are at right angles, turned, or beside curvatures", self.curves[0].points
-            raise refusal(f"""{what}
-                expected: sides 1 and -1, without shapes
-                fix: {fix}
-                where: {where.where()}""")
-        return sides
-
-    @property
-    def has_sides(self) -> bool:
-        """Whether the sides of bevels are stated."""
-        return any("bevel side" in one for one in (self.answers.stated, *(one.stated for one in self.curves)))
-
-    def settle_bevel_angle(self) -> None:
-        """Take bevel angles as rolls, or leave them out: papers call the angle of the cut so, too."""
-        angles = {one.name: one.stated["bevel angle"] for one in self.curves if "bevel angle" in one.stated}
-        if not angles:
-            return
-        texts = ", ".join(dict.fromkeys(one.text for one in angles.values()))
-        if self.has_sides and "bevel angle" not in self.answers.stated:
-            self.keep("bevel angle", "cut", f"{texts}: where the bevel faces is stated beside it")
-        elif self.settle("bevel angle", "", f"it is {texts}", choices=("roll", "cut")).text == "roll":
-            for one in self.curves:
-                if cell := angles.get(one.name):
-                    one.stated["bevel side"] = replace(cell, unit=cell.unit or "deg")
 
     def settle_bevel(
         self, bends: Floats, along: Floats, angles: Sequence[float] | None

@@ -3,19 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.importing.answers import Stated
+from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.joining import make_unique
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
-
-if TYPE_CHECKING:
-    from needlefit.datasets.importing.planning import Planner
 
 MIN_TRACK_READINGS = 5  # of a tip: fewer depths of one hole are insertions of their own
 
@@ -28,10 +25,10 @@ def add_needles_without_points(content: ImportContent) -> None:
             content.curves.append(ImportedCurve(row.needle, Points(path, np.empty((0, 3))), "mm"))
 
 
-def split_tips(planner: "Planner") -> None:
+def split_tips(asked: CurveAnswers) -> None:
     """Make an insertion of each depth of a tip; those of a needle that is named are of one hole."""
     found: dict[str, ImportedCurve] = {}
-    for one in planner.curves:
+    for one in asked.curves:
         count = len(one.line)
         for n in range(max(count, 1)):
             name = one.name if count <= 1 else f"{one.name}-{n + 1}"
@@ -43,28 +40,28 @@ def split_tips(planner: "Planner") -> None:
             parted = replace(one, points=replace(points, sd=None), stated=stated, hole=hole)
             parted.name = make_unique(name, found)
             found[parted.name] = parted
-    planner.curves[:] = found.values()
+    asked.curves[:] = found.values()
 
 
-def make_tips(planner: "Planner", sds: Sequence[float]) -> list[InsertionRow]:
+def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
     """Return the insertions: each began at the origin, along x; its tip is off toward y, and z.
 
     `sds`: the standard deviation of each tip, mm; the least of them is that of the dataset.
     """
     point_sd = min(sds)
-    planner.keep("frame", "depth along x, deflection along y", "tips are known from the line of insertion")
-    sides = planner.settle_flat_sides("import the tips of each plane")
-    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in planner.curves])
+    asked.keep("frame", "depth along x, deflection along y", "tips are known from the line of insertion")
+    sides = asked.settle_flat_sides("import the tips of each plane")
+    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in asked.curves])
     signs = np.ones(len(tips))
     if len({*sides}) > 1 and (tips[:, 1] >= 0).all() and tips[:, 1].any():
         reason = "bevels face both sides, and no deflection is negative"
-        planner.keep("deflection", "toward the bevel", reason, "guess")
+        asked.keep("deflection", "toward the bevel", reason, "guess")
         signs = np.array(sides, dtype=np.float64)
     in_space = tips[:, 2].any()
-    shifts = planner.each("pose shift sd", guess=f"{point_sd:g}")
-    turned = planner.each("pose angle sd")
+    shifts = asked.each("pose shift sd", guess=f"{point_sd:g}")
+    turned = asked.each("pose angle sd")
     rows, axes = [], np.eye(3)
-    for n, one in enumerate(planner.curves):
+    for n, one in enumerate(asked.curves):
         is_tip = len(one.line) > 0
         y, z = (signs[n] * tips[n, 1:]).tolist()
         further = math.sqrt(max(sds[n] ** 2 - point_sd**2, 0.0))
