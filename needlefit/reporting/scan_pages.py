@@ -28,7 +28,6 @@ from needlefit.reporting.figures.scan_views import (
 )
 from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
 from needlefit.reporting.labels import GREY, INK, medium_name
-from needlefit.reporting.number_format import format_mm
 
 Fact = tuple[str, str]
 
@@ -38,21 +37,18 @@ _CAPTION = (
     "deflection and the brightness around it. Lines: entry, layers, tip. Bands: pointwise 95 %."
 )
 _REFUSED_CAPTION = "The scan in slabs that follow what was taken for the needle (line)."
-_SOURCES = {
-    **{"stage": "the stage", "shaft": "the straight shaft outside"},
-    **{"stated": "the stated bevel", "bevel": "the bevel in the scan", "shape": "the needle's shape"},
-    **{"volume": "found in the scan", "fiducials": "placed by hand"},
-}
 
 
-def write_quality(one: Reconstruction, path: Path) -> Path:
+def write_quality(one: Reconstruction, facts: list[Fact], path: Path) -> Path:
     """Write the quality page (A4, PDF), completely or not at all; equal reconstructions give equal bytes.
+
+    `facts`: names and numbers beside the picture.
 
     ConfigError if nothing can be written there.
     """
     warnings, left = list(one.warnings[:MAX_LISTED_WARNINGS]), len(one.warnings) - MAX_LISTED_WARNINGS
     warnings += [f"and {left} more, in reconstruction.csv"] * (left > 0)
-    words = (f"Reconstruction of {one.scan.id}", list_facts(one), warnings, _CAPTION)
+    words = (f"Reconstruction of {one.scan.id}", facts, warnings, _CAPTION)
     return _write_page(path, one.scan, words, partial(paint_needle_section, one))
 
 
@@ -61,7 +57,7 @@ def write_refusal_page(failure: ReconstructionFailure, path: Path) -> None:
     if failure.picture is None:
         return
     error = failure.error
-    facts = [[(name, text)] for name in ("where", "expected", "fix") if (text := getattr(error, name))]
+    facts = [(name, text) for name in ("where", "expected", "fix") if (text := getattr(error, name))]
     words = (f"{failure.scan.id} was refused", facts, [error.what, *failure.warnings], _REFUSED_CAPTION)
     path.parent.mkdir(exist_ok=True)
     _write_page(path, failure.scan, words, partial(paint_refusal, failure.picture))
@@ -91,11 +87,11 @@ def paint_refusal(picture: CurvePicture) -> Figure:
 
 
 def _write_page(
-    path: Path, scan: Scan, words: tuple[str, list[list[Fact]], list[str], str], paint: Callable[[], Figure]
+    path: Path, scan: Scan, words: tuple[str, list[Fact], list[str], str], paint: Callable[[], Figure]
 ) -> Path:
     """Write a page (A4, PDF) with a picture, completely or not at all.
 
-    `words`: title, facts in groups, warnings, and the caption of the picture.
+    `words`: title, facts, warnings, and the caption of the picture.
     """
     title, facts, warnings, caption = words
     summary = [medium_name(scan.medium), scan.specimen, scan.volume.name]
@@ -105,7 +101,7 @@ def _write_page(
         "synthetic": scan.origin == "synthetic",
         "mark": "SYNTHETIC DATA",
         "version": document.find_version(),
-        "groups": facts,
+        "facts": facts,
         "warnings": [warning.replace("+-", "±") for warning in warnings],
         "caption": caption,
     }
@@ -115,48 +111,6 @@ def _write_page(
     with replace_file(path) as new:
         new.write_bytes(page)
     return path
-
-
-def list_facts(one: Reconstruction) -> list[list[Fact]]:
-    """Return the facts and numbers of the page of a reconstruction, in groups."""
-    pose, fit = one.pose, one.registration
-    across = f"± {format_mm(pose.shift_sd)} mm and ± {format_mm(np.degrees(pose.angle_sd))}° across"
-    along_sd, across_sd = one.needle_axis.tip_sd
-    layers = list[Fact]()
-    for n, (depth, sd) in enumerate(zip(one.layers.boundaries, one.layers.sd, strict=True)):
-        before, after = one.layers.sequence[n : n + 2]
-        words = f"{before} → {after} at {_with_sd(float(depth), float(sd))}"
-        layers.append(("" if n else "layers", words))
-    registered = [("world", "the patient frame (LPS) of the scan; no markers")]
-    if one.markers is not None and fit is not None:
-        entry, tip = map(format_mm, one.target_error)
-        found = f"{len(one.markers.centers)} {_SOURCES[one.markers.source]}"
-        registered = [
-            ("markers", f"{len(fit.pairs)} of {fit.known}; {found}"),
-            ("registration", f"FRE {format_mm(fit.fre)} mm; {format_mm(fit.expected_fre)} expected"),
-            ("error it leaves", f"{entry} mm at the entry, {tip} at the tip, predicted"),
-        ]
-    return [
-        [
-            ("inserted length", _with_sd(one.depth, one.depth_sd)),
-            *([("guide subtracted", f"{format_mm(one.guide[1] - one.guide[0])} mm")] if one.guide else []),
-            ("tip's deflection", f"{format_mm(one.deflection)} mm"),
-            ("tip", f"± {format_mm(along_sd)} mm along, ± {format_mm(across_sd)} mm across"),
-        ],
-        layers or [("layers", "no boundary crossed")],
-        registered,
-        [
-            ("entry pose", f"from {_SOURCES[pose.source]}"),
-            ("", f"± {format_mm(pose.along_sd)} mm along, {across}"),
-            ("bending plane", f"from {_SOURCES[one.plane]}"),
-            ("out of plane", f"{format_mm(float(np.abs(one.local[:, 2]).max()))} mm at most"),
-        ],
-        [("voxels", " × ".join(f"{edge:.3g}" for edge in one.spacing) + " mm")],
-    ]
-
-
-def _with_sd(value: float, sd: float) -> str:
-    return f"{format_mm(value)} ± {format_mm(sd)} mm"
 
 
 # ---- the picture

@@ -21,6 +21,7 @@ from needlefit.inference.identifiability.directions import NORMAL_95_HALF_WIDTH_
 from needlefit.project.folders import replace_folder
 from needlefit.project.progress import Progress
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
+from needlefit.reporting.columns import find_column
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures.looks import Panel
 from needlefit.reporting.labels import PAPER_COLOUR, rgb
@@ -47,6 +48,13 @@ MAX_NAMED_SCANS = 5
 _COLUMNS = (
     *("scan", "medium", "depth_mm", "deflection_mm", "markers", "fre_mm", "target_error_tip_mm"),
     *("crossing_depths", "remark_count"),
+)
+# Of the page of a scan.
+_FACT_COLUMNS = (
+    *("depth_mm", "depth_sd_mm", "deflection_mm", "out_of_plane_max_mm", "bending_plane_from"),
+    *("tip_along_sd_mm", "tip_across_sd_mm", "crossing_depths", "entry_pose_from", "entry_along_sd_mm"),
+    *("entry_shift_sd_mm", "entry_angle_sd_deg", "markers_from", "markers_paired", "markers_known"),
+    *("fre_mm", "expected_fre_mm", "target_error_entry_mm", "target_error_tip_mm"),
 )
 TEXT = KindText(
     "reconstruction",
@@ -202,6 +210,15 @@ def describe_scan(one: Reconstruction) -> Row:
     }
 
 
+def list_facts(one: Reconstruction) -> list[tuple[str, str]]:
+    """Return name and value, with its unit, of what the page of a scan states."""
+    crossed = zip(one.layers.boundaries, one.layers.sd, strict=True)
+    row = {"crossing_depths": ", ".join(f"{depth:.2f} ± {sd:.2f}" for depth, sd in crossed) or None}
+    row |= describe_scan(one)
+    columns = [find_column(name) for name in _FACT_COLUMNS if row.get(name) is not None]
+    return [(column.label, f"{column.format_cell(row)} {column.unit}") for column in columns]
+
+
 def tabulate_failures(failures: Sequence[ReconstructionFailure]) -> pd.DataFrame:
     """Return the table of refused scans: why, and what would fix it."""
     rows = []
@@ -321,7 +338,7 @@ def write_reconstruction(
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_scan(one, fresh / "slicer")
             write_control_points(list_control_points(one), fresh / "slicer")
-            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
+            write_quality(one, list_facts(one), fresh / "quality" / f"{one.scan.id}.pdf")
         title = f"Reconstruction: {description.title or description.name}"
         record = KIND.make_record(title=title, scans=[one.scan.id for one in kept], recipe=recipe)
         assert isinstance(record, ReconstructionBatchRecord)
