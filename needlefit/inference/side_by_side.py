@@ -8,7 +8,7 @@ others.
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.inference.fit import EVALUATION_ERRORS
-from needlefit.project.tasks import TaskStop, as_they_end
+from needlefit.project.tasks import TaskStop
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -54,7 +54,13 @@ def run_side_by_side(
                 group.end_search()
 
     with ThreadPoolExecutor(max(1, min(len(items), MAX_SEARCHES))) as threads:
-        yield from as_they_end({threads.submit(run, item): n for n, item in enumerate(items)}, stop)
+        futures = {threads.submit(run, item): n for n, item in enumerate(items)}
+        try:
+            for future in as_completed(futures):
+                for result in future.result():
+                    yield futures[future], result
+        finally:
+            stop.leave()  # before the threads are waited for
 
 
 _this_thread = threading.local()

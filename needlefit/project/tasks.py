@@ -15,7 +15,7 @@ import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
@@ -146,30 +146,19 @@ class TaskStop:
 
 
 def run_parts(
-    work: Callable[[Item], Result], items: Sequence[Item], threads: int, stop: TaskStop
+    work: Callable[[Item], Result], items: Sequence[Item], threads: int
 ) -> Iterator[tuple[int, Result]]:
     """Yield results as `TaskPool.run` does, of parts that threads of this process compute.
 
-    `stop` is requested in the end.
+    After an error no further part begins.
     """
-
-    def run(item: Item) -> tuple[Result, ...]:
-        return () if stop() else (work(item),)
-
-    with ThreadPoolExecutor(max(threads, 1)) as side_by_side:
-        yield from as_they_end({side_by_side.submit(run, item): n for n, item in enumerate(items)}, stop)
-
-
-def as_they_end(
-    futures: Mapping[Future[tuple[Result, ...]], int], stop: TaskStop
-) -> Iterator[tuple[int, Result]]:
-    """Yield the number of each future and its result, if it has one; `stop` is requested in the end."""
-    try:
-        for future in as_completed(futures):
-            for result in future.result():
-                yield futures[future], result
-    finally:
-        stop.leave()  # before the threads are waited for
+    with ThreadPoolExecutor(max(threads, 1)) as pool:
+        futures = {pool.submit(work, item): n for n, item in enumerate(items)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 @contextmanager

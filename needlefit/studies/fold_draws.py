@@ -27,9 +27,8 @@ from needlefit.inference.sampling.importance import (
 )
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import TaskStop, run_parts
+from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
 from needlefit.studies.fit_frames import NEW_SPECIMEN
 from needlefit.studies.folds import group_insertions
@@ -180,7 +179,7 @@ class Specimens:
         if self.separate:
             wanted = {name: tuple(one.id for one in group) for name, group in self.tuned.items()}
             missing = [name for name, ids in wanted.items() if ids not in self.posteriors]
-            found = dict(run_parts(self._sample_specimen, missing, self.jobs, TaskStop(never_stop)))
+            found = dict(run_parts(self._sample_specimen, missing, self.jobs))
             self.posteriors |= {wanted[name]: found[n] for n, name in enumerate(missing)}
             known = {name: self.posteriors[ids] for name, ids in wanted.items()}
             posteriors = {name: one.thetas for name, one in known.items()}

@@ -34,9 +34,8 @@ from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
 from needlefit.inference.predict import Draws, PredictiveMixture, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
-from needlefit.project.progress import never_stop
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import TaskStop, run_parts
+from needlefit.project.tasks import run_parts
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.studies.coverage import AFTER_ONE_COLUMN, WIDTH_ERROR_COLUMN, estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, describe_specimen
@@ -111,7 +110,7 @@ def predict_held_out(
         _choose_representatives(job, filter(known.differs, given)) if bands else frozenset(),
     )
     found: dict[int, HeldOutPrediction | None] = {}
-    for n, one in run_parts(predictor.predict, given, side_by_side, TaskStop(never_stop)):
+    for n, one in run_parts(predictor.predict, given, side_by_side):
         found[n] = one
         step(len(found), len(given))
     yield from filter(None, (found[n] for n in range(len(given))))
