@@ -272,11 +272,9 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
             axes = 1 + any(float(np.ptp(each.points[:, 2])) > 0 for each in (one, later))
             chance = find_chance_of_rounding(step, sd) ** axes if step > least else 0.0
             if np.median(away) <= least and scipy.special.bdtrc(same - 1, count, chance) < MAX_COPY_CHANCE:
-                what = (
-                    f"{later.id} and {one.id} are the same in {same} of {count} points, within {least:.1g} mm"
-                )
-                what += f", which noise{' and rounding do' if step > least else ' does'} not explain"
-                yield ResultWarning.of(f"""{what}
+                yield ResultWarning.of(f"""{later.id} and {one.id} are the same in {same} of
+                        {count} points, within {least:.1g} mm, which
+                        noise{" and rounding do" if step > least else " does"} not explain
                     fix: remove one of the two if it was exported twice; else correct
                         `noise.point_sd_mm`
                     where: {place}
@@ -498,8 +496,8 @@ def _find_number_warnings(
         if len(bad):
             constant = name in source.constants and name not in source.columns
             place = where(f"insertions.constants.{name}") if constant else listed[bad[0]].where
-            what = f"`{source.columns.get(name, name)}` is {values[bad[0]]:g}, not {least:g} to {most:g}"
-            yield ResultWarning.of(f"""{what} ({len(bad)} of {len(listed)} rows)
+            yield ResultWarning.of(f"""`{source.columns.get(name, name)}` is {values[bad[0]]:g},
+                    not {least:g} to {most:g} ({len(bad)} of {len(listed)} rows)
                 fix: check its unit
                 where: {place}
                 kind: units""")

@@ -263,9 +263,8 @@ def find_curve_faults(
     for name, factor in LENGTH_UNITS.items() if not len(back) else ():  # else its length is not its span
         of_points = abs(span * factor / row.depth - 1) < UNIT_TOLERANCE
         if of_points or abs(factor * row.depth / span - 1) < UNIT_TOLERANCE:
-            what = f"{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}: "
-            what += f"{'the centreline' if of_points else depth_mm} looks like {name}"
-            yield refusal(f"""{what}
+            yield refusal(f"""{depth_mm} is {row.depth:.4g}, and the centreline spans {span:.4g}:
+                    {"the centreline" if of_points else depth_mm} looks like {name}
                 expected: millimetres
                 fix: multiply it by {factor:g}
                 where: {points.where() if of_points else place}""")
@@ -408,10 +407,10 @@ def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
     listed = f"{' or '.join(map(str, sorted(allowed)))} {'is' if len(allowed) == 1 else 'are'} listed"
     depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
     order = " > ".join(map(str, insertion.sequence))
-    what = f"{insertion.id} meets {met} layer{'' if met == 1 else 's'} ({order}; boundaries at {depths} mm)"
     fix = f"write {met} there, or correct {stated}"
     fix += f" ({MISSED_FIX})" if insertion.surfaces and met == 1 else ""
-    yield refusal(f"""{what}, but {listed}
+    yield refusal(f"""{insertion.id} meets {met} layer{"" if met == 1 else "s"} ({order};
+            boundaries at {depths} mm), but {listed}
         expected: {met} in `layers`, or in `layers_alternative` where the tip lies at a boundary
         fix: {fix}
         where: {one.where}""")

@@ -203,9 +203,9 @@ def _find_common_shift(placed: Sequence[NeedleEnds], noise: Noise) -> Iterator[R
     found = estimate_common(placed, values, variance, natural)
     stated = math.sqrt(np.mean([_find_shift_sd(one.insertion, noise) ** 2 for one in placed]))
     if found and found.is_beyond(stated, MIN_SHIFT_MM):
-        what = f"all {len(placed)} needles begin {found.size:.2g} mm from their stated entries, on one side"
-        what += f" whichever way their bevels face: by {_list_numbers(found.vector)} mm"
-        yield ResultWarning.of(f"""{what}
+        yield ResultWarning.of(f"""all {len(placed)} needles begin {found.size:.2g} mm from their
+                stated entries, on one side whichever way their bevels face: by
+                {_list_numbers(found.vector)} mm
             fix: correct the entry points, or the frame in which the points are
             where: {placed[0].listed.where}
             kind: common_pose""")

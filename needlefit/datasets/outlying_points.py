@@ -215,9 +215,8 @@ def find_point_warnings(listed: Sequence[ListedInsertion], found: OutlyingPoints
                 yield _warn_of_step(one, point)
                 continue
             name = {0: "the first point", last: "the tip"}.get(point.index, f"point {point.index + 1}")
-            what = f"{name} of {one.insertion.id} is {point.distance:.2g} mm off the curve of the others"
-            what += f" ({point.sds:.0f} SD){_name_cause(point)}"
-            yield ResultWarning.of(f"""{what}
+            yield ResultWarning.of(f"""{name} of {one.insertion.id} is {point.distance:.2g} mm off
+                    the curve of the others ({point.sds:.0f} SD){_name_cause(point)}
                 fix: correct it, or remove the row
                 where: {one.points.where(point.index)}
                 kind: point_outlier""")
@@ -311,9 +310,9 @@ def find_axis_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Itera
     units = {unit: abs(math.log(factor / scale)) for unit, scale in LENGTH_UNITS.items()}
     unit = min(units, key=lambda one: units[one])
     looks = f": this looks like {unit}" if units[unit] < math.log(2) else ""
-    what = f"points scatter by {ratios[axis] * stated:.2g} mm along {name}, and by "
-    what += f"{float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as stated{looks}"
-    yield ResultWarning.of(f"""{what}
+    yield ResultWarning.of(f"""points scatter by {ratios[axis] * stated:.2g} mm along {name}, and
+            by {float(np.mean(ratios[right])) * stated:.2g} mm along the other axes, as
+            stated{looks}
         fix: check the unit of {name}: of the points alone it is {1 / factor:.2g} times too large
         where: {listed[0].points.where()}
         kind: axis_unit""")

@@ -210,9 +210,9 @@ class Planner(CurveAnswers):
                 one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or "mm")
         low, high = STATED_MM
         if (longest := max(one.reach for one in self.curves)) and not low <= longest <= high:
-            what = f"in {self.curves[0].unit} the longest needle is {longest:,.3g} mm long"
             likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-            raise refusal(f"""{what}
+            raise refusal(f"""in {self.curves[0].unit} the longest needle is {longest:,.3g} mm
+                    long
                 expected: {low:g} to {high:g} mm
                 fix: {f"state --units {' or '.join(likely)}".strip()}
                 where: {self.curves[0].points.where()}""")
