@@ -2,21 +2,18 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from needlefit.arrays import Ints
 from needlefit.imaging.volume import Volume
 
-MAX_LISTED_VOXELS = 500_000  # voxels whose neighbours are looked up one by one, at most
-# Steps to neighbours, of opposite ones one: those that share a face, and all.
-ALL_STEPS = [step for step in product((-1, 0, 1), repeat=3) if step > (0, 0, 0)]
-FACE_STEPS = [step for step in ALL_STEPS if sum(map(abs, step)) == 1]
+MAX_LISTED_VOXELS = 500_000  # voxels whose neighbours are looked up in a tree, at most
 Labels = tuple[Ints, Ints]
 
 
@@ -44,16 +41,10 @@ class BrightVoxels:
                 parts, _ = label(mask, generate_binary_structure(3, 3 if corners else 1))
                 self._labels[level, corners] = at, parts.reshape(-1)[flat].astype(np.int64)
                 return self._labels[level, corners]
-            places, pairs = np.stack(np.unravel_index(flat, self.shape), axis=1), []
-            for step in ALL_STEPS if corners else FACE_STEPS:
-                there = places + step
-                inside = np.flatnonzero(((there >= 0) & (there < self.shape)).all(axis=1))
-                wanted = np.ravel_multi_index(tuple(there[inside].T), self.shape)
-                found = np.minimum(np.searchsorted(flat, wanted), len(flat) - 1)
-                touch = flat[found] == wanted
-                pairs.append(np.stack([inside[touch], found[touch]]))
-            links = np.concatenate(pairs, axis=1)
-            graph = coo_array((np.ones(links.shape[1], np.int8), links), shape=(len(flat), len(flat)))
+            places = np.stack(np.unravel_index(flat, self.shape), axis=1)
+            # a little beyond the distance of neighbours: 1 by faces, sqrt(3) by corners
+            links = cKDTree(places).query_pairs(1.8 if corners else 1.1, output_type="ndarray")
+            graph = coo_array((np.ones(len(links), np.int8), links.T), shape=(len(flat), len(flat)))
             labels = connected_components(graph, directed=False)[1]
             self._labels[level, corners] = at, np.asarray(labels, dtype=np.int64)
         return self._labels[level, corners]
