@@ -19,6 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
 
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_folder
@@ -267,12 +268,5 @@ def separate_positions(places: Sequence[float] | Floats, offsets: Floats) -> Flo
     """Return the positions nearest to increasing `places` (N,) that are at least as far apart as `offsets`
     (N,).
     """
-    # with the least distances taken off, names may coincide but not change places: means of runs that did
-    runs: list[tuple[float, int]] = []
-    for wish in np.asarray(places) - offsets:
-        mean, count = float(wish), 1
-        while runs and runs[-1][0] > mean:
-            before, more = runs.pop()
-            mean, count = (mean * count + before * more) / (count + more), count + more
-        runs.append((mean, count))
-    return np.repeat([mean for mean, _ in runs], [count for _, count in runs]) + offsets
+    # with the least distances taken off, names may coincide but not change places
+    return isotonic_regression(np.asarray(places) - offsets).x + offsets
