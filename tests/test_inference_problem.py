@@ -189,8 +189,11 @@ def test_what_a_set_gives_does_not_depend_on_the_sets_beside_it(nodes_at_once, m
     for evaluate in (p._objectives, p._log_densities):
         alone = [evaluate(theta[None], 1)[0] for theta in thetas]
         np.testing.assert_array_equal(evaluate(thetas, 1), alone)
-    for evaluate in (p._objective_gradients, p._jacobians):
-        for theta, (value, slopes) in zip(thetas, evaluate(thetas, 1), strict=True):
-            ((value_alone, slopes_alone),) = evaluate(theta[None], 1)
-            np.testing.assert_array_equal(value, value_alone)
-            np.testing.assert_array_equal(slopes, slopes_alone)
+    for theta, (value, slopes) in zip(thetas, p._jacobians(thetas, 1), strict=True):
+        ((value_alone, slopes_alone),) = p._jacobians(theta[None], 1)
+        np.testing.assert_array_equal(value, value_alone)
+        np.testing.assert_array_equal(slopes, slopes_alone)
+    for theta, found in zip(thetas, p._distances(thetas, 1), strict=True):
+        (alone,) = p._distances(theta[None], 1)
+        assert found.total == alone.total
+        np.testing.assert_array_equal(found.differentiate(), alone.differentiate())
