@@ -77,6 +77,42 @@ AREAS = {
     ),
     "held": Area(("inference/held_parameters.py",), ("inference_held",)),
     "judge": Area(("studies/judge.py",), ("judge",)),
+    "parameters": Area(
+        ("inference/parameters.py", "inference/prior.py", "inference/parameter_changes.py"),
+        (
+            *("inference_parameters", "inference_prior", "inference_parameter_changes"),
+            *("inference_problem", "inference_optimize"),
+        ),
+    ),
+    "specimens": Area(
+        ("inference/specimens.py",), ("inference_specimens", "validation_heldout", "validation_forecast")
+    ),
+    "bands": Area(
+        ("inference/curve_bands.py", "inference/rank_statistics.py"),
+        ("validation_forecast", "validation_calibration"),
+    ),
+    "coverage": Area(
+        ("studies/coverage.py", "studies/prediction_scores.py", "studies/scored_groups.py"),
+        ("validation_heldout", "judge", "reporting_tables"),
+    ),
+    "planes": Area(
+        ("datasets/planes.py", "datasets/comparison.py"),
+        ("dataset_warnings", "inference_space", "outliers", "datasets"),
+    ),
+    "outliers": Area(
+        ("datasets/outlying_needles.py", "datasets/outlying_points.py", "geometry/neighbours.py"),
+        ("outliers", "dataset_warnings"),
+    ),
+    "lengths": Area(
+        ("geometry/measured_curve.py", "geometry/penalized_spline.py", "datasets/curve_lengths.py"),
+        ("measured_curve", "dataset_warnings", "datasets"),
+    ),
+    "surfaces": Area(
+        ("geometry/crossings.py", "geometry/surfaces.py"),
+        ("geometry_crossings", "datasets", "imaging_layers"),
+    ),
+    "planning": Area(("planning/goals.py", "planning/steering.py"), ("planning",)),
+    "markers": Area(("imaging/spheres.py", "imaging/point_spread.py"), ("imaging_markers",)),
     "metrics": Area(
         ("metrics", "geometry/curves.py"), ("inference_problem", "plugins", "geometry", "reporting_tables")
     ),
