@@ -237,7 +237,6 @@ def fit(
     name: str | None = None,
     seed: int | None = None,
     jobs: int | None = None,
-    pool: TaskPool = THIS_PROCESS,
     progress: bool | Progress = False,
     checkpoint: Name | None = None,
 ) -> Run:
@@ -269,9 +268,6 @@ def fit(
         Of all random numbers, in place of the recipe's.
     jobs : int, optional
         Threads; by default as many as there are cores. The numbers do not depend on it.
-    pool : TaskPool
-        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
-        N processes: the script then needs `if __name__ == "__main__"`.
     progress : bool or callable
         True prints to stderr; a callable is given what is being done, how much is done, and of how much.
     checkpoint : str or Path, optional
@@ -296,7 +292,7 @@ def fit(
     ('fit', 'twin-chicken', False)
     """
     changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
-    return _run(changed, name, seed, jobs, pool, progress, checkpoint)
+    return _run(changed, name, seed, jobs, progress, checkpoint)
 
 
 def sample(
@@ -311,7 +307,6 @@ def sample(
     name: str | None = None,
     seed: int | None = None,
     jobs: int | None = None,
-    pool: TaskPool = THIS_PROCESS,
     progress: bool | Progress = False,
     checkpoint: Name | None = None,
 ) -> Run:
@@ -319,7 +314,7 @@ def sample(
 
     Parameters
     ----------
-    target, medium, tune, recipe, priors, free, fix, name, seed, jobs, pool, progress, checkpoint
+    target, medium, tune, recipe, priors, free, fix, name, seed, jobs, progress, checkpoint
         As of `fit`; `target` may also be a run of a study with one fold.
 
     Returns
@@ -333,7 +328,7 @@ def sample(
         As `fit`; also if the data that `target` was fitted to are no longer the same.
     """
     changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
-    return _run(changed, name, seed, jobs, pool, progress, checkpoint, sample=True)
+    return _run(changed, name, seed, jobs, progress, checkpoint, sample=True)
 
 
 def predict(
@@ -344,7 +339,6 @@ def predict(
     name: str | None = None,
     seed: int | None = None,
     jobs: int | None = None,
-    pool: TaskPool = THIS_PROCESS,
     progress: bool | Progress = False,
     checkpoint: Name | None = None,
 ) -> Run:
@@ -362,7 +356,7 @@ def predict(
         Where it goes: into a "new" one, whose parameters differ, or the "same" that was tuned on; of several
         that differ, its name.
         By default a new one, whose parameters differ unless `specimens` of the target leaves that out.
-    name, seed, jobs, pool, progress, checkpoint
+    name, seed, jobs, progress, checkpoint
         As of `fit`.
 
     Returns
@@ -400,7 +394,7 @@ def predict(
     )
     stem = Path(scene_name).stem if scene_name != IN_MEMORY else "scene"
     planned_study = _Study(f"predict-{about}-{stem}", record, inputs)
-    return _run(planned_study, name, seed, jobs, pool, progress, checkpoint)
+    return _run(planned_study, name, seed, jobs, progress, checkpoint)
 
 
 def validate(
@@ -429,7 +423,10 @@ def validate(
         Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
     recipe : str, Path, RecipeRecord or table, optional
         How to search and sample, in place of what the study names; a table changes keys of `default`.
-    name, seed, jobs, pool, progress, checkpoint
+    pool : TaskPool
+        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
+        N processes: the script then needs `if __name__ == "__main__"`.
+    name, seed, jobs, progress, checkpoint
         As of `fit`.
 
     Raises
@@ -442,7 +439,7 @@ def validate(
         With Ctrl-C.
     """
     changed = _replace_inputs(_load_study(study), dataset, medium, recipe)
-    return _run(changed, name, seed, jobs, pool, progress, checkpoint)
+    return _run(changed, name, seed, jobs, progress, checkpoint, pool)
 
 
 def score_study(
@@ -854,9 +851,9 @@ def _run(
     name: str | None,
     seed: int | None,
     jobs: int | None,
-    pool: TaskPool,
     progress: bool | Progress,
     checkpoint: Name | None,
+    pool: TaskPool = THIS_PROCESS,
     *,
     sample: bool = False,
 ) -> Run:
