@@ -21,7 +21,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from needlefit.datasets.read import read
-from needlefit.inference.problem import Problem, make_problem
+from needlefit.inference.parameters import Parameters, with_hyperparameters
+from needlefit.inference.problem import Problem
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MediumRecord
@@ -38,6 +39,11 @@ RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
 TIE_SPREAD = 1.2  # as the tissue model states
 DEPTH_SD = 0.1  # mm
 NORMAL = 1.96
+
+
+def _make_problem(dataset, insertions, medium, how: LikelihoodRecord) -> Problem:
+    parameters = with_hyperparameters(Parameters.from_record(medium), how)
+    return Problem(dataset, tuple(insertions), medium, parameters, WeightsRecord(), likelihood=how)
 
 
 def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,13 +70,13 @@ def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
         values[f"mu{layer}_pa"] = values[f"mu{layer - 2}_pa"] * np.exp(rng.normal(0, np.log(TIE_SPREAD)))
     into = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
     planned = [replace(i, depth_sd=DEPTH_SD) for i in into]
-    start = make_problem(dataset, planned, medium, WeightsRecord())
+    start = _make_problem(dataset, planned, medium, LikelihoodRecord(bevel_spread=0))
     truth = start.parameters.theta(values)
     everything = start.values(truth)
     made = [
         i for one in planned if (i := simulate_measurement(dataset, one, everything, medium, rng)) is not None
     ]
-    tasks = {name: make_problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
+    tasks = {name: _make_problem(dataset, made, medium, how) for name, how in HOW.items()}
     slope = tasks["correlated, depths linear"].jacobian(truth)[1]
     stiff = np.linalg.eigh(slope.T @ slope)[1][:, -1]
     bevel = np.eye(len(truth))[-1]

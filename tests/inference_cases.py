@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 import pytest
+from problem_cases import make_problem as build_problem
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
@@ -16,7 +17,6 @@ from needlefit.inference.metric_objective import WeightedDistances
 from needlefit.inference.parameter_names import is_shape_parameter
 from needlefit.inference.parameters import Parameters, without_bevel_spread
 from needlefit.inference.problem import Problem
-from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord

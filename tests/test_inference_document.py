@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from problem_cases import make_problem
 from scipy.interpolate import BSpline
 
 from needlefit.datasets.read import read
-from needlefit.inference.problem import make_problem
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.packing import MAX_TOLERANCE_MM
 from needlefit.mechanics.shape import compute_positions

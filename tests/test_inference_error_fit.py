@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, dataset, insertion, measure, medium, problem, two_layers
+from problem_cases import make_problem
 from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Insertion, Noise
@@ -19,7 +20,7 @@ from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD
 from needlefit.inference.parameters import without_prior
-from needlefit.inference.problem import Problem, make_problem
+from needlefit.inference.problem import Problem
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.locate import find_file
 from needlefit.project.progress import never_stop

@@ -6,6 +6,7 @@ import numpy as np
 import test_inference_document as document
 from golden_numbers import assert_golden
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+from problem_cases import make_problem
 from test_inference_identify import fit_at, tied_problem
 from test_inference_predict import measured as bent
 
@@ -14,7 +15,6 @@ from needlefit.datasets.read import read
 from needlefit.inference.baseline_fit import fit_baselines
 from needlefit.inference.identifiability.identify import identify, profile_parameters
 from needlefit.inference.predict import draw_from_prior
-from needlefit.inference.problem import make_problem
 from needlefit.project.locate import find_file
 from needlefit.schemas.dataset import MeasurementRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord

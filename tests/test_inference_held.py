@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import NOISE, TRUTH, insertion, measure, medium, problem, squares_recipe
+from problem_cases import make_problem
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.read import read
@@ -16,7 +17,6 @@ from needlefit.inference.likelihood.observations import SimulatedCurve, make_obs
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_parameters, name_layers, search_freed
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.problem import make_problem
 from needlefit.inference.sampling.importance import resample_draws, sample_about_fit
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.shape import sample_inserted_points

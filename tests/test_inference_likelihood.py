@@ -13,6 +13,7 @@ from inference_cases import (
     medium,
     problem,
 )
+from problem_cases import make_problem
 from refusals import refusal
 
 from needlefit.datasets.insertion import Noise
@@ -20,7 +21,6 @@ from needlefit.errors import DataError
 from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import whiten_residuals
 from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.problem import make_problem
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 

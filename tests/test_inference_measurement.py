@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, assert_one_density, medium
 from numpy.testing import assert_allclose
+from problem_cases import make_problem
 from refusals import refusal
 
 from needlefit.datasets.read import check, read
@@ -19,7 +20,6 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.observation import whiten_deflections
 from needlefit.inference.likelihood.observations import make_observation, read_points
 from needlefit.inference.likelihood.observations.sections import SHARED_ERROR_LENGTH_MM, select_sections
-from needlefit.inference.problem import make_problem
 from needlefit.project.toml import load
 from needlefit.schemas.dataset import MeasurementRecord, SectionsRecord
 from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord

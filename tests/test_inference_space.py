@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 import scipy
 from inference_cases import NEEDLE, TRUTH, assert_one_density, dataset, insertion, medium
+from problem_cases import make_problem
 from test_datasets import CURVE, record, row
 
 from needlefit.datasets.planes import find_curve_roll, leaves_plane, set_compared, turns_out_of_plane
@@ -22,7 +23,6 @@ from needlefit.inference.forward_model import predict
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.parameters import make_tissue
 from needlefit.inference.predict import find_geometric_median
-from needlefit.inference.problem import make_problem
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate_steps

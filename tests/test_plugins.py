@@ -12,6 +12,7 @@ import pytest
 from inference_cases import medium
 from light_runs import predict_by_few_draws
 from plugin_cases import EXAMPLE, VERSION, install, plugin_folder
+from problem_cases import make_problem
 from reporting_results import skip_figures
 from test_cli import run
 from test_datasets import write_mine
@@ -20,7 +21,6 @@ from needlefit import plugins
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.likelihood.observations import make_observation
-from needlefit.inference.problem import make_problem
 from needlefit.mechanics.laws import LAWS
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry

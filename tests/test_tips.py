@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from conftest import TWIN
 from inference_cases import TRUTH, assert_one_density, dataset, insertion, medium
+from problem_cases import make_problem
 from refusals import refusal
 
 from needlefit.datasets.insertion import Insertion, Noise
@@ -22,7 +23,7 @@ from needlefit.inference.likelihood.observations import (
     select_points,
 )
 from needlefit.inference.optimize import minimize
-from needlefit.inference.problem import Problem, make_problem
+from needlefit.inference.problem import Problem
 from needlefit.metrics import compute_metrics
 from needlefit.schemas.recipe import RecipeRecord, WeightsRecord
 

@@ -19,7 +19,7 @@ from needlefit.inference.likelihood.observation import PLAIN_LIKELIHOOD, Discrep
 from needlefit.inference.likelihood.observations import SimulatedCurve, make_observation, select_points
 from needlefit.inference.metric_objective import WeightedDistances, metric_misfits, station_weights
 from needlefit.inference.parameter_names import BEVEL_SPREAD
-from needlefit.inference.parameters import Parameters, Theta, with_hyperparameters
+from needlefit.inference.parameters import Parameters, Theta
 from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.inference.side_by_side import evaluate
 from needlefit.schemas.medium import MediumRecord
@@ -269,18 +269,6 @@ def find_new_bevel_sd(
         return math.sqrt(1 + 1 / len(set(bevels)))
     counts = Counter(one.specimen for one in dict(zip(bevels, insertions, strict=True)).values())
     return math.sqrt(1 - sum(1 / n for n in counts.values()) / len(counts))
-
-
-def make_problem(
-    dataset: Dataset,
-    insertions: Sequence[Insertion],
-    medium: MediumRecord,
-    weights: WeightsRecord,
-    likelihood: LikelihoodRecord = PLAIN_LIKELIHOOD,
-) -> Problem:
-    """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
-    parameters = with_hyperparameters(Parameters.from_record(medium), likelihood)
-    return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)
 
 
 POSTERIOR_TOLERANCE = 1e-9  #: change of the log posterior under which a search for its peak ends

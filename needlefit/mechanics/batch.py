@@ -4,7 +4,6 @@ Vector instructions serve the sets of one insertion, threads different insertion
 """
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
@@ -33,7 +32,6 @@ from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import (
     NeedleShape,
     Solution,
-    Status,
     Validity,
     compute_scales,
     compute_validity,
@@ -201,11 +199,6 @@ class NeedleShapes(Solution):
     def valid(self) -> Bools:
         """Whether each set converged and keeps within the model's assumptions, (B,)."""
         return self.converged & self.validity.ok
-
-    @property
-    def failures(self) -> Counter[Status]:
-        """How many sets failed, by reason."""
-        return Counter(STATUS_NAMES[status] for status in self.status if status != 0)
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
