@@ -239,8 +239,6 @@ def _check_study(invocation: Invocation, kind: Literal["study", "fit"], name: st
 
 
 FAULT_PARTS = ("where", "what", "expected", "fix")  # of a fault as JSON
-MAX_NAMED_NEEDLES = 8
-MAX_EXPECTED_SD = 3.0  #: off the plane of the bevel, in standard deviations, up to which errors explain it
 
 
 def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
@@ -248,9 +246,11 @@ def _describe_planes(planes: Sequence[tuple[str, float, float]]) -> str:
 
     Needles are listed only where errors do not explain it.
     """
-    away = [f"{name} {mm:.2f} mm ({sds:.1f} SD)" for name, mm, sds in planes if sds > MAX_EXPECTED_SD]
+    from needlefit.datasets.planes import MAX_NAMED_INSERTIONS, SIGNIFICANT_SD
+
+    away = [f"{name} {mm:.2f} mm ({sds:.1f} SD)" for name, mm, sds in planes if sds > SIGNIFICANT_SD]
     if away:
-        return f"Out of plane by more than errors explain: {join_names(away, MAX_NAMED_NEEDLES)}."
+        return f"Out of plane by more than errors explain: {join_names(away, MAX_NAMED_INSERTIONS)}."
     (_, _, worst), most = planes[0], max(mm for _, mm, _ in planes)
     known = not math.isnan(worst)
     return f"Out of plane: at most {most:.2f} mm" + (f" ({worst:.1f} SD), as expected." if known else ".")

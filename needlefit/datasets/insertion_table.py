@@ -37,12 +37,12 @@ from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse
 from needlefit.datasets.needles import find_unknown_needle
 from needlefit.errors import refusal
 from needlefit.geometry.frames import Frame
+from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, list_needles, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 UNIT_VECTOR_TOLERANCE = 1e-3  # greatest deviation of a direction's length from 1
-MIN_DEPTH_MM = 1.0  # an insertion of less than this, mm, was written in metres
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:

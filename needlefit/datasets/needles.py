@@ -11,7 +11,7 @@ from needlefit.errors import refusal
 from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
-from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.project.unit_warnings import GAUGES_MM, MODULUS_GPA
 from needlefit.schemas.dataset import (
     DatasetRecord,
     ImportDecisionRecord,
@@ -22,8 +22,6 @@ from needlefit.schemas.dataset import (
 )
 from needlefit.schemas.run_metadata import NeedleMetadata
 from needlefit.schemas.scene import NeedleRecord
-
-MAX_MODULUS_GPA = 1000.0  # no needle is stiffer: tungsten carbide has 700 GPa, steel 200
 
 
 def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
@@ -36,7 +34,7 @@ def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
     keys = dict[str, str]()
     for cell, needle in list_needles(record).items():
         table = needle_key(cell)
-        if (modulus := needle.youngs_modulus_gpa or 0.0) > MAX_MODULUS_GPA:
+        if (modulus := needle.youngs_modulus_gpa or 0.0) > MODULUS_GPA[1]:
             key = f"{table}.youngs_modulus_gpa"
             yield refusal(f"""{key} is {modulus:g}
                 expected: GPa: about 200 for steel, 40 to 80 for nitinol

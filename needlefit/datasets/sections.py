@@ -10,7 +10,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Dataset, select_compared_places
-from needlefit.datasets.layers import ListedInsertion
+from needlefit.datasets.layers import LENGTH_TOLERANCE_MM, ListedInsertion
 from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.smoothing_spline import (
     DEGREE,
@@ -24,7 +24,6 @@ from needlefit.schemas.dataset import DatasetRecord, SectionsRecord
 
 SECTIONS_PATTERN = "sections/{id}.toml"
 
-MAX_LENGTH_DIFFERENCE_MM = 2.0  # the arc length of the tip may differ by this, mm, from the inserted depth
 # How far the tip of the spline through the sections may be from that of the centreline: the sum of
 MAX_TIP_SDS = 5.0  # its standard deviations
 MAX_TIP_MM = 0.05  # mm, for points stored with few digits
@@ -54,7 +53,7 @@ def find_sections(
         sections = from_record(load(path, SectionsRecord))
     except (ConfigError, DataError) as error:
         return None, [error]
-    if abs(sections.s[-1] - row.depth) > MAX_LENGTH_DIFFERENCE_MM:
+    if abs(sections.s[-1] - row.depth) > LENGTH_TOLERANCE_MM:
         return None, [
             refusal(f"""the tip lies at {sections.s[-1]:.2f} in s_mm, but depth_mm is
                 {row.depth:.2f}

@@ -26,7 +26,7 @@ OPTIONAL_TRACK_COLUMNS = {
     **{"bevel_side": 1.0, "bevel_roll_deg": 0.0, "valid": 1.0},
 }
 # Least number of readings of a run: shift and slope take two, and a bend needs more than one.
-MIN_READINGS = 5
+MIN_READINGS = 5  # at an import fewer depths of one hole are insertions of their own
 MAX_STEP_MM = 100.0  # greatest distance of two readings, mm; a larger one was written in another unit
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from needlefit.arrays import Floats, Ints
 from needlefit.datasets.columns import BEVEL_FIX
-from needlefit.datasets.insertion_table import MIN_DEPTH_MM
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
 from needlefit.errors import DataError, NeedlefitError, located, refusal
 from needlefit.geometry.crossings import find_surface_hits, measure_enclosed_length
@@ -85,6 +84,7 @@ from needlefit.imaging.volume import (
     turn_slices,
 )
 from needlefit.project.processes import one_thread
+from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of

@@ -32,6 +32,7 @@ except ImportError:  # Windows
 
 MEMORY_VARIABLE = "NEEDLEFIT_READ_GIB"  # of the environment: memory that one file may take, GiB
 READER_BYTES = 512 * 2**20  # memory of a reader beside what the content of its file warrants
+BYTES_PER_SECOND = 2**20  # of a file of tables or points: processor time that its size warrants
 READER_SECONDS = 8  # processor time of a reader beside what the size of the content warrants
 WALL_SECONDS = 60  # time in which a reader must be done, beside four times its processor time
 MAX_ANSWER_BYTES = 16 * 2**20  # size of the JSON

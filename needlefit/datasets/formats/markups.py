@@ -14,6 +14,7 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats import FileFormat, ReadCurves
+from needlefit.datasets.importing.synonyms import UNITS_MM
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MAX_COORDINATE, Points
 from needlefit.errors import refusal
@@ -25,7 +26,6 @@ SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
-UNITS_MM = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}  # UCUM codes of length, in mm
 CURVE_KINDS = ("Curve", "Fiducial")  # lists whose points, in their order, can be a centreline
 SAVE_AGAIN_FIX = "save the list again in Slicer, as Markups JSON"
 

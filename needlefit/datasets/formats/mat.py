@@ -14,13 +14,12 @@ from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
 from needlefit.project.input_files import read_bytes
-from needlefit.project.reader_process import Arrays, read_in_process, stated_memory_bytes
+from needlefit.project.reader_process import BYTES_PER_SECOND, Arrays, read_in_process, stated_memory_bytes
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"  # of HDF5, which MATLAB uses from version 7.3 on
 SIGNATURE_OFFSETS = (0, 512, 1024, 2048)  # bytes; its possible places behind MATLAB's own header
 MAX_SHOWN_VARIABLES = 20  # number of variables that a message lists
 MAX_EXPANSION = 8  # memory that the content of a file may take, as a multiple of the file's size
-READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, or fields x, y and z, entry first"
 ARRAYS_FIX = (
     "save the points of each needle as one N x 3 array (z = 0 in a plane); "
@@ -37,7 +36,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """
     data = read_bytes(path)
     memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
-    reader, seconds = f"{__name__}:read_variables", len(data) / READ_BYTES_PER_SECOND
+    reader, seconds = f"{__name__}:read_variables", len(data) / BYTES_PER_SECOND
     (variables, beside, unused), found = read_in_process(
         reader, path, {"path": str(path)}, 2 * memory, seconds
     )

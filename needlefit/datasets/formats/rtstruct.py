@@ -12,10 +12,9 @@ from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
 from needlefit.project.input_files import read_bytes
-from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
+from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 
 MAX_FILE_BYTES = 64 * 2**20
-READ_BYTES_PER_SECOND = 2**20
 STRUCTURE_SET = "1.2.840.10008.5.1.4.1.1.481.3"  # SOP class of RT structure sets
 RT_PLAN = "1.2.840.10008.5.1.4.1.1.481.5"  # SOP class of RT plans, brachytherapy among them
 OPEN_KINDS = ("OPEN_PLANAR", "OPEN_NONPLANAR")
@@ -30,7 +29,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     DataError if the file is missing, is no structure set, or holds no open contour.
     """
     data = read_bytes(path, MAX_FILE_BYTES)
-    reader, seconds = f"{__name__}:read_contours", len(data) / READ_BYTES_PER_SECOND
+    reader, seconds = f"{__name__}:read_contours", len(data) / BYTES_PER_SECOND
     (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     if not found:
         raise refusal(f"""holds no open contour

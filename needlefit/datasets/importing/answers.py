@@ -11,12 +11,12 @@ import numpy as np
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.questions import QUESTIONS, name_option
 from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError, refusal
 from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import ImportDecisionRecord, ImportSource
 
 MAX_ANSWER_CHARS = 500  # of what is kept of an answer
-MAX_NUMBER = 1e6  # mm or GPa; greater ones are mistakes
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,10 @@ class Stated:
         own = own or self.unit or unit
         known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
         factor = known.get(own, 0.0)
-        if not 0 <= value * factor <= MAX_NUMBER or not factor or (is_above and not value):
-            expected = f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_NUMBER:g}, {unit}"
+        if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
+            expected = (
+                f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_COORDINATE:g}, {unit}"
+            )
             if others := [one for one in known if one != unit]:
                 expected += f", or with its unit: {', '.join(others)}"
             raise self.error(what, expected)
@@ -58,7 +60,11 @@ class Stated:
             vector = np.array([float(part) for part in re.split("[,;]", self.text)])
         except ValueError:
             vector = np.empty(0)
-        if len(vector) != 3 or not (np.abs(vector) < MAX_NUMBER).all() or (is_direction and not vector.any()):
+        if (
+            len(vector) != 3
+            or not (np.abs(vector) < MAX_COORDINATE).all()
+            or (is_direction and not vector.any())
+        ):
             raise self.error(what, "three numbers, such as 0,0,1")
         return vector
 

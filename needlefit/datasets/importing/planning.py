@@ -16,7 +16,7 @@ from needlefit.datasets.importing.curve_answers import CurveAnswers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
 from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
-from needlefit.datasets.importing.tips import MIN_TRACK_READINGS, make_tips, split_tips
+from needlefit.datasets.importing.tips import make_tips, split_tips
 from needlefit.datasets.importing.tracks import make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
@@ -28,6 +28,7 @@ from needlefit.datasets.layers import (
     select_layers,
 )
 from needlefit.datasets.points import MIN_POINTS
+from needlefit.datasets.tip_tracks import MIN_READINGS
 from needlefit.errors import refusal
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
@@ -171,9 +172,9 @@ class Planner(CurveAnswers):
         if all(one.is_tip for one in self.curves):
             choices = (*choices, "tips")
             reason += "; --observable tips, if each row is an insertion"
-            if any(len(one.line) < MIN_TRACK_READINGS for one in self.curves):
+            if any(len(one.line) < MIN_READINGS for one in self.curves):
                 guess = "tips"
-                reason = f"depths of a needle are fewer than {MIN_TRACK_READINGS}, or in no order"
+                reason = f"depths of a needle are fewer than {MIN_READINGS}, or in no order"
         answer = self.settle("observable", guess, reason, "guess", choices).text
         for one in self.curves if answer == "tracks" else ():
             one.readings = one.readings or Readings(np.empty(0), "", is_log=False, is_deflection=False)

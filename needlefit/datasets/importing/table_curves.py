@@ -14,9 +14,9 @@ from needlefit.datasets.importing.synonyms import INDEX
 from needlefit.datasets.importing.table_heads import ColumnGroup, find_pairs
 from needlefit.datasets.importing.table_statements import read_attributes, read_numbers
 from needlefit.datasets.importing.tables import MISSING, CellTable, UnclearLayoutError, is_number_like
-from needlefit.datasets.importing.tips import MIN_TRACK_READINGS
 from needlefit.datasets.point_labels import divide_labels
 from needlefit.datasets.points import MIN_POINTS, Points
+from needlefit.datasets.tip_tracks import MIN_READINGS
 from needlefit.errors import refusal
 from needlefit.geometry.frames import PatientSystem
 
@@ -134,7 +134,7 @@ class CurveReader:
         if not group.is_deflection or any(one.names):
             return [one]
         depths = read_numbers(self.cells, rows, group.columns[:1])[:, 0]
-        if len(depths) >= MIN_TRACK_READINGS and (np.diff(depths) > 0).all():
+        if len(depths) >= MIN_READINGS and (np.diff(depths) > 0).all():
             return [one]
         return [replace(one, rows=[n]) for n in rows]
 

@@ -15,7 +15,7 @@ from needlefit.datasets.importing.synonyms import read_header
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError, refusal
 from needlefit.project.input_files import open_regular, read_bytes
-from needlefit.project.reader_process import READER_BYTES, Arrays, read_in_process
+from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
@@ -23,7 +23,6 @@ SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 MAX_TABLE_BYTES = 16 * 2**20  # of a text table
 MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
 MAX_SHEET_BYTES = 64 * 2**20
-SHEET_BYTES_PER_SECOND = 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
 SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
 MISSING = frozenset(["nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "inf", "-inf", "+inf"])
@@ -187,7 +186,7 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
     """
     with open_regular(path, MAX_SHEET_BYTES) as file:
         size = file.seek(0, io.SEEK_END)
-    reader, seconds = f"{__name__}:read_workbook", size / SHEET_BYTES_PER_SECOND
+    reader, seconds = f"{__name__}:read_workbook", size / BYTES_PER_SECOND
     found, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
     return tuple(CellTable(path, rows, name) for name, rows in found)
 

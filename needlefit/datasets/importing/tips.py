@@ -14,8 +14,6 @@ from needlefit.datasets.importing.joining import make_unique
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
 
-MIN_TRACK_READINGS = 5  # of a tip: fewer depths of one hole are insertions of their own
-
 
 def add_needles_without_points(content: ImportContent) -> None:
     """Add a curve without points for each needle of which curvatures alone are stated."""
