@@ -258,14 +258,16 @@ def _search_by_approach(
             ended = chosen or found.stopped == INTERRUPTED
             continued = found if ended else replace(found, stopped=BEHIND)
             for index in (k for k in leader if leader[k] == continued.index):
-                counts = {
-                    name: getattr(ends[index], name) for name in ("evaluations", "gradients", "failures")
-                }
-                if index == continued.index:
-                    counts = {name: count + getattr(continued, name) for name, count in counts.items()}
-                joined = None if index == continued.index else continued.index
-                about = {"index": index, "theta0": ends[index].theta0, "joined": joined, **counts}
-                yield replace(continued, **about)
+                end, own = ends[index], index == continued.index
+                yield replace(
+                    continued,
+                    index=index,
+                    theta0=end.theta0,
+                    joined=None if own else continued.index,
+                    evaluations=end.evaluations + own * continued.evaluations,
+                    gradients=end.gradients + own * continued.gradients,
+                    failures=end.failures + own * continued.failures,
+                )
 
 
 def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]:

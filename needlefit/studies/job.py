@@ -75,7 +75,7 @@ class Settings:
     seed: int | None = None  #: replaces the recipe's
     jobs: int = 1  #: threads of a fit, or processes where the work falls into tasks
     pool: TaskPool | None = None  #: where tasks run; None: in processes of this machine
-    checkpoint: Path | None = None  #: folder that keeps finished starts
+    checkpoint: Path | None = None  #: folder that keeps finished fits
     resume: bool = False  #: go on from the checkpoint
     sample: bool = False  #: also sample the posterior
     progress: Progress = no_progress  #: called with a label, what is done, and of how much

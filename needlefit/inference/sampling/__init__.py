@@ -1,1 +1,1 @@
-"""Sample a posterior by Markov chain Monte Carlo: ensembles of walkers, until they converge; resumable."""
+"""Sample a posterior: by importance about its modes, and by ensembles of walkers, until they converge."""
