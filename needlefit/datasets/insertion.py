@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 
@@ -91,33 +91,24 @@ class GuideMotion:
         return replace(self, z=np.zeros(len(self.z)))
 
 
-class InsertionInputs(Protocol):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InsertionInputs:
     """What the simulation of an insertion needs of it; see `Insertion`."""
 
-    @property
-    def needle(self) -> Needle: ...
-    @property
-    def depth(self) -> float: ...
-    @property
-    def side(self) -> int: ...
-    @property
-    def turns(self) -> tuple[tuple[float, float], ...]: ...
-    @property
-    def bevel_factor(self) -> float: ...
-    @property
-    def guide_distance(self) -> float | None: ...
-    @property
-    def guide(self) -> GuideMotion | None: ...
-    @property
-    def base_moved(self) -> float: ...
-    @property
-    def sequence(self) -> tuple[int, ...]: ...
-    @property
-    def boundaries(self) -> Floats: ...
+    needle: Needle
+    depth: float
+    side: int
+    boundaries: Floats
+    sequence: tuple[int, ...]
+    guide_distance: float | None = None
+    base_moved: float = 0.0
+    bevel_factor: float = 1.0
+    turns: tuple[tuple[float, float], ...] = ()
+    guide: GuideMotion | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Insertion:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Insertion(InsertionInputs):
     """One insertion: what was done, and what was measured of it, in a frame C at its bending plane.
 
     Attributes
@@ -193,34 +184,24 @@ class Insertion:
     id: str
     medium: str
     specimen: str
-    needle: Needle
     layers: int
     layers_alternative: int
-    depth: float
-    side: int
     frame: Frame
     pose_source: PoseSource
     pose_shift_sd: float
     pose_angle_sd: float
     centerline: Floats
     points: Floats
-    boundaries: Floats
-    sequence: tuple[int, ...]
     boundary_sd: float
-    guide_distance: float | None = None
     sd: Floats | None = None
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IDENTITY_FRAME
     depth_sd: float = 0.0
-    base_moved: float = 0.0
     sections: SplineSections | None = None
     boundary_shared_sd: float | None = None
     hole: str = ""
-    bevel_factor: float = 1.0
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
-    turns: tuple[tuple[float, float], ...] = ()
     curvature: Floats | None = None
-    guide: GuideMotion | None = None
     observed: str = "points"
     directions: int = 2
     headings: tuple[Floats, ...] = ()

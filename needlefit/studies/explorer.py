@@ -4,14 +4,13 @@ A run stores how each insertion was made, so that its report can be made again w
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
-from needlefit.datasets.insertion import GuideMotion, InsertionPose, find_free_reach
+from needlefit.datasets.insertion import InsertionInputs, InsertionPose, find_free_reach
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.parameter_names import BEVEL_PARAMETERS, BEVEL_SPREAD, find_bevel_factors
@@ -60,29 +59,15 @@ MAX_TABLE_DRAWS = 40
 CURVE_DECIMALS = 3  #: of mm, of the curves of baselines
 
 
-@dataclass(frozen=True)
-class StoredInsertion:
-    """How one insertion was made: what its simulation needs, lengths in mm."""
-
-    depth: float
-    side: int
-    bevel_factor: float
-    guide_distance: float | None
-    base_moved: float
-    compared: float | None  #: length from the tip that is compared, of a shape of unknown pose
-    specimen: str
-    sequence: tuple[int, ...]
-    boundaries: Floats
-    needle: Needle
-    turns: tuple[tuple[float, float], ...] = ()
-    guide: GuideMotion | None = None  #: insertions under one are not stored
-
-    @classmethod
-    def read(cls, metadata: FitMetadata, name: str) -> Self:
-        layers, stored = metadata.layers[name], metadata.insertions[name]
-        sequence, tops = tuple(layer for layer, _ in layers), np.array([top for _, top in layers[1:]])
-        needle = _read_needle(metadata.dataset, stored.needle)
-        return cls(**vars(stored) | {"needle": needle}, sequence=sequence, boundaries=tops)
+def _read_inputs(metadata: FitMetadata, name: str) -> InsertionInputs:
+    """Return what the simulation of an insertion needs, as a run stored it; none under a guide is stored."""
+    layers, stored = metadata.layers[name], metadata.insertions[name]
+    return InsertionInputs(
+        needle=_read_needle(metadata.dataset, stored.needle),
+        sequence=tuple(layer for layer, _ in layers),
+        boundaries=np.array([top for _, top in layers[1:]]),
+        **stored.model_dump(exclude={"needle", "compared", "specimen"}),
+    )
 
 
 def _read_needle(dataset: DatasetMetadata, name: str) -> Needle:
@@ -276,13 +261,13 @@ def find_prediction(run: Run, fold: str, role: str, insertion: str) -> dict[str,
 def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[str, Any]:
     """Return one needle with the fit's parameters: its scene, draws, and what the run stored of it."""
     metadata, name = run.knows(FitMetadata), row["insertion"]
-    medium, stored = metadata.medium, StoredInsertion.read(metadata, name)
+    medium, stored, inputs = metadata.medium, metadata.insertions[name], _read_inputs(metadata, name)
     known = select_rows(run.frames["parameters"], fold=row["fold"], method="fitted")
     values = dict(zip(known["parameter"], known["value"].astype(float), strict=True))
     title = f"{name} · {run.dataset_title}"
     # as the fit has simulated it, to its tolerance: the needle is that of the run to the bit
     dataset = metadata.dataset.name
-    record = make_scene_record(values, medium, dataset, stored, title, MAX_TOLERANCE_MM)
+    record = make_scene_record(values, medium, dataset, inputs, title, MAX_TOLERANCE_MM)
     scene, guides = name_guides(Scene.from_record(record, name))
     lattice, tissue = make_lattice(scene.steps, scene.rules), scene.tissue
     measured = _encode_measured(scene, lattice, stored, row, curve, metadata.compared)
@@ -300,14 +285,14 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     draws = select_draws(run.frames["draws"], row["fold"], specimen)
     if len(draws) and draws["certified"].all():
         varied = vary_draws(draws, medium, name, metadata.recipe.seed, metadata.new_bevel_sd[row["fold"]])
-        layers = [layer for _, layer in find_layers(stored)]
+        layers = [layer for _, layer in find_layers(inputs)]
         encoded["draws"] = _encode_draws(data, varied, medium, layers, stored.bevel_factor, tissue)
     head = make_head(f"{run.name}/{name}", lattice.first_cell, record)
     return {"scene": encoded, "new_specimen": specimen == NEW_SPECIMEN, "head": format_head(head)}
 
 
 def _encode_measured(
-    scene: Scene, lattice: Lattice, stored: StoredInsertion, row: Row, curve: Floats, compared: str
+    scene: Scene, lattice: Lattice, stored: InsertionMetadata, row: Row, curve: Floats, compared: str
 ) -> dict[str, Any]:
     """Return the measured needle as the page draws and compares it, and the needle that the run stored.
 

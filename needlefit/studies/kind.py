@@ -49,6 +49,11 @@ class StudyKind:
         return next((part.FRAMES for part in parts if hasattr(part, "FRAMES")), {})
 
     @property
+    def optional_columns(self) -> Mapping[str, Mapping[str, float]]:
+        """By frame the columns that a stored run may lack, and what then stands in their cells."""
+        return getattr(self._import("report"), "OPTIONAL", {})
+
+    @property
     def report(self) -> Any:  # noqa: ANN401 - a module that imports this one has its type
         """How its results are reported: a `StudyReport`."""
         return self._import("report").REPORT

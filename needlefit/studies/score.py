@@ -12,7 +12,7 @@ from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Dataset, Insertion, InsertionPose, find_pose
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, name_holes, select_same_needle
-from needlefit.geometry.curves import compare_curves
+from needlefit.geometry.curves import ComparedCurves, compare_curves
 from needlefit.inference.baseline_fit import FittedBaseline, fit_baselines
 from needlefit.inference.baselines import list_baselines
 from needlefit.inference.compared_points import Curve, align_points
@@ -31,16 +31,6 @@ from needlefit.studies.job import Job
 
 Row = dict[str, Any]
 
-#: Of the table "errors": a row per fold, role ("tune", "validate"), insertion, method and boundaries
-#: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. Our "prediction"
-#: never uses measured layers. `layers` is by the study's rule.
-#: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
-#: for shapes known only up to a rigid motion; `edp_flagged` marks a deflection below the noise floor.
-ERROR_COLUMNS = (
-    *("fold", "role", "insertion", "medium", "hole", "specimen", "layers", "depth_mm"),
-    *("method", "boundaries", "comparison", "compared"),
-    *("deflection_mm", "predicted_deflection_mm", "edp_flagged", "converged"),
-)
 SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 #: of the table "shapes": the curves that "errors" compares, j = 0 the entry (or the first scored point)
 SHAPE_COLUMNS = (
@@ -135,6 +125,53 @@ COMPARISONS: Mapping[InsertionPose, str] = {
 }
 
 
+class Compared(NamedTuple):
+    """An insertion, its points beside those of a method, (K, 3) mm, and the noise floor of its TE, mm."""
+
+    insertion: Insertion
+    simulated: Floats
+    measured: Floats
+    curves: ComparedCurves
+    floor: float
+
+    def deflect(self, points: Floats) -> float:
+        """Return the deflection of the tip toward the bevel, mm."""
+        return self.insertion.side * float(points[-1, 1] - points[0, 1])
+
+
+class ErrorColumn(NamedTuple):
+    """A column of the table "errors" that is known of compared curves."""
+
+    compute: Callable[[Compared], float]
+    otherwise: float  #: where the solve failed
+    #: whether a stored run without the column is read, as if its solves had failed
+    is_optional: bool = True
+
+
+#: Of the table "errors": a row per fold, role ("tune", "validate"), insertion, method and boundaries
+#: ("measured", as in the paper, or "planned"), with a column per metric and its noise floor. Our "prediction"
+#: never uses measured layers. These columns are of the insertion; `layers` is by the study's rule.
+#: `comparison` is "world", "shifted" across where the direction of the entry alone is known, or "aligned"
+#: for shapes known only up to a rigid motion.
+INSERTION_COLUMNS: Mapping[str, Callable[["Scorer", Insertion], Any]] = {
+    "medium": lambda scorer, one: one.medium,
+    "hole": lambda scorer, one: scorer.holes.get(one.id, one.id),
+    "specimen": lambda scorer, one: one.specimen,
+    "layers": lambda scorer, one: count_layers(one, scorer.layer_count_rule),
+    "depth_mm": lambda scorer, one: one.depth,
+    "comparison": lambda scorer, one: COMPARISONS[find_pose(scorer.dataset.pose, one)],
+    "compared": lambda scorer, one: scorer.dataset.compared,
+}
+CURVE_COLUMNS: Mapping[str, ErrorColumn] = {
+    "deflection_mm": ErrorColumn(lambda one: one.deflect(one.measured), math.nan),
+    "predicted_deflection_mm": ErrorColumn(lambda one: one.deflect(one.simulated), math.nan),
+    # a deflection below the noise floor; never where no floor is stated (NaN)
+    "edp_flagged": ErrorColumn(lambda one: bool(one.curves.deflection < one.floor), False),
+    "converged": ErrorColumn(lambda one: True, False, is_optional=False),
+}
+ERROR_COLUMNS = (*SCORE_KEYS, *INSERTION_COLUMNS, *CURVE_COLUMNS)
+
+
 class Scores(NamedTuple):
     """The rows of the tables "errors" and "shapes", and the validity of every simulation that was scored."""
 
@@ -156,58 +193,35 @@ class Scorer:
         errors, shapes, validity = list[Row](), list[Row](), list[Row]()
         for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
-            row = {**where, **self._about(insertion)}
+            floors = self.floors[insertion.id]
+            row = where | {name: find(self, insertion) for name, find in INSERTION_COLUMNS.items()}
+            row |= {f"floor_{name}": value for name, value in floors.items()}
             if curve is None:
-                errors.append({**row, **dict.fromkeys(METRICS.names(), math.inf), **_FAILED})
+                row |= dict.fromkeys(METRICS.names(), math.inf)
+                errors.append(row | {name: one.otherwise for name, one in CURVE_COLUMNS.items()})
                 continue
             if isinstance(curve, SimulatedCurve):
                 validity.append({**where, "faults": list(curve.shape.validity.faults)})
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
             goal = select_points(pose, drop, insertion, compared=self.dataset.compared)
             simulated, measured = align_points(goal, curve)
-            errors.append({**row, **self._errors(insertion, simulated, measured)})
+            curves = compare_curves(simulated, measured, self.dataset.compared)
+            found = Compared(insertion, simulated, measured, curves, floors["te_mm"])
+            row |= compute_metrics(curves)
+            errors.append(row | {name: one.compute(found) for name, one in CURVE_COLUMNS.items()})
             shapes += _shape_rows(where, simulated, measured)
         return Scores(errors, shapes, validity)
 
     @cached_property
-    def _holes(self) -> Mapping[str, str]:
+    def holes(self) -> Mapping[str, str]:
+        """The name of the hole of each insertion, by id."""
         return name_holes(self.dataset)
-
-    def _about(self, insertion: Insertion) -> Row:
-        floor = {f"floor_{name}": value for name, value in self.floors[insertion.id].items()}
-        return {
-            "medium": insertion.medium,
-            "hole": self._holes.get(insertion.id, insertion.id),
-            "specimen": insertion.specimen,
-            "layers": count_layers(insertion, self.layer_count_rule),
-            "depth_mm": insertion.depth,
-            "comparison": COMPARISONS[find_pose(self.dataset.pose, insertion)],
-            "compared": self.dataset.compared,
-            **floor,
-        }
-
-    def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
-        curves = compare_curves(simulated, measured, self.dataset.compared)
-        side = insertion.side
-        return {
-            **compute_metrics(curves),
-            "deflection_mm": side * float(measured[-1, 1] - measured[0, 1]),
-            "predicted_deflection_mm": side * float(simulated[-1, 1] - simulated[0, 1]),
-            # never where no floor is stated (NaN)
-            "edp_flagged": bool(curves.deflection < self.floors[insertion.id]["te_mm"]),
-            "converged": True,
-        }
 
 
 def make_scorer(job: Job) -> Scorer:
     """Return what scores the insertions of a job."""
     floors = {one.id: job.floor(one) for one in job.insertions}
     return Scorer(job.dataset, job.record.layer_count_rule, floors)
-
-
-_FAILED = {
-    "deflection_mm": math.nan, "predicted_deflection_mm": math.nan, "edp_flagged": False, "converged": False,
-}  # fmt: skip
 
 
 def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:

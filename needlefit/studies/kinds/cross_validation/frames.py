@@ -10,7 +10,7 @@ from needlefit.studies.held_out_tracks import READING_COLUMNS, RUN_COLUMNS
 from needlefit.studies.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS, ParameterRow
 from needlefit.studies.kinds.cross_validation.rows import DIRECTION_COLUMNS, ERROR_FIT_COLUMNS, START_COLUMNS
 from needlefit.studies.prediction_scores import BAND_COLUMNS, SENSOR_COLUMNS
-from needlefit.studies.score import ERROR_COLUMNS, SHAPE_COLUMNS
+from needlefit.studies.score import CURVE_COLUMNS, ERROR_COLUMNS, SHAPE_COLUMNS
 
 FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -32,3 +32,6 @@ FRAMES: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "needles": NEEDLE_COLUMNS,
     }
 )
+OPTIONAL: Mapping[str, Mapping[str, float]] = {
+    "errors": {name: one.otherwise for name, one in CURVE_COLUMNS.items() if one.is_optional}
+}

@@ -22,13 +22,13 @@ from needlefit.studies.answer import Answer
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification_tables import lay_out_identification
-from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.kinds.cross_validation.frames import FRAMES, OPTIONAL
 from needlefit.studies.kinds.cross_validation.observed import find_observation_report
 from needlefit.studies.report import StudyReport, list_data_notes
 from needlefit.studies.run import Run
 from needlefit.studies.validity import FITTED_METHODS
 
-__all__ = ["FRAMES", "REPORT"]
+__all__ = ["FRAMES", "OPTIONAL", "REPORT"]
 
 # ---- what the text prints
 
