@@ -22,6 +22,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import Metric
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry
 from needlefit.schemas.recipe import WeightsRecord
@@ -165,6 +166,96 @@ def test_an_observation_is_one_file_of_a_plugin(
         densities.append(asked.log_posterior((asked.lower + asked.upper) / 2))
     assert densities[1] == pytest.approx(densities[0], rel=1e-2)
     assert densities[2] < densities[0] - 1.0
+
+
+TILT = """\
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.inference.likelihood.nodes import make_nodes
+from needlefit.inference.likelihood.observation import Observation, whiten
+from needlefit.inference.likelihood.observations import ObservationType
+from needlefit.metrics import Metric
+
+BASE_MM = 5.0
+
+
+@dataclass(frozen=True)
+class Tilt(ObservationType):
+    def observe_values(self, insertion, errors):
+        tilt, sd = (insertion.observed_values[name] for name in ("tilt_rad", "tilt_sd_rad"))
+        s = insertion.depth - np.array([BASE_MM, 0.0])
+        cov = np.array([[sd**2]])
+        whitening, log_norm = whiten(cov, np.empty((1, 0)))
+        whitening = whitening @ np.array([[-1.0, 1.0]]) / BASE_MM
+        measured = np.column_stack([s, [0.0, BASE_MM * tilt]])
+        pose, nodes = errors.dataset.pose, make_nodes(insertion, s, "fixed", bevel=errors.bevels_vary)
+        nothing, curves = np.empty((1, 0)), np.empty((0, 1))
+        return Observation(measured, cov, nothing, nothing, whitening, log_norm, pose, nodes, curves)
+
+
+TILT = Tilt("tilt")
+TILT_ERROR = Metric(
+    "tilt_deg",
+    "Tilt error",
+    "deg",
+    "Difference of the directions of the tips, in degrees.",
+    compute=lambda curves: np.degrees(np.abs(np.diff((curves.simulated - curves.measured)[-2:, 1])[0])),
+)
+"""
+
+
+def write_tilts(dataset: Path, observed: str) -> None:
+    """Let insertions be observed by their tilts too, or by their points alone."""
+    table = pd.read_csv(dataset.parent / "insertions.csv").filter(regex="^(?!observed)")
+    own = {"observed_tilt_rad": 0.05, "observed_tilt_sd_rad": 1e-4} if observed == "tilt" else {}
+    table.assign(observed=observed, **own).to_csv(dataset.parent / "insertions.csv", index=False)
+
+
+@pytest.fixture
+def tilted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A project whose insertions have a number of their own beside the points, and its study."""
+    (tmp_path / "work/studies").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "work")
+    dataset = write_mine(tmp_path / "work/data/mine")
+    write_tilts(dataset, "tilt")
+    for name, text in (("media/soft", MEDIUM), ("recipes/tiny", RECIPE)):
+        path = Path(f"configs/{name}.toml")
+        path.parent.mkdir(parents=True)
+        path.write_text(text.replace("logarithmic", "ogden"))
+    Path("studies/mine.toml").write_text(LAW_STUDY)
+    with plugin_folder(install(tmp_path / "site", module="tilt", source=TILT), monkeypatch):
+        yield dataset
+
+
+def test_an_observation_has_a_number_of_its_own(
+    tilted: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A tilt beside the points, stated to 1e-4 rad, is what the fit gives; points alone give another."""
+    data = read(tilted)
+    assert [one.observed_values for one in data.insertions] == [{"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}] * 2
+    skip_figures(monkeypatch)
+    predict_by_few_draws(monkeypatch)
+    tilts = {}
+    for observed in ("tilt", "points"):
+        write_tilts(tilted, observed)
+        assert run("validate", "mine", "-q") == 0
+        errors = pd.read_csv("reports/mine/errors.csv").query("role == 'tune' and method == 'fitted'")
+        assert errors["tilt_deg"].between(0.0, 20.0).all()
+        shapes = pd.read_csv("reports/mine/shapes.csv").query("role == 'tune' and method == 'fitted'")
+        x, y, _ = shapes[[f"simulated_{axis}_mm" for axis in "xyz"]].to_numpy().T
+        near = x > x[-1] - 5.0
+        tilts[observed] = np.polyfit(x[near], y[near], 1)[0]
+    assert tilts["tilt"] == pytest.approx(0.05, abs=2e-3)
+    assert abs(tilts["points"] - 0.05) > 0.005
+
+
+def test_the_name_of_a_metric_ends_in_its_unit() -> None:
+    for name, unit in (("tip_n", "N"), ("tip_deg", "°"), ("tip_percent", "%")):
+        assert Metric(name, "", unit, "", compute=lambda curves: 0.0).unit == unit
+    with pytest.raises(ConfigError, match="tip_mm"):
+        Metric("tip_mm", "", "deg", "", compute=lambda curves: 0.0)
 
 
 @dataclass(frozen=True)

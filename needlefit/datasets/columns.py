@@ -4,7 +4,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from needlefit.arrays import Floats
@@ -50,6 +50,7 @@ CURVATURE_COLUMNS = ("id", "s_mm", "kappa_y_1_per_mm", "kappa_z_1_per_mm", "sd_1
 # Of an insertion of which the tip alone was measured: its deflection along y and z of C, and their deviation.
 TIP_COLUMNS = ("tip_y_mm", "tip_z_mm", "tip_sd_mm")
 OBSERVED_COLUMN = "observed"  # the name of an observation, where it is not that of the data that are there
+OBSERVED_PREFIX = "observed_"  # of the columns of numbers that the observation of a plugin has besides
 MIN_SENSOR_MM = 1.0  # least distance of a sensor from tip and entry, mm
 DEFAULT_ROLL_SD_DEG = 5.0  # standard deviation of a bevel's roll, where none is stated
 
@@ -135,5 +136,7 @@ class InsertionRow:
     tip_z: float | None = None
     tip_sd: float | None = None
     observed: str = ""  # the name of an observation; "": that of the data that are there
+    # the numbers of the columns `observed_NAME`, by NAME; an empty cell has none
+    observed_values: Mapping[str, float] = field(default_factory=dict)
     # (n, 4); of each sensor the numbers of `CURVATURE_COLUMNS`
     curvature: Floats | None = None

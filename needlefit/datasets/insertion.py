@@ -173,6 +173,8 @@ class Insertion(InsertionInputs):
     observed : str
         Name of the observation (`inference/likelihood/observations/`) that compares `points` with the
         simulation: "points", "tip_track", or one of a plugin.
+    observed_values : mapping of str to float
+        What the observation of a plugin has besides `points`: the numbers of the columns `observed_NAME`.
     directions : int
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
@@ -203,6 +205,7 @@ class Insertion(InsertionInputs):
     roll_sd: float = math.radians(DEFAULT_ROLL_SD_DEG)
     curvature: Floats | None = None
     observed: str = "points"
+    observed_values: Mapping[str, float] = field(default_factory=dict)
     directions: int = 2
     headings: tuple[Floats, ...] = ()
     curve_roll: float = 0.0

@@ -21,6 +21,7 @@ from needlefit.datasets.columns import (
     MIN_SENSOR_MM,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
+    OBSERVED_PREFIX,
     POSE_COLUMNS,
     POSE_SOURCES,
     REQUIRED_COLUMNS,
@@ -174,6 +175,14 @@ def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[In
         values = parse_numbers(table, name, found, default)
         values = np.radians(values) if name.endswith("_deg") else values
         fields[field] = [None if math.isnan(x) and default is not None else x for x in values.tolist()]
+    observed = {
+        str(name).removeprefix(OBSERVED_PREFIX): parse_numbers(table, str(name), found, math.nan).tolist()
+        for name in table.cells
+        if str(name).startswith(OBSERVED_PREFIX)
+    }
+    fields["observed_values"] = [
+        {name: values[n] for name, values in observed.items() if not math.isnan(values[n])} for n in count
+    ]
     fields["boundaries"] = [_parse_boundaries(table, n, found) for n in count]
     fields["side"] = map(_to_int, parse_numbers(table, "bevel_side", found, 1.0))
     names = zip(*(texts(name) for name in ("specimen", HOLE_COLUMN, "id")), strict=True)

@@ -22,6 +22,7 @@ from needlefit.datasets.columns import (
     NO_BOUNDARY,
     NUMBER_COLUMNS,
     OBSERVED_COLUMN,
+    OBSERVED_PREFIX,
     POINT_COLUMNS,
     ROLL_COLUMNS,
     SCAN_COLUMNS,
@@ -119,9 +120,12 @@ def _format_rows(rows: Sequence[InsertionRow]) -> str:
     for name in OPTIONAL_COLUMNS:
         field = NUMBER_COLUMNS[name][0] if name in NUMBER_COLUMNS else name.removesuffix("_mm")
         columns += [name] * any(getattr(row, field) != getattr(InsertionRow, field) for row in rows)
+    columns += dict.fromkeys(OBSERVED_PREFIX + name for row in rows for name in row.observed_values)
     columns += ROLL_COLUMNS if any(row.roll is not None or row.turns for row in rows) else []
     columns += SCAN_COLUMNS if any(row.patient is not None for row in rows) else []
-    return _to_csv([columns, *([cells[name] for name in columns] for cells in map(format_cells, rows))])
+    return _to_csv(
+        [columns, *([cells.get(name, "") for name in columns] for cells in map(format_cells, rows))]
+    )
 
 
 def format_cells(row: InsertionRow) -> dict[str, str]:
@@ -144,6 +148,7 @@ def format_cells(row: InsertionRow) -> dict[str, str]:
         (SCAN_SHIFT_COLUMNS, shift, 4),
     ):
         cells |= dict(zip(names, _format_vector(vector, digits), strict=True))
+    cells |= {OBSERVED_PREFIX + name: f"{value:.9g}" for name, value in row.observed_values.items()}
     for name, (field, _) in NUMBER_COLUMNS.items():
         value = getattr(row, field)
         value = math.degrees(value) if name.endswith("_deg") and value is not None else value

@@ -81,7 +81,8 @@ def _compare_ends(problem: Problem, sets: Sequence[Values], size: int) -> tuple[
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets[::size]])
     likelihood = problem.likelihood.model_copy(update=MEASURED_POINTS)
     points_alone = [
-        one if one.observed == "curvature" else replace(one, curvature=None) for one in problem.insertions
+        one if one.observed == "curvature" else replace(one, curvature=None, observed_values={})
+        for one in problem.insertions
     ]
     known = [make_observation(problem.dataset, one, problem.noise, likelihood) for one in points_alone]
     model = PreparedModel(problem.medium, problem.insertions)

@@ -6,22 +6,25 @@ They are of the coordinates that are compared: of points in the plane of the nee
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from needlefit.errors import ConfigError
 from needlefit.geometry.curves import ComparedCurves
 from needlefit.registry import Registry
+
+#: of units that are no letters, in names
+UNIT_WORDS = {"%": "percent", "°": "deg", "mm²": "mm2", "1/mm": "1_per_mm"}
 
 
 @dataclass(frozen=True)
 class Metric:
     """An error of a simulated curve against a measured one; smaller is better."""
 
-    #: its name in files: the value of the column `metric`. It ends in its unit, `_mm` or `_percent`.
+    #: its name in files: the value of the column `metric`. It ends in its unit: `_mm`, `_percent`, `_deg`
     name: str
     label: str  #: its heading in tables
-    unit: Literal["mm", "%"]
+    unit: str  #: of any quantity: "mm", "%", "deg", "N"
     explanation: str  #: one sentence for the glossary
     #: compared curves of one insertion -> the error. Over insertions its mean is taken.
     compute: Callable[[ComparedCurves], float]
@@ -34,6 +37,14 @@ class Metric:
     of_curve: bool = False  #: whether it needs a measured curve: of a tip alone it is NaN
     spread_of: str = ""  #: the metric behind which it is printed as "± value"; empty: in a column of its own
     order: int = 100  #: its place in tables, from the left
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError if the name does not end in the unit, which files state nowhere else."""
+        word = UNIT_WORDS.get(self.unit, self.unit.lower())
+        if not self.name.endswith(f"_{word}"):
+            what = f"the metric `{self.name}` has the unit {self.unit!r}"
+            fix = f"rename it, or state its unit; words of units: {UNIT_WORDS}"
+            raise ConfigError(what, expected=f"a name that ends in _{word}", fix=fix)
 
 
 METRICS = Registry(Metric, __name__, "metric")

@@ -128,7 +128,7 @@ def list_columns() -> dict[str, Column]:
     """Return all columns by key, those of metrics among them."""
     found = {**_read_columns()}
     for metric in list_metrics():
-        form = "relative" if metric.unit == "%" else LENGTH_ERROR_FORMAT
+        form = {"%": "relative", "mm": LENGTH_ERROR_FORMAT}.get(metric.unit, "number")
         found[metric.name] = Column(metric.name, metric.unit, form, metric.label, metric.explanation)
         if metric.has_floor:
             floor = f"Noise floor of {metric.name}: the error that perfect parameters would still show."

@@ -113,7 +113,9 @@ def format_percent(value: float | None) -> str:
 
 def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
     """Return an error as text, lengths with this number of digits."""
-    return format_percent(value) if metric.unit == "%" else format_mm(value, digits)
+    if metric.unit == "mm":
+        return format_mm(value, digits)
+    return format_percent(value) if metric.unit == "%" else format_number(value) or MISSING
 
 
 def join_metrics(values: Mapping[str, float | None]) -> str:

@@ -132,7 +132,7 @@ class _Predictor:
         known, job = self.known, self.known.job
         draws = known.draws_in(insertion)
         # the roll is drawn: it turns the needle as a whole
-        points = replace(insertion, curvature=None, roll_sd=0.0)
+        points = replace(insertion, curvature=None, observed_values={}, roll_sd=0.0)
         observation = make_observation(job.dataset, points, likelihood=self.likelihood)
         sets = [job.parameters.values(theta) for theta in draws.thetas]
         stations = append_sensors(insertion, observation.nodes.s[0])

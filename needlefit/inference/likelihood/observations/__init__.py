@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.columns import OBSERVED_COLUMN, OBSERVED_PREFIX
 from needlefit.datasets.insertion import Dataset, Insertion, Noise, Pose, find_free_reach, find_pose
+from needlefit.errors import refusal
 from needlefit.geometry.curves import COMPARISON_POINTS
 from needlefit.inference.compared_points import ComparedPoints, rotate_to_entry_axes
 from needlefit.inference.likelihood.observation import (
@@ -84,7 +86,16 @@ class ObservationType:
 
     def observe(self, insertion: Insertion, errors: StatedErrors) -> Observation:
         """Return what the likelihood compares; DataError if the errors that are stated leave it no width."""
-        raise NotImplementedError
+        return OBSERVATIONS["points"].observe(insertion, errors)
+
+    def observe_values(self, insertion: Insertion, errors: StatedErrors) -> Observation:
+        """Return what it compares besides, where the insertion has `observed_values`, in a known pose.
+
+        Fits are to both; what is predicted is that of `observe`.
+        """
+        raise refusal(f"""the observation `{self.name}` has no numbers besides, and {insertion.id} has some
+            expected: no columns {OBSERVED_PREFIX}{", ".join(insertion.observed_values)}
+            fix: remove the columns, or name their observation in the column {OBSERVED_COLUMN}""")
 
 
 OBSERVATIONS = Registry(ObservationType, __name__, "observation")
@@ -114,9 +125,15 @@ def make_observation(
     has_sections = smoothed and dataset.pose == "known" and insertion.sections is not None
     has_sections = has_sections and insertion.observed == "points"
     found = OBSERVATIONS["sections" if has_sections else insertion.observed].observe(insertion, errors)
-    if insertion.curvature is None or insertion.observed == "curvature":
+    if insertion.curvature is not None and insertion.observed != "curvature":
+        found = join_observations(found, OBSERVATIONS["curvature"].observe(insertion, errors))
+    if not insertion.observed_values:
         return found
-    return join_observations(found, OBSERVATIONS["curvature"].observe(insertion, errors))
+    if dataset.pose != "known":
+        raise refusal(f"""{insertion.id} has numbers besides its points, and its pose is not known
+            expected: no columns {OBSERVED_PREFIX}{", ".join(insertion.observed_values)}
+            fix: remove the columns, or state poses (pose = "known")""")
+    return join_observations(found, OBSERVATIONS[insertion.observed].observe_values(insertion, errors))
 
 
 def select_points(
