@@ -30,6 +30,7 @@ from needlefit.errors import ModelError
 StressMeasure = Literal["nominal", "true"]
 
 MAX_STRETCH = 10.0
+SERIES_LIMIT = 1e-2  #: |x| below which two terms of a series are more exact than the closed form
 
 
 def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: StressMeasure) -> Floats:
@@ -43,5 +44,11 @@ def compute_stress(mu: float, alpha: float | Floats, stretch: Floats, measure: S
         what = f"stretches are {np.min(stretch):g} to {np.max(stretch):g}"
         raise ModelError(what, expected=f"above 0, at most {MAX_STRETCH:g}; 80 % are 0.8")
     h = np.log(stretch)
-    true_stress = 3 * mu * h * np.exp(alpha * h / 4) * np.sinc(0.75j / np.pi * alpha * h).real  # sinh(x) / x
+    true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)
     return true_stress / stretch if measure == "nominal" else true_stress
+
+
+def _sinhc(x: Floats) -> Floats:
+    small = np.abs(x) < SERIES_LIMIT
+    safe = np.where(small, 1.0, x)
+    return np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
