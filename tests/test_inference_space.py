@@ -328,5 +328,6 @@ def test_the_median_turns_with_the_points_and_tips_are_scored_by_distance():
         assert found["tip_pit"] == pytest.approx(1 - math.exp(-(radius**2) / 2), abs=0.02)
         assert expected is None or found["tip_crps_mm"] == pytest.approx(expected, abs=0.02)
         assert found["tip_in_95"] == (radius < 2)
-    ends = found["tip_z_95_low_mm"], found["tip_z_95_high_mm"]
-    assert ends == pytest.approx(scipy.stats.norm.ppf([0.025, 0.975]), abs=0.1)
+    for interval, probability in (("tip_95", 0.025), ("tip_50", 0.25), ("tip_z_95", 0.025)):
+        ends = found[f"{interval}_low_mm"], found[f"{interval}_high_mm"]
+        assert ends == pytest.approx(scipy.stats.norm.ppf([probability, 1 - probability]), abs=0.1)

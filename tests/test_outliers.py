@@ -2,13 +2,17 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from scipy.spatial.transform import Rotation
 from test_datasets import record, row
 
+from needlefit.datasets.comparison import Deviation, expect
 from needlefit.datasets.needles import describe_rigidity
+from needlefit.datasets.outlying_needles import _join_evidence, compare_bends, compare_scatters
 from needlefit.datasets.points import find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
@@ -178,11 +182,51 @@ def test_a_lean_toward_bevels_that_all_face_one_way_is_their_bend(tmp_path):
     assert find_warnings(tmp_path, curves, sides) == []
 
 
+def test_what_others_lead_to_expect_is_their_mean_with_its_error():
+    """Of 1, 2, 3, 4 with an error variance of 1/4 and a natural one of 1/4, by hand."""
+    values, ones = np.array([1.0, 2.0, 3.0, 4.0, 9.0]), np.ones((5, 1))
+    found = expect(4, ones, values, np.full(5, 0.25), 0.5)
+    # scatter 5/3 on 3 degrees of freedom; spread (8 / 4 + 3 (5/3 - 1/4)) / 11 = 25/44
+    assert (found.value, found.sure) == (2.5, 11)
+    assert found.variance == pytest.approx(25 / 44 + (1 / 4 + 25 / 44) / 4)
+    assert found.natural_variance == pytest.approx(5 / 4 * 25 / 44)
+
+
+def make_ends(bend, scatter, across=0.0):
+    """Return what `compare_bends` reads of a needle whose variances out of its plane are `across`."""
+    variance = np.array([0.01, across])
+    return SimpleNamespace(bend=bend, entry_variance=variance, tip_variance=variance, scatter=scatter, free=5)
+
+
+def test_bends_are_compared_by_errors_in_the_plane_alone():
+    bends, flat = (1.0, 1.1, 0.9, 1.05, 4.0), np.zeros(2)
+    a, b = (
+        compare_bends([make_ends(one, flat, across) for one in bends], np.ones((5, 1))) for across in (0, 1e6)
+    )
+    assert a == b and [one.is_beyond for one in a] == [False] * 4 + [True]
+
+
+def test_scatters_are_compared_by_fisher_s_distribution():
+    scatters = np.array([[1.0, 1.0], [1.0, 1.0], [4.0, 1.0]])
+    found = compare_scatters([make_ends(1.0, one) for one in scatters])
+    # over that out of the plane, beside the others' pooled ratios: 5/2, 5/2 and 1
+    np.testing.assert_allclose(found, scipy.stats.f.cdf([0.4, 0.4, 4.0], 5, 5))
+
+
+@pytest.mark.parametrize(("value", "less"), [(0.5, 0.99), (-0.5, 0.01)])
+def test_a_bend_and_a_scatter_are_joined_by_fisher_s_method(value, less):
+    both = scipy.stats.combine_pvalues([1e-3, 0.01]).pvalue
+    found = _join_evidence(Deviation(value, 3.2, 1e-3), less)
+    assert (found.chance, found.sds) == pytest.approx((both, scipy.stats.norm.isf(both / 2)))
+
+
 @pytest.mark.parametrize("factor", [0.1, 5.0])
 def test_an_axis_in_another_unit_is_named_by_its_scatter(tmp_path, factor):
     curves = {name: curve * [1, factor, 1] for name, curve in measure_needles(4).items()}
     found = [one for one in find_warnings(tmp_path, curves) if one.kind == "axis_unit"]
     assert len(found) == 1 and "along y" in found[0].what
+    times = float(re.search(r"([\d.]+) times too large", found[0].fix)[1])
+    assert times == pytest.approx(factor, rel=0.6)
 
 
 @pytest.mark.parametrize("step", [0.1, 0.5, 1.0])
