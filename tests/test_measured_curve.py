@@ -83,6 +83,15 @@ def test_uneven_points_and_clusters_are_not_taken_as_even():
         check_lengths(arc_points(s, np.pi / 2), np.ptp(s), 0.1)
 
 
+@pytest.mark.parametrize(("along", "kept"), [(0.1, False), (0.3, True)])
+def test_places_that_vary_more_along_the_needle_than_across_it_are_kept(along, kept):
+    rng = np.random.default_rng(7)
+    x = np.arange(60.0) + along * rng.normal(size=60)
+    s = measure_curve(np.column_stack([x, 0.1 * rng.normal(size=60)])).s
+    moved = np.std((s - (x - x[0]))[1:-1])
+    assert bool(moved < 0.02) == kept
+
+
 def test_repeated_points_and_few_points_have_places_and_motions_change_nothing():
     points = arc_points(np.linspace(0, LENGTH, 12), 0.4)
     points = points + 0.1 * np.random.default_rng(5).normal(size=points.shape)
