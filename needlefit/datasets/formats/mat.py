@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.datasets.fields import MAX_TEXT_CHARS, FieldCurve, FieldReader
+from needlefit.datasets.fields import MAX_TEXT_CHARS, FieldReader
 from needlefit.datasets.formats import FileFormat
 from needlefit.datasets.points import Points
 from needlefit.errors import refusal
@@ -46,7 +46,7 @@ def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
             expected: {EXPECTED_ARRAYS}
             fix: {ARRAYS_FIX}
             where: {path}""")
-    curves = {name: FieldCurve(name, array, **beside[name]).to_points(path) for name, array in found.items()}
+    curves = {name: Points(path, array, **beside[name]) for name, array in found.items()}
     return curves, [f"{one} ignored" for one in unused]
 
 
