@@ -24,8 +24,8 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import SampleRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.folds import prepare
 from needlefit.studies.job import Job, Settings
+from needlefit.studies.load import load_study
 
 MOVES = {
     "default": None,
@@ -41,7 +41,7 @@ def prepare_target(target: str) -> Job:
         record = load(find_file("study", target), StudyRecord).tuning()
     except ConfigError:
         record = load(find_file("fit", target), FitRecord)
-    return prepare(target, record, Settings())
+    return load_study(target, record, Settings())
 
 
 def main() -> None:

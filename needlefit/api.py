@@ -21,12 +21,13 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from needlefit.arrays import Floats
+from needlefit.datasets.folds import divide_insertions
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameter_changes import change_fit, set_priors
+from needlefit.inference.parameter_changes import change_fit, read_priors, set_priors
 from needlefit.inference.predict import thin_posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.importance import (
@@ -50,13 +51,13 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
-from needlefit.studies.folds import group_insertions, prepare
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.judge import NOISE_GUARD as NOISE_GUARD
 from needlefit.studies.judge import REFERENCES as REFERENCES
 from needlefit.studies.judge import compare_with_references as compare_with_references
 from needlefit.studies.judge import judge_fits as judge_fits
 from needlefit.studies.kind import find_kind, kind_of
+from needlefit.studies.load import load_study
 from needlefit.studies.run import Run
 from needlefit.studies.score import make_predictors, make_scorer
 from needlefit.studies.store import restore_run
@@ -542,7 +543,7 @@ def estimate_elpd(
         )
     job, jobs = _prepare(_reopen(run), None, jobs)
     problem = _require_noise(job).problem(job.folds[0])
-    groups = group_insertions(problem.insertions, leave_out)
+    groups = divide_insertions(problem.insertions, leave_out)
     if len(groups) < 2:
         raise ConfigError(
             f"there is only one {leave_out}: none can be left out",
@@ -719,7 +720,7 @@ def _prepare(study: _Study, seed: int | None, jobs: int | None) -> tuple[Job, in
     _check_types(seed=seed, jobs=jobs)
     settings = Settings(seed=seed, jobs=count_cores() if jobs is None else jobs, inputs=study.inputs)
     with nullcontext() if study.file is None else add_file_context(study.file):
-        return prepare(study.name, _require_fit(study.record), settings), settings.jobs
+        return load_study(study.name, _require_fit(study.record), settings), settings.jobs
 
 
 def _integrate(job: Job, problem: Problem, key: tuple[str, ...], jobs: int) -> WeightedDraws:
@@ -791,7 +792,7 @@ def _change_fit(
         chosen, changes["recipe"] = _read_recipe(recipe)
         inputs = replace(inputs, recipe=chosen)
     record = check(_plain(record, changes), type(record), "needlefit.fit")
-    medium = inputs.medium and set_priors(inputs.medium, {} if priors is None else record.priors)
+    medium = inputs.medium and set_priors(inputs.medium, {} if priors is None else read_priors(record))
     record, medium = change_fit(record, medium, free, fix, "needlefit.fit")
     return replace(study, record=record, inputs=replace(inputs, medium=medium))
 

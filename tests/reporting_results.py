@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets import paper
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
-from needlefit.reporting import paper
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import DatasetMetadata, FitMetadata

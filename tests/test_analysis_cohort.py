@@ -10,14 +10,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from needlefit.datasets.folds import Fold
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import find_file
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import find_fit
-from needlefit.studies.folds import prepare
-from needlefit.studies.job import Fold, Settings
+from needlefit.studies.job import Settings
 from needlefit.studies.kinds import cohort as cohort_run
 from needlefit.studies.kinds.cohort import find_datasets, run
+from needlefit.studies.load import load_study
 from needlefit.studies.report import write_run
 from needlefit.studies.study_files import check_study
 
@@ -53,7 +54,7 @@ def test_a_cohort_has_the_fits_of_its_specimens_and_what_could_not_be_fitted(pro
     assert result.origin == "synthetic"
     keys = {key: COHORT[key] for key in ("schema", "medium", "recipe")}
     record = FitRecord.model_validate({**keys, "dataset": "twin", "tune": {"specimens": ["chicken-piece2"]}})
-    job = prepare("cohort specimens/a", record, Settings())
+    job = load_study("cohort specimens/a", record, Settings())
     kept = tuple(one for one in job.folds[0].tune if one.id in CHOSEN)
     alone = find_fit(job, job.problem(Fold("piece", kept, ())), ("chicken-piece2",), Settings())
     found = fits[fits["specimen"] == "chicken-piece2"].set_index("parameter")["value"]

@@ -16,7 +16,7 @@ from test_viewer_recording import recorded
 
 from needlefit.cli.exit_codes import STOP_SIGNALS
 from needlefit.planning.recording import read_recording
-from needlefit.studies import job
+from needlefit.studies import load
 from needlefit.viewer.opening import open_recording
 
 
@@ -66,7 +66,7 @@ def test_a_design_frees_and_fixes_parameters(world, monkeypatch, tmp_path):
 @pytest.mark.usefixtures("blank_figures")
 def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     """Bent by 5 mm, the measured centreline changes nothing that the design says."""
-    plain = job.read
+    plain = load.read
 
     def bent(path):
         found = plain(path)
@@ -76,7 +76,7 @@ def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
         ]
         return replace(found, insertions=tuple(moved))
 
-    monkeypatch.setattr(job, "read", bent)
+    monkeypatch.setattr(load, "read", bent)
     assert run("tune", "study2", "--design", "-q") == 0
     assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()
 

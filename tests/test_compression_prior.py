@@ -14,8 +14,8 @@ from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.toml import load
 from needlefit.schemas.medium import MaterialRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare
 from needlefit.studies.job import Settings
+from needlefit.studies.load import load_study
 from needlefit.studies.provenance import describe_configuration
 
 SCRIPT = shipped_folder() / "studies" / "compression_prior.py"
@@ -76,7 +76,7 @@ def test_a_fit_takes_the_prior_and_its_run_holds_it(tmp_path: Path, monkeypatch:
     assert prior.mu_pa.median == pytest.approx(0.2 * 12e3, rel=0.01) and prior.mu_pa.factor > 5
     record = load(find_file("fit", "chicken"), FitRecord)
     priors = {"1": "reports/compression_prior.toml"}
-    job = prepare("chicken", record.model_copy(update={"priors": priors}), Settings())
+    job = load_study("chicken", record.model_copy(update={"priors": priors}), Settings())
     assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
     stated = describe_configuration(job).medium.parameters["alpha1"].prior
     assert stated.mean == prior.alpha.mean

@@ -19,8 +19,8 @@ from needlefit.project.locate import find_file
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Settings
+from needlefit.studies.load import load_study, print_notes
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
@@ -92,7 +92,7 @@ def test_no_shipped_dataset_gives_a_warning_and_a_study_names_those_of_units_and
         dataset, warnings=(ResultWarning("bevel_side", "all turned"), ResultWarning("noise", "x"))
     )
     settings = Settings(file=file, note=notes.append)
-    print_notes(prepare("phantom1", load(file, FitRecord), settings, turned), settings)
+    print_notes(load_study("phantom1", load(file, FitRecord), settings, turned), settings)
     assert notes == ["warning: all turned (needlefit explain bevel-side)"]
 
 

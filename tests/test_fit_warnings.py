@@ -19,6 +19,7 @@ from test_datasets import CURVE, record, row
 from world import PROJECT
 
 import needlefit
+from needlefit.datasets.folds import make_folds, warn_shared_specimens
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError
@@ -28,13 +29,13 @@ from needlefit.project.help_pages import TROUBLESHOOTING_PAGE, read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.fit_warnings import list_warnings
-from needlefit.studies.folds import DATA_WARNINGS, make_folds, warn_shared_specimens
 from needlefit.studies.identification import (
     ParameterInterval,
     ParameterRow,
     add_intervals,
     intervals_of_draws,
 )
+from needlefit.studies.load import DATA_WARNINGS
 from needlefit.studies.run import Run
 
 

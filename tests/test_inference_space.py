@@ -33,8 +33,8 @@ from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import load
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Settings
+from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.prediction_scores import score_tip_in_space
 from needlefit.studies.simulated_data import simulate_measurement
 
@@ -184,19 +184,19 @@ def test_the_data_decide_where_needles_are_compared():
     settings = Settings(inputs=Inputs(dataset=dataset([flat, half]), medium=twisted))
     tune = {"insertions": [flat.id, half.id]}
     record = FitRecord.model_validate({"schema": 2, "dataset": "x", "medium": "x", "tune": tune})
-    assert prepare("x", record, settings).dataset.compared == "space"
+    assert load_study("x", record, settings).dataset.compared == "space"
     notes: list[str] = []  # what was decided, with the key that decides otherwise
     doubted = replace(dataset([flat, half]), warnings=(ResultWarning("bevel_plane", "x"),))
     planar = Settings(inputs=Inputs(dataset=doubted, medium=medium()), note=notes.append)
-    job = prepare("x", record, planar)
+    job = load_study("x", record, planar)
     print_notes(job, planar)
     assert job.dataset.compared == "plane" and '`compared = "space"`' in notes[0]
     flattened = record.model_copy(update={"compared": "plane"})
     with pytest.raises(ConfigError, match="compared"):
-        prepare("x", flattened, settings)
+        load_study("x", flattened, settings)
     for other, kinds in ((half, []), (quarter, ["bevel_plane"])):
         inputs = Inputs(dataset=dataset([flat, replace(other, id=half.id)]), medium=medium())
-        job = prepare("x", flattened, Settings(inputs=inputs))
+        job = load_study("x", flattened, Settings(inputs=inputs))
         assert [one.kind for one in job.warnings] == kinds and job.dataset.compared == "plane"
 
 
@@ -275,7 +275,7 @@ def test_curvatures_of_four_sensors_give_the_shape_and_are_of_one_density():
     fitted = {"schema": 2, "dataset": "x", "medium": "x", "tune": {"medium": "test"}}
     inputs = Inputs(dataset=dataset([turned()]), medium=medium(), recipe=recipe)
     with pytest.raises(DataError, match="curvature"):
-        prepare("x", FitRecord.model_validate(fitted), Settings(inputs=inputs))
+        load_study("x", FitRecord.model_validate(fitted), Settings(inputs=inputs))
 
 
 def test_curvatures_are_read_in_the_frame_of_the_bevel_and_their_faults_named(tmp_path):

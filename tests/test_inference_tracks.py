@@ -26,6 +26,7 @@ from track_cases import (
     with_tip,
 )
 
+from needlefit.datasets.folds import Fold
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import compare_curves
 from needlefit.inference import track_predictions
@@ -42,7 +43,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord, TrackErrorsRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.held_out_tracks import simulate_runs
-from needlefit.studies.job import Fold, Job
+from needlefit.studies.job import Job
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])
@@ -291,7 +292,7 @@ def test_each_predicted_run_has_a_bevel_of_its_own(monkeypatch, runs):
     fold = Fold("one", one.insertions, tuple(runs[1:]))
     fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "gel"})
     recipe = RecipeRecord(schema_=1)
-    job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,))
+    job = Job("one", fit, data, MEDIUM, one.parameters, recipe, None, (fold,), data)
     monkeypatch.setattr(Problem, "values", lambda *_: {**TRUTH, "bevel_spread": 0.1})
     thetas = np.zeros((300, 0))
     _, _, _, (tuned, *held) = simulate_runs(job, fold, thetas, 1, np.random.default_rng(1))

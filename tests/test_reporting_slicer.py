@@ -20,8 +20,8 @@ from needlefit.inference.predict import Draws
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.needles_in_scan import read_needles_in_scan
 from needlefit.reporting.slicer import write_needles
-from needlefit.studies.folds import prepare
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.load import load_study
 from needlefit.studies.needle_placement import place_needles
 
 __all__ = ["project"]  # a fixture
@@ -31,7 +31,7 @@ __all__ = ["project"]  # a fixture
 def fitted(tmp_path_factory: pytest.TempPathFactory):
     with pytest.MonkeyPatch.context() as here:
         here.chdir(made(tmp_path_factory.mktemp("fitted")))
-        job = prepare("needles", study(), Settings())
+        job = load_study("needles", study(), Settings())
     (fold,) = job.folds
     problem = job.problem(fold)
     fit = minimize(problem, job.recipe, random_stream(1, "test"), Callbacks())

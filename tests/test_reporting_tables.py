@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from reporting_results import study
 
-from needlefit.reporting import paper
+from needlefit.datasets import paper
 from needlefit.reporting.latex import escape_latex, format_cell
 from needlefit.reporting.number_format import NO_BREAK, bind_numbers, format_number, format_to_error
 from needlefit.reporting.table import Table, part, pivot

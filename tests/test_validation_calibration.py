@@ -9,6 +9,7 @@ import scipy
 from inference_cases import insertion, measure, medium
 from track_cases import GUIDE, track
 
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
@@ -29,8 +30,7 @@ from needlefit.inference.rank_statistics import (
 from needlefit.project.locate import find_file
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord
-from needlefit.studies.folds import prepare
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import calibration
 from needlefit.studies.kinds.calibration import (
@@ -42,6 +42,7 @@ from needlefit.studies.kinds.calibration import (
     is_inside_bounds,
     replicate,
 )
+from needlefit.studies.load import load_study
 from needlefit.studies.simulated_data import find_true_value, simulate_measurement
 from needlefit.studies.study_files import load_study_file
 from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
@@ -63,7 +64,15 @@ def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Jo
     fit = FitRecord.model_validate({"schema": 1, "dataset": "small", "medium": "test"})
     recipe = RecipeRecord.model_validate({"schema": 1, "likelihood": {"noise_scale": scale}})
     return Job(
-        "small", fit, data, record, Parameters.from_record(record), recipe, None, (Fold("all", made, ()),)
+        "small",
+        fit,
+        data,
+        record,
+        Parameters.from_record(record),
+        recipe,
+        None,
+        (Fold("all", made, ()),),
+        data,
     )
 
 
@@ -185,7 +194,7 @@ insertions = ["chicken-03", "chicken-02"]
 def prepare_study(name: str):
     record = load_study_file(find_file("study", name))
     assert record is not None
-    return prepare(name, record, Settings())
+    return load_study(name, record, Settings())
 
 
 @pytest.fixture
@@ -243,7 +252,7 @@ def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fi
 
 
 def test_truths_outside_the_bounds_of_the_medium_are_drawn_again():
-    job = prepare("study5", load_study_file(find_file("study", "study5")), Settings())
+    job = load_study("study5", load_study_file(find_file("study", "study5")), Settings())
     plan, bounds = design_synthetic(job), job.parameters.bounds
     record = job.medium.model_dump(by_alias=True, exclude_unset=True)
     record["parameters"]["bevel_mm"] = {"bounds": [1e-3, 0.25]}

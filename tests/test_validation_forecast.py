@@ -24,7 +24,6 @@ from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
-from needlefit.studies.folds import prepare
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -37,6 +36,7 @@ from needlefit.studies.kinds.prediction import (
     require_same_configuration,
     tabulate_forecast,
 )
+from needlefit.studies.load import load_study
 from needlefit.studies.provenance import describe_configuration
 
 SCENE = needlefit.open_scene("study2")
@@ -50,7 +50,7 @@ def job():
 def prepare_small():
     record = load(find_file("fit", "phantom2"), FitRecord).model_copy(update={"recipe": "quick"})
     small = record.tune.model_copy(update={"insertions": ("phantom2-15", "phantom2-16")})
-    return prepare("small", record.model_copy(update={"tune": small}), Settings())
+    return load_study("small", record.model_copy(update={"tune": small}), Settings())
 
 
 def about(thetas, faults=()):

@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium, problem, with_one_bevel
 
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import find_hole_source, find_repeats, group_insertions, name_holes
 from needlefit.inference.draw_simulation import DrawSimulation, draw_depth_errors
@@ -26,10 +27,10 @@ from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.coverage import estimate_width_after_one
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters
-from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
+from needlefit.studies.load import load_study
 from needlefit.studies.prediction_scores import find_end_error
 
 POINTS = LikelihoodRecord(depths="fixed", bevel_spread=0.0, measurement="points")
@@ -48,7 +49,7 @@ COPIES = 200  #: draws that are all the same one
 @pytest.fixture(scope="module")
 def job():
     record = load(find_file("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
-    prepared = with_one_bevel(prepare("small", record, Settings()))
+    prepared = with_one_bevel(load_study("small", record, Settings()))
     # exact ties leave one needle few parameters: importance sampling then suffices, in seconds
     return replace(prepared, parameters=without_prior(prepared.parameters))
 
@@ -273,7 +274,15 @@ def holes_job():
         {"schema": 2, "dataset": "cases", "medium": "test", "recipe": "default", "leave_out": "specimen"}
     )
     return Job(
-        "holes", study, p.dataset, record, p.parameters, RecipeRecord.model_validate({"schema": 2}), None, ()
+        "holes",
+        study,
+        p.dataset,
+        record,
+        p.parameters,
+        RecipeRecord.model_validate({"schema": 2}),
+        None,
+        (),
+        p.dataset,
     )
 
 

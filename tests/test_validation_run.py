@@ -14,6 +14,7 @@ from light_runs import predict_by_few_draws
 from scipy.optimize import brentq
 from world import PROJECT
 
+from needlefit.datasets.folds import make_folds
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
@@ -28,12 +29,11 @@ from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.checkpoint import NO_CHECKPOINT
 from needlefit.project.progress import no_progress
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.folds import add_folds, make_folds
-from needlefit.studies.job import load_study
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.kinds.cross_validation.run import Settings, run
+from needlefit.studies.load import load_study
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row, Scorer, curve_predictor, make_predictors, model_predictor
 from needlefit.studies.validity import ValidityCounts, list_outside, tabulate_validity
@@ -343,7 +343,7 @@ def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(proje
 def test_a_fold_has_the_same_rows_whichever_folds_ran_before(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
-    job = add_folds(load_study("loo", record, Settings()))
+    job = load_study("loo", record, Settings())
 
     def run_folds(numbers: tuple[int, ...]) -> FoldResult:
         services = FoldServices(Settings(), NO_CHECKPOINT, StudyProgress(job, no_progress))

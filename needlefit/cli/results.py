@@ -118,7 +118,7 @@ def explain(
 
 def paper() -> None:
     """Print the paper's tables."""
-    from needlefit.reporting import paper as published
+    from needlefit.datasets import paper as published
 
     for name, title in published.TABLE_TITLES.items():
         screen.show_frame(published.read_printed_table(name), title)

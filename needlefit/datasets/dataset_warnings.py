@@ -43,7 +43,7 @@ from needlefit.project.unit_warnings import (
     needle_warnings,
     warn,
 )
-from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, list_needles, needle_key
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, needle_key
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
@@ -88,7 +88,7 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
             fix: write what was measured; reports print it
             where: {where(keys[0])}
             kind: placeholder""")
-    needles = list_needles(record)
+    needles = record.all_needles
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
     decisions = () if record.import_ is None else record.import_.decisions

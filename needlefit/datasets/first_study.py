@@ -7,7 +7,7 @@ from needlefit.datasets.insertion import Dataset, Insertion, InsertionInputs
 from needlefit.mechanics.laws.ogden import OGDEN
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import check, dumps, load
-from needlefit.schemas.dataset import DatasetRecord, list_needles
+from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.medium import BEVEL_BOUNDS, MediumRecord
 from needlefit.schemas.scene import Advance, SceneRecord, StepRecord
 from needlefit.schemas.study import StudyRecord
@@ -39,7 +39,7 @@ def write_scene(file: Path, dataset: Dataset, insertion: Insertion) -> None:
 def describe_scene(dataset: Dataset, insertion: Insertion, advance: Advance) -> dict[str, object]:
     """Return an insertion of a dataset as the keys of a scene, under a rule of advance."""
     tops = [0.0, *insertion.boundaries.round(3).tolist()]
-    needles = list_needles(load(dataset.path, DatasetRecord)).values()
+    needles = load(dataset.path, DatasetRecord).all_needles.values()
     needle = next(one for one in needles if Needle.from_record(one) == insertion.needle)
     path: dict[str, object] = {"depth_mm": round(insertion.depth, 3)}
     if insertion.turns:

@@ -39,7 +39,7 @@ from needlefit.datasets.needles import find_unknown_needle
 from needlefit.errors import refusal
 from needlefit.geometry.frames import Frame
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
-from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, list_needles, needle_key
+from needlefit.schemas.dataset import DatasetRecord, boundaries_fault, needle_key
 from needlefit.schemas.limits import MAX_LAYERS
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
@@ -309,7 +309,7 @@ def _find_boundaries_fault(row: InsertionRow, where: str, record: DatasetRecord)
 
 
 def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
-    needles = list_needles(record)
+    needles = record.all_needles
     if row.needle not in needles:
         yield from find_unknown_needle(row.needle, where, record)
         return

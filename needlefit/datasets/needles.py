@@ -17,7 +17,6 @@ from needlefit.schemas.dataset import (
     ImportDecisionRecord,
     ImportRecord,
     TrackDatasetRecord,
-    list_needles,
     needle_key,
 )
 from needlefit.schemas.run_metadata import NeedleMetadata
@@ -26,13 +25,13 @@ from needlefit.schemas.scene import NeedleRecord
 
 def make_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, Needle]:
     """Return the needles of a dataset by what a cell of column `needle` holds."""
-    return {cell: Needle.from_record(one) for cell, one in list_needles(record).items()}
+    return {cell: Needle.from_record(one) for cell, one in record.all_needles.items()}
 
 
 def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Yield what is wrong with the needles of a `dataset.toml`."""
     keys = dict[str, str]()
-    for cell, needle in list_needles(record).items():
+    for cell, needle in record.all_needles.items():
         table = needle_key(cell)
         if (modulus := needle.youngs_modulus_gpa or 0.0) > MODULUS_GPA[1]:
             key = f"{table}.youngs_modulus_gpa"
@@ -98,7 +97,7 @@ def _is_still(stated: str, value: float) -> bool:
 
 def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:
     """Yield the fault of a cell of column `needle` whose needle `dataset.toml` does not describe."""
-    if cell not in list_needles(record):
+    if cell not in record.all_needles:
         yield refusal(f"""needle {cell!r:.60} is unknown
             expected: one of {", ".join(record.needles) or "(none)"}, or an empty cell: [needle]
             fix: correct it, or add a table [{needle_key("NAME")}] to dataset.toml

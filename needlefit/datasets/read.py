@@ -44,9 +44,10 @@ from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import load, locate_key
+from needlefit.project.toml import check as check_tables
+from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import format_place
-from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord, list_needles
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
 
 _FIELD = re.compile(r"\{([^{}]*)\}")  # a column in `id_template`
 
@@ -85,10 +86,14 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     `root`: where its other files lie, in place of what it states. Only those that are read need lie there:
     the checksums that it states are not verified.
     """
-    file, of_tracks = find_dataset_file(path), holds_tracks(path)
+    file = find_dataset_file(path)
     record: DatasetRecord | TrackDatasetRecord
     try:
-        record = load(file, TrackDatasetRecord) if of_tracks else load(file, DatasetRecord)
+        tables = read_toml(file)
+        if of_tracks := "tip_tracks" in tables:
+            record = check_tables(tables, TrackDatasetRecord, file)
+        else:
+            record = check_tables(tables, DatasetRecord, file)
         reading = _Reading(file, record, root or find_folder(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (error,))
@@ -104,7 +109,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     names = sorted(str(path.relative_to(reading.root)) for path in files)
     sources = DatasetFiles(file.absolute(), reading.root.absolute(), tuple(names))
     needles = [
-        (f"Needle {name}: " if name else "Needle: ", one.note) for name, one in list_needles(record).items()
+        (f"Needle {name}: " if name else "Needle: ", one.note) for name, one in record.all_needles.items()
     ]
     parts = (("", record.notes), *needles, ("Noise: ", record.noise.note))
     dataset = Dataset(
@@ -119,9 +124,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         files=sources,
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
-        rigidities={
-            one.name: describe_rigidity(one, record.import_) for one in list_needles(record).values()
-        },
+        rigidities={one.name: describe_rigidity(one, record.import_) for one in record.all_needles.values()},
         **own,
     )
     return Inspection(dataset, (), dataset.warnings)
@@ -335,14 +338,6 @@ def _find_use_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], f
 
 
 # ---- tip tracks
-
-
-def holds_tracks(path: Path) -> bool:
-    """Return whether `path`, a dataset's folder or `dataset.toml`, is a dataset of tip tracks."""
-    try:
-        return "tip_tracks" in read_toml(find_dataset_file(path))
-    except ConfigError:
-        return False  # reading it raises what is wrong
 
 
 def _read_tracks(reading: _Reading) -> tuple[list[Insertion], list[Path], dict[str, Any]]:

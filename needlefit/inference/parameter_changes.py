@@ -39,7 +39,8 @@ FREED_BOUNDS = {
 def load_changed_medium(record: FitRecord) -> tuple[MediumRecord, Path]:
     """Return the medium that a fit names, with its priors and what it frees and fixes, and its file."""
     file = find_named("medium", record.medium)
-    medium = set_priors(load(file, MediumRecord), record.priors)
+    stated, materials = load(file, MediumRecord), read_priors(record)
+    medium = set_priors(stated, materials)
     with add_file_context(file):
         Parameters.from_record(medium)  # faults of the medium itself, before those of the changes
     return change_parameters(medium, record.free, record.fix), file
@@ -139,6 +140,19 @@ def search_freed(parameters: Parameters, medium: MediumRecord, free: Sequence[st
     return parameters.holding([name for name in parameters.held if name not in freed])
 
 
+def complete_published(
+    name: str, published: Mapping[str, float], parameters: Parameters, medium: str
+) -> dict[str, float]:
+    """Return a set of the paper with what the medium of a name fixes; ConfigError if its layers differ."""
+    known = {**parameters.fixed, **published}
+    if missing := [one for one in parameters.names if one not in known]:
+        raise ConfigError(
+            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
+            fix="name a set of the same layers, or leave paper_parameters out",
+        )
+    return {one: known[one] for one in parameters.names}
+
+
 def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
     """Return a fixed or tied parameter once it is free, with its bounds (Pa, mm, degrees)."""
     exact = without_prior(parameters)  # all ties lead to a parameter that is not tied
@@ -163,10 +177,14 @@ def _make_free(parameters: Parameters, name: str, law: str) -> ParameterRecord:
     return ParameterRecord(bounds=(low, high), prior=prior)
 
 
-def set_priors(medium: MediumRecord, priors: Mapping[str, str]) -> MediumRecord:
-    """Return the medium, its layers with the priors of the files that a fit names."""
-    for layer, path in priors.items():
-        material = load(Path(path), MaterialRecord)
+def read_priors(record: FitRecord) -> dict[str, MaterialRecord]:
+    """Read the priors of layers that a fit names."""
+    return {layer: load(Path(path), MaterialRecord) for layer, path in record.priors.items()}
+
+
+def set_priors(medium: MediumRecord, priors: Mapping[str, MaterialRecord]) -> MediumRecord:
+    """Return the medium, its layers with these priors."""
+    for layer, material in priors.items():
         with add_key_context(f"priors.{layer}"):
             medium = set_material_prior(medium, layer, material)
     return medium

@@ -299,6 +299,16 @@ class SourceRecord(FileRecord):
 NeedleName = Annotated[Name, Field(min_length=1)]
 
 
+def _name_needles(needle: NeedleRecord, needles: dict[str, NeedleRecord]) -> dict[str, NeedleRecord]:
+    """Return all needles; tables that state no name of their own name a needle by its key."""
+    default = NeedleRecord.model_fields["name"].default
+    named = {
+        key: one.model_copy(update={"name": key}) if one.name == default else one
+        for key, one in needles.items()
+    }
+    return {"": needle, **named}
+
+
 class DatasetRecord(SourceRecord):
     """`data/<name>/dataset.toml` of measured needle shapes."""
 
@@ -322,6 +332,11 @@ class DatasetRecord(SourceRecord):
     """Decisions of `needlefit import`."""
     checksums: dict[str, str] = {}
     """SHA-256 of files, by path; `needlefit check` compares them."""
+
+    @property
+    def all_needles(self) -> dict[str, NeedleRecord]:
+        """The needles by what a cell of column `needle` holds; of an empty one `[needle]`."""
+        return _name_needles(self.needle, self.needles)
 
     @model_validator(mode="after")
     def _has_insertions(self) -> Self:
@@ -399,18 +414,10 @@ class TrackDatasetRecord(SourceRecord):
     checksums: dict[str, str] = {}
     """SHA-256 of files, by path; `needlefit check` compares them."""
 
-
-def list_needles(record: DatasetRecord | TrackDatasetRecord) -> dict[str, NeedleRecord]:
-    """Return the needles of a dataset by what a cell of column `needle` holds; of an empty one `[needle]`.
-
-    Tables that state no name of their own name a needle by its key.
-    """
-    default = NeedleRecord.model_fields["name"].default
-    named = {
-        key: one.model_copy(update={"name": key}) if one.name == default else one
-        for key, one in record.needles.items()
-    }
-    return {"": record.needle, **named}
+    @property
+    def all_needles(self) -> dict[str, NeedleRecord]:
+        """The needles by what a cell of column `needle` holds; of an empty one `[needle]`."""
+        return _name_needles(self.needle, self.needles)
 
 
 def needle_key(name: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Bools, Floats
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.draw_simulation import (
     Sets,
@@ -33,7 +34,7 @@ from needlefit.inference.sampling.importance import MAX_PARETO_K, Effort, sample
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import Row, to_records
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.simulated_data import simulate_design
 
 CANDIDATE_COLUMNS = (

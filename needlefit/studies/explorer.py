@@ -50,7 +50,8 @@ from needlefit.studies.fit_frames import (
 from needlefit.studies.run import Run
 
 if TYPE_CHECKING:
-    from needlefit.studies.job import Fold, Job
+    from needlefit.datasets.folds import Fold
+    from needlefit.studies.job import Job
 
 # Modules that simulate are imported where they are used: other reports do not load them.
 MAX_DRAWS = 200  #: needles of a band, evenly chosen from all draws

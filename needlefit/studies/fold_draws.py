@@ -7,6 +7,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.folds import Fold, divide_insertions
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference import specimens
@@ -31,8 +32,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.tasks import run_parts
 from needlefit.project.toml import describe_key
 from needlefit.studies.fit_frames import NEW_SPECIMEN
-from needlefit.studies.folds import group_insertions
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.score import Row
 
 #: Of the table "draws": draws of each fold's parameters, with Pareto's k where by importance. `specimen` is
@@ -144,7 +144,7 @@ class Specimens:
 
     @cached_property
     def tuned(self) -> dict[str, tuple[Insertion, ...]]:
-        return group_insertions(self.fold.tune, "specimen")
+        return divide_insertions(self.fold.tune, "specimen")
 
     @cached_property
     def model(self) -> specimens.SpreadModel:

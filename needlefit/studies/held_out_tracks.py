@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import select_same_needle
 from needlefit.inference import predict
@@ -22,8 +23,8 @@ from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_cur
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.study import StudyRecord
-from needlefit.studies.folds import count_registered
-from needlefit.studies.job import Fold, Job
+from needlefit.studies.job import Job
+from needlefit.studies.load import count_registered
 from needlefit.studies.score import Row
 
 # a row per reading of a run predicted, direction and method; `measured_mm` counts from the run's first
@@ -55,8 +56,6 @@ def predict_tracks(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dic
 
 def _restore_directions(job: Job, fold: Fold) -> tuple[Job, Fold] | None:
     """Return a job and its fold in space, if all its runs were tracked along more than what is compared."""
-    if job.measured is None:
-        return None
     whole = fold.of_dataset(job.measured)
     if min(one.directions for one in (*whole.tune, *whole.validate)) == job.dataset.directions:
         return None

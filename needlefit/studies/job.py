@@ -1,51 +1,26 @@
-"""Load a study or fit with everything that it names: dataset, medium, recipe, and the paper's parameters."""
+"""What a study or fit works on, and how it is executed."""
 
 from collections.abc import Callable, Collection, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
-from needlefit.datasets.read import read
-from needlefit.inference.parameter_changes import load_changed_medium, search_freed
 from needlefit.inference.parameter_names import HYPERPARAMETERS
-from needlefit.inference.parameters import (
-    Parameters,
-    with_hyperparameters,
-    without_bevel_spread,
-    without_prior,
-)
+from needlefit.inference.parameters import Parameters, without_bevel_spread, without_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
-from needlefit.project.toml import add_file_context, add_key_context, find_named, load, locate_key
-from needlefit.project.unit_warnings import medium_warnings
-from needlefit.reporting import paper
+from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
-
-
-@dataclass(frozen=True)
-class Fold:
-    """One fold: the insertions fitted to and those scored."""
-
-    name: str
-    tune: tuple[Insertion, ...]
-    validate: tuple[Insertion, ...]
-
-    def of_dataset(self, dataset: Dataset) -> "Fold":
-        """Return the fold with the insertions of these ids as a dataset has them."""
-        known = {one.id: one for one in dataset.insertions}
-        tune, validate = (tuple(known[one.id] for one in part) for part in (self.tune, self.validate))
-        return replace(self, tune=tune, validate=validate)
-
 
 #: noise floors of insertions that are in use, by what else they depend on
 _floors: WeakKeyDictionary[Insertion, dict[object, NoiseFloor]] = WeakKeyDictionary()
@@ -113,11 +88,11 @@ class Job:
     parameters: Parameters
     recipe: RecipeRecord
     hand_tuned: Mapping[str, float] | None
-    folds: tuple[Fold, ...] = ()  #: of `add_folds`
-    measured: Dataset | None = None  #: as it was read, before the planes of `dataset` were chosen
-    warnings: tuple[ResultWarning, ...] = ()
+    folds: tuple[Fold, ...]
+    measured: Dataset  #: as it was read, before the planes of `dataset` were chosen
     file: Path | None = None
     medium_file: Path | None = None
+    warnings: tuple[ResultWarning, ...] = ()
 
     def place(self, key: str) -> str:
         """Return how messages name a key of the study's file; "" where it is not known."""
@@ -193,41 +168,3 @@ class Job:
 def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
     """Return the recipe that minimises the metric objective instead of the posterior."""
     return recipe.model_copy(update={"minimize": "metric"})
-
-
-def load_study(
-    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
-) -> Job:
-    """Load and check all that a study or fit names; `dataset`, if given, replaces its own.
-
-    Raises ConfigError or DataError if anything it names is missing or wrong.
-    """
-    given = settings.inputs
-    dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
-    medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
-    recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
-    if settings.seed is not None:
-        recipe = recipe.model_copy(update={"seed": settings.seed})
-    if recipe.minimize == "posterior" and not dataset.noise.stated:
-        recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
-    with nullcontext() if medium_file is None else add_file_context(medium_file):
-        stated = search_freed(Parameters.from_record(medium), medium, record.free)
-    hand_tuned = None
-    if record.paper_parameters is not None:
-        with add_key_context("paper_parameters"):
-            hand_tuned = paper.hand_tuned_set(record.paper_parameters, stated, record.medium)
-    posterior = recipe.minimize == "posterior"
-    parameters = with_hyperparameters(stated, recipe.likelihood) if posterior else without_prior(stated)
-    warnings = (*dataset.warnings, *medium_warnings(medium, medium_file or record.medium))
-    return Job(
-        name,
-        record,
-        dataset,
-        medium,
-        parameters,
-        recipe,
-        hand_tuned,
-        warnings=warnings,
-        file=settings.file,
-        medium_file=medium_file,
-    )

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.arrays import Floats
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
 from needlefit.grouping import group_values
@@ -24,7 +25,6 @@ from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.needle import DEFAULT_DIAMETER_MM
 from needlefit.reporting.needles_in_scan import Band, NeedleInScan
-from needlefit.studies.job import Fold
 
 NEEDLE_POINTS = 51  # points of a fitted needle and of its band
 BAND_PROBABILITY = 0.95

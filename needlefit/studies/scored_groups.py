@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from needlefit.arrays import Floats
+from needlefit.datasets import paper
 from needlefit.datasets.select import group_rows
 from needlefit.metrics import headline_metrics, list_metrics
-from needlefit.reporting import paper
 from needlefit.reporting.table_files import Row, select_rows, to_records
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import DIRECTIONS

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats, pad_axis
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
@@ -33,7 +34,7 @@ from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.studies.job import Fold, Job
+from needlefit.studies.job import Job
 from needlefit.synthetic.design import TrueSpread, bevel_offset, draw_deviations, draw_specimen, list_designs
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite

@@ -18,8 +18,8 @@ from needlefit.project.locate import find_file, is_path
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.folds import prepare
 from needlefit.studies.job import Inputs, Settings
+from needlefit.studies.load import load_study
 from needlefit.studies.provenance import require_same_configuration
 from needlefit.studies.run import Run
 
@@ -47,7 +47,7 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
         )
     stated = run.metadata
     inputs = Inputs(dataset=read_data(run, where), medium=stated.medium, recipe=stated.recipe)
-    job = prepare(run.name, record, Settings(inputs=inputs))
+    job = load_study(run.name, record, Settings(inputs=inputs))
     require_same_configuration(job, stated, where)
     one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
     name = run.name

@@ -18,9 +18,9 @@ from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.folds import prepare, print_notes
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
+from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.result_sources import name_source, read_sources
 from needlefit.studies.run import Run
@@ -107,7 +107,7 @@ def check_study_file(kind: Literal["study", "fit"], path: Path) -> StudyCheck:
         if not isinstance(record, FitRecord):
             _find_files(record.model_dump(mode="json", by_alias=True))
             return StudyCheck(str(record.kind))  # type: ignore[attr-defined]  # of every other kind
-        job = prepare(path.stem, record, Settings(file=path))
+        job = load_study(path.stem, record, Settings(file=path))
     folds = tuple((len(fold.tune), len(fold.validate)) for fold in job.folds)
     return StudyCheck("cross-validation" if isinstance(record, StudyRecord) else "fit", folds, job.warnings)
 
@@ -221,7 +221,7 @@ def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -
 
 def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:
     """Return the job of a fit or study; what a user wants to know before the work is printed."""
-    job = prepare(name, record, settings)
+    job = load_study(name, record, settings)
     print_notes(job, settings)
     return job
 

@@ -92,10 +92,11 @@ def choose_start_parameters(insertion: Insertion) -> StartParameters:
         described = f"no medium {name} of {met} layer{'s' if met > 1 else ''} is described in configs/media"
         return StartParameters(medium, values, f"Parameters: invented, because {described}.")
     parameters = Parameters.from_record(medium)
-    from needlefit.reporting import paper
+    from needlefit.datasets import paper
+    from needlefit.inference.parameter_changes import complete_published
 
     if name in paper.read_hand_tuned_names():
-        values = paper.hand_tuned_set(name, parameters, name)
+        values = complete_published(name, paper.read_hand_tuned(name), parameters, name)
         return StartParameters(medium, values, f"Parameters: the paper's parameters, set {name}.")
     description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
     return StartParameters(medium, parameters.values(parameters.expected), description)

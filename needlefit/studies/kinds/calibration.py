@@ -50,10 +50,10 @@ from needlefit.schemas.run_metadata import CalibrationMetadata
 from needlefit.studies.advice import advise
 from needlefit.studies.answer import Advice, Answer, FaultKind, RunFault, Status
 from needlefit.studies.fold_draws import Specimens
-from needlefit.studies.folds import prepare
 from needlefit.studies.held_out_predictions import predict_held_out
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.load import load_study
 from needlefit.studies.report import StudyReport, answer_in_words
 from needlefit.studies.run import Run
 from needlefit.studies.runner import FrameRows, join_rows, run_tasks
@@ -326,7 +326,7 @@ def _draw_study(number: int, job: Job, designs: Sequence[InsertionDesign]) -> tu
             continue
         # the name keys the random numbers of predictions, which no two replicates share
         settings = Settings(seed=job.recipe.seed, inputs=Inputs(medium=job.medium, recipe=job.recipe))
-        return prepare(f"{job.name} {number}", job.record, settings, dataset), seed
+        return load_study(f"{job.name} {number}", job.record, settings, dataset), seed
     raise ModelError(
         f"of {MAX_TWIN_SEEDS} synthetic datasets none has a solution for every insertion",
         fix="select other insertions, or widen the bounds of the medium",

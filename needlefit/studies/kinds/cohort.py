@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from needlefit.datasets.folds import Fold, divide_insertions
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
@@ -49,9 +50,9 @@ from needlefit.schemas.run_metadata import CohortMetadata
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.fold_draws import find_fit
-from needlefit.studies.folds import group_insertions, prepare, print_notes
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
+from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.studies.report import StudyReport, answer_in_words
 from needlefit.studies.run import Frames, Run
@@ -216,11 +217,11 @@ def _fit_dataset(
     try:
         dataset = source()
         failed["origin"] = dataset.origin
-        job = prepare(f"{name} {file.parent}", asked, settings, dataset)
+        job = load_study(f"{name} {file.parent}", asked, settings, dataset)
         print_notes(job, settings)
     except NeedlefitError as error:
         return {**rows, "failures": [{**failed, "note": str(error)}]}
-    for specimen, insertions in group_insertions(job.folds[0].tune, record.groups).items():
+    for specimen, insertions in divide_insertions(job.folds[0].tune, record.groups).items():
         where = {"dataset": str(file.parent), "specimen": specimen, "origin": dataset.origin}
         try:
             fits, errors = _fit_specimen(job, specimen, insertions, settings)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
@@ -50,7 +51,7 @@ from needlefit.studies.identification import (
     list_held,
     reconcile_verdict,
 )
-from needlefit.studies.job import Fold, Job, Settings
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.progress import SEARCH_PHASES, StudyProgress
 from needlefit.studies.kinds.cross_validation.rows import (
     describe_error_fit,

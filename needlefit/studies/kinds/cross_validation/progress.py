@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from functools import partial
 
+from needlefit.datasets.folds import Fold
 from needlefit.project.progress import Progress
-from needlefit.studies.job import Fold, Job
+from needlefit.studies.job import Job
 
 SEARCH_PHASES = {
     "fitted": "search for the best fit",

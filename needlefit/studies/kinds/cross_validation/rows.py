@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from needlefit.datasets.folds import Fold
 from needlefit.inference.error_fit import ErrorMinimisingFit
 from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.directions import name_determined
@@ -17,7 +18,7 @@ from needlefit.inference.identifiability.identify import (
 from needlefit.inference.parameter_names import HYPERPARAMETERS, to_value
 from needlefit.inference.problem import Problem
 from needlefit.studies.identification import ParameterRow
-from needlefit.studies.job import Fold, Job
+from needlefit.studies.job import Job
 from needlefit.studies.score import Row
 
 #: Of the table "starts": every start of every search, then a column per parameter. `objective` is what was

@@ -20,11 +20,11 @@ from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
 from needlefit.studies.fit_warnings import add_warnings
-from needlefit.studies.folds import add_folds, print_notes
-from needlefit.studies.job import Job, Settings, load_study
+from needlefit.studies.job import Job, Settings
 from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServices, run_fold
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
+from needlefit.studies.load import load_study, print_notes
 from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
@@ -44,7 +44,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     Raises ConfigError or DataError if anything the record names is missing or wrong. FitError if a search
     finds no point that can be solved.
     """
-    job = add_folds(load_study(name, record, settings))
+    job = load_study(name, record, settings)
     print_notes(job, settings)
     work = describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)

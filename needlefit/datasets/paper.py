@@ -1,15 +1,13 @@
 """Read the published tables and parameter sets."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pandas as pd
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import Parameters
 from needlefit.project import locate
 from needlefit.project.input_files import convert_stored_errors
-from needlefit.reporting.table_files import Row, to_records
 
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
@@ -55,18 +53,6 @@ def read_hand_tuned(name: str) -> dict[str, float]:
     return {key: float(value) for key, value in found[0].items() if isinstance(value, int | float)}
 
 
-def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
-    """Return the paper's set, completed by what the medium fixes; ConfigError if its layers differ."""
-    published = {**parameters.fixed, **read_hand_tuned(name)}
-    missing = [p for p in parameters.names if p not in published]
-    if missing:
-        raise ConfigError(
-            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
-            fix="name a set of the same layers, or leave paper_parameters out",
-        )
-    return {p: published[p] for p in parameters.names}
-
-
 def read_hand_tuned_names() -> tuple[str, ...]:
     """Return the names of the rows of the parameter table."""
     return tuple(read_published_table("parameters")["set"])
@@ -82,7 +68,9 @@ def _find_file(name: str) -> Path:
         where: data/paper/{name}.csv""")
 
 
-def select_rows(name: TableName, **match: object) -> list[Row]:
+def select_rows(name: TableName, **match: object) -> list[dict[str, Any]]:
     """Return the rows of one published table whose cells equal `match`; errors as `read_published_table`."""
-    rows = to_records(read_published_table(name))
+    table = read_published_table(name).astype(object)
+    names, cells = list(map(str, table)), table.where(table.notna(), None).to_numpy().tolist()
+    rows = [dict(zip(names, row, strict=True)) for row in cells]
     return [row for row in rows if all(row[key] == value for key, value in match.items())]

@@ -1,0 +1,221 @@
+"""Load a study or fit: files, parameters, folds; refuse, before hours of work, what cannot be fitted."""
+
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from needlefit.datasets.folds import make_folds, warn_shared_specimens
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.paper import read_hand_tuned
+from needlefit.datasets.planes import describe_compared, find_left_planes, set_compared
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError, ModelError
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.likelihood.observations import OBSERVATIONS
+from needlefit.inference.likelihood.observations.curvature import require_curvature
+from needlefit.inference.parameter_changes import complete_published, load_changed_medium, search_freed
+from needlefit.inference.parameters import Parameters, with_hyperparameters, without_prior
+from needlefit.mechanics.plan import check_size, count_element_solves
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import add_file_context, add_key_context, find_named, load, locate_key
+from needlefit.project.unit_warnings import medium_warnings
+from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.job import Job, Settings, metric_recipe
+
+#: kinds of warnings that are also printed before the work, which takes long and is of no use then
+DATA_WARNINGS = ("units", "bevel_side", "axis_unit", "common_pose", "data_changed")
+_GUIDE_PARAMETER = "guide_distance_mm"
+
+
+class StudyInputs(NamedTuple):
+    """What a study names, as it was read; `medium_file` is None where the medium was given in memory."""
+
+    dataset: Dataset
+    medium: MediumRecord
+    medium_file: Path | None
+    recipe: RecipeRecord
+    published: dict[str, float] | None  #: parameters of the paper
+
+
+def read_inputs(
+    record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
+) -> StudyInputs:
+    """Read all files that a study names, but for what is given in memory."""
+    given = settings.inputs
+    dataset = dataset or given.dataset or read(find_named("dataset", record.dataset))
+    recipe = given.recipe or load(find_named("recipe", record.recipe), RecipeRecord)
+    if settings.seed is not None:
+        recipe = recipe.model_copy(update={"seed": settings.seed})
+    if recipe.minimize == "posterior" and not dataset.noise.stated:
+        recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
+    with add_key_context("paper_parameters"):
+        published = None if record.paper_parameters is None else read_hand_tuned(record.paper_parameters)
+    medium, medium_file = (given.medium, None) if given.medium else load_changed_medium(record)
+    return StudyInputs(dataset, medium, medium_file, recipe, published)
+
+
+def load_study(
+    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
+) -> Job:
+    """Load and check all that a study or fit names; `dataset`, if given, replaces its own.
+
+    Raises ConfigError or DataError if anything it names is missing or wrong, the folds cannot be made, or an
+    insertion cannot be fitted as the study states.
+    """
+    measured, medium, medium_file, recipe, published = read_inputs(record, settings, dataset)
+    with nullcontext() if medium_file is None else add_file_context(medium_file):
+        stated = search_freed(Parameters.from_record(medium), medium, record.free)
+    hand_tuned = None
+    if published is not None:
+        with add_key_context("paper_parameters"):
+            hand_tuned = complete_published(str(record.paper_parameters), published, stated, record.medium)
+    is_posterior = recipe.minimize == "posterior"
+    parameters = with_hyperparameters(stated, recipe.likelihood) if is_posterior else without_prior(stated)
+
+    folds = make_folds(record, measured)
+    chosen = [one for fold in folds for one in (*fold.tune, *fold.validate)]
+    with add_key_context("compared"):
+        dataset = set_compared(measured, chosen, record.compared, medium.torsional_friction_n)
+    folds = tuple(fold.of_dataset(dataset) for fold in folds)
+
+    file = settings.file
+    job = Job(
+        name, record, dataset, medium, parameters, recipe, hand_tuned, folds, measured, file, medium_file
+    )
+    _check_registration(job)
+    _check_layers(job)
+    if recipe.likelihood.measurement == "curvature":
+        for insertion in (each for fold in folds for each in fold.tune):
+            require_curvature(insertion)
+    check_reach(job)
+    _check_size(job)
+    return replace(job, warnings=tuple(_find_warnings(job)))
+
+
+def _find_warnings(job: Job) -> Iterator[ResultWarning]:
+    """Yield what is suspicious about data, medium and folds, though the study can be run."""
+    record, measured = job.record, job.measured
+    yield from measured.warnings
+    yield from medium_warnings(job.medium, job.medium_file or record.medium)
+    ids = {one.id for one in job.insertions}
+    chosen = [one for one in measured.insertions if one.id in ids]  # before turns were projected
+    yield from find_left_planes(measured, chosen, record.compared, job.place("compared"))
+    if isinstance(record, StudyRecord) and not record.same_specimen:
+        key = next(one for one in ("leave_out", "folds", "validate") if getattr(record, one, True))
+        yield from warn_shared_specimens(job.name, job.folds, job.place(key))
+
+
+def print_notes(job: Job, settings: Settings) -> None:
+    """Print what a user wants to know of the data before the work, which takes long."""
+    if job.record.compared is None and (note := describe_compared(job.dataset)):
+        settings.note(note)
+    for one in dict.fromkeys(job.warnings):
+        if one.kind in DATA_WARNINGS:
+            settings.note(f"warning: {one} ({one.help_command})")
+
+
+# ---- what is refused before the work
+
+
+MIN_SCORED_READINGS = 2  #: fewest readings of a predicted track that are scored
+
+
+def count_registered(track: Insertion, depth_mm: float) -> int:
+    """Return how many readings of a track, down to a depth, place it in the tracker's frame."""
+    return max(1, int(np.sum(track.points[:, 0] <= depth_mm)))
+
+
+def _check_registration(job: Job) -> None:
+    """Refuse tracks of which nothing is left to be predicted, or that nothing places in their frame."""
+    tracks = [one for fold in job.folds for one in fold.validate if OBSERVATIONS[one.observed].on_the_way]
+    if not tracks or not isinstance(job.record, StudyRecord):
+        return
+    if not job.dataset.noise.slope_sd:
+        raise ConfigError(
+            "by how much the slopes of runs differ in the tracker's frame is not stated",
+            where=locate_key(job.dataset.path, "noise.slope_sd_deg"),
+            expected="[noise] with slope_sd_deg above 0",
+        )
+    depth = job.record.registration_depth_mm
+    if depth is None:
+        raise ConfigError(
+            "tip tracks are predicted, and nothing places them in the tracker's frame",
+            key="registration_depth_mm",
+            expected="the depth up to which a run's own readings do, mm",
+        )
+    for fold in job.folds:
+        if other := {one.specimen for one in fold.validate} - {one.specimen for one in fold.tune}:
+            raise ConfigError(
+                f"runs into {', '.join(sorted(other))} would be predicted, and none is fitted to",
+                key="folds" if job.record.folds else "validate",
+                expected="runs into specimens that are fitted",
+            )
+    for track in tracks:
+        if count_registered(track, depth) > len(track.points) - MIN_SCORED_READINGS:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be predicted: its readings end at "
+                f"{track.depth:g} mm, and those down to {depth:g} mm place it",
+                key="registration_depth_mm",
+                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
+                fix="lower registration_depth_mm, or leave the run out",
+            )
+
+
+def _check_layers(job: Job) -> None:
+    """Refuse a medium with fewer layers than an insertion meets."""
+    count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
+    for insertion in job.insertions:
+        if max(insertion.sequence) > job.medium.layers:
+            raise ConfigError(
+                f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
+                f"layer {max(insertion.sequence)}",
+                fix="name the medium that the needle went into, or select other insertions",
+                key="medium",
+            )
+
+
+def check_reach(job: Job) -> None:
+    """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
+    for insertion in job.insertions:
+        stated = job.parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
+        _, guide = job.parameters.bounds.get(_GUIDE_PARAMETER, (0.0, stated))
+        length = insertion.needle.length
+        if insertion.depth + guide >= length:
+            raise ConfigError(
+                f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
+                f"the tissue the needle of {length:g} mm is too short",
+                where=job.place_in_medium(f"parameters.{_GUIDE_PARAMETER}"),
+                expected=f"below {length - insertion.depth:g} mm",
+                fix="lessen the guide's distance or its upper bound",
+            )
+
+
+def _check_size(job: Job) -> None:
+    """Refuse, before hours of work, insertions of which a single evaluation would take a minute."""
+    rules, total = mesh(job.medium), 0.0
+    for insertion in job.insertions:
+        try:
+            check_size((insertion.depth,), rules)
+        except ModelError as error:
+            raise ConfigError(
+                f"insertion {insertion.id}: {error.what}",
+                where=job.place_in_medium("constraint_spacing_mm"),
+                expected=error.expected,
+                fix=error.fix,
+            ) from None
+        conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
+        total += conditions * count_element_solves((insertion.depth,), rules.spacing, rules.element)
+    if total > MAX_EVALUATION_ELEMENT_SOLVES:
+        raise ConfigError(
+            f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
+            where=job.place_in_medium("constraint_spacing_mm"),
+            expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
+            fix="select fewer insertions, or take a larger constraint spacing",
+        )
