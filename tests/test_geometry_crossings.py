@@ -2,6 +2,7 @@
 
 import pickle
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from refusals import refused_file
 
-from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.crossings import find_crossings, measure_enclosed_length
 from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import find_mesh_faults, make_cylinder, make_sheet, read_surface
 
@@ -176,3 +177,22 @@ def test_files_without_a_mesh_are_refused(tmp_path, name, content, numbers):
     assert "x:0" not in str(error) and "Error" not in error.what
     assert name != "words.stl" or all(form in error.expected for form in ("STL", "PLY", "OBJ"))
     assert all(number in error.what for number in numbers)
+
+
+@pytest.mark.parametrize(("slit_deg", "length"), [(0, 30), (25, 30), (70, 0)])
+def test_a_tunnel_with_a_narrow_slit_encloses_a_curve_and_a_wide_one_does_not(slit_deg, length):
+    """Of twelve directions around the curve a slit of 25 degrees lets one through at most, of 70 two."""
+    angles = np.radians(np.linspace(slit_deg, 360, 73))
+    ring = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    low, high = (np.column_stack([np.full(len(ring), x), ring]) for x in (-5.0, 35.0))
+    rows = np.arange(len(ring) - 1)
+    faces = np.concatenate(
+        [
+            np.column_stack([rows, rows + 1, rows + 1 + len(ring)]),
+            np.column_stack([rows, rows + 1 + len(ring), rows + len(ring)]),
+        ]
+    )
+    tunnel = replace(
+        make_sheet("t", [0, 0, 0], [1, 0, 0], 1.0, 2), mesh=trimesh.Trimesh([*low, *high], faces)
+    )
+    assert measure_enclosed_length(line([0, 0, 0], [30, 0, 0]), tunnel, 2.5) == pytest.approx(length)
