@@ -26,6 +26,7 @@ from needlefit.metrics import Metric
 from needlefit.plugins import PLUGINS_VARIABLE, use_plugins
 from needlefit.registry import Registry
 from needlefit.schemas.recipe import WeightsRecord
+from needlefit.studies.provenance import plugin_versions_of
 
 
 @pytest.fixture
@@ -237,6 +238,7 @@ def test_an_observation_has_a_number_of_its_own(
     assert [one.observed_values for one in data.insertions] == [{"tilt_rad": 0.05, "tilt_sd_rad": 1e-4}] * 2
     skip_figures(monkeypatch)
     predict_by_few_draws(monkeypatch)
+    assert plugin_versions_of(medium(1), data) == {"tilt": VERSION}
     tilts = {}
     for observed in ("tilt", "points"):
         write_tilts(tilted, observed)

@@ -12,6 +12,7 @@ from needlefit.datasets.sections import describe_measurement
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import identify_other_library
 from needlefit.metrics import METRICS
@@ -114,7 +115,9 @@ def package_versions(packages: Sequence[str]) -> dict[str, str]:
 def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
     """Return the versions of the plugins that a result with these depends on, if any."""
     added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
-    return plugin_versions((LAWS, medium.law), (FORMATS, dataset.centerline_format), *added)
+    observed = {(OBSERVATIONS, one.observed) for one in dataset.insertions}
+    formats = (FORMATS, dataset.centerline_format)
+    return plugin_versions((LAWS, medium.law), formats, *observed, *added)
 
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
