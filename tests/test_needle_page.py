@@ -118,7 +118,7 @@ def test_predictions_and_reports_of_runs_have_their_needles(world, result, chrom
     names = [one["name"] for one in several.needles]
     assert len(set(names)) == len(names) == len(collect_explorer(result).needles) + 1
     page = tmp_path / "report.html"
-    page.write_bytes(compile_html(compose_overview([result], [], {})))
+    page.write_bytes(compile_html(compose_overview([result], [])))
     assert len(read_page_data(page.read_text("utf-8"))["needles"]) == len(names) - 1
     page.write_bytes(compile_html(compose_run_report(predicted, {})))
     with open_offline(chromium, page) as window:

@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting.figures import style
-from needlefit.studies.fit_figures import draw_groups, draw_predictive_check
+from needlefit.studies.fit_figures import draw_predictive_check
 from needlefit.studies.kinds.cross_validation import report
 
 WHAT = {
-    "groups": ("x", slice(None)),
     "predicted": ("xy", slice(None)),
     "insertions": ("x", slice(None)),
     "overlays": ("xy", slice(None)),
@@ -63,9 +62,8 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 )
 def test_drawn_values_are_those_of_the_table(results, painted, tmp_path):
     report.REPORT.draw(results, tmp_path)
-    draw_groups([results, results]).save(tmp_path / "groups.pdf")
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
-    assert pictures == set(painted) and {"groups", "overlays"} <= pictures
+    assert pictures == set(painted) and "overlays" in pictures
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}

@@ -1,6 +1,6 @@
 """Report several studies in one folder; the folder is complete, or it is not created."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from needlefit.project.folders import replace_folder
@@ -12,8 +12,7 @@ from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.text import KindText
 from needlefit.studies import fit_tables
 from needlefit.studies.explorer import collect_explorers
-from needlefit.studies.fit_figures import draw_groups
-from needlefit.studies.report import compose_warnings, label_figures, state_blocks, write_report
+from needlefit.studies.report import compose_warnings, state_blocks, write_report
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import tabulate_tuning, tabulate_validation
 
@@ -21,7 +20,7 @@ TEXT = KindText("combined")
 
 
 def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
-    """Write the errors, the figure and the report of several studies together; return the files.
+    """Write the errors and the report of several studies together; return the files.
 
     The fits fill the table of in-sample errors; without any, each study's own fit does. Everything else, and
     studies of other kinds, stands in the folder of its run.
@@ -44,18 +43,14 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         for table in layouts:
             if table.rows:
                 (new / f"{table.name}.tex").write_text(format_latex(table, synthetic), encoding="utf-8")
-        drawn = {"groups": draw_groups(studies).save(new / "groups.pdf")} if len(frames["validation"]) else {}
-        write_report(compose_overview(runs, layouts, drawn), new)
-        label_figures(drawn, synthetic)
+        write_report(compose_overview(runs, layouts), new)
         write_json(new / "run.json", {run.name: run.run_json for run in runs})
         write_json(new / "timing.json", {run.name: run.timing for run in runs})
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def compose_overview(
-    runs: Sequence[Run], tables: Sequence[TableLayout], figures: Mapping[str, Path]
-) -> Document:
-    """Return one report over all studies: the table of verdicts, one figure, the verdicts; then the rest."""
+def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Document:
+    """Return one report over all studies: the table of verdicts, the verdicts; then the rest."""
     studies = [run for run in runs if run.kind == "cross_validation"]
     warned = [
         block
@@ -74,7 +69,7 @@ def compose_overview(
         "warnings": [document.heading("Warnings"), *warned] if warned else [],
     }
     questions = [f"{run.title}: {run.question}".rstrip(": ") for run in studies]
-    body = TEXT.compose("report", {"questions": questions}, tables, figures, blocks)
+    body = TEXT.compose("report", {"questions": questions}, tables, {}, blocks)
     states = [block for run in studies for block in state_blocks(run)]
     states = [block for n, block in enumerate(states) if block not in states[:n]]
     data = "; ".join(dict.fromkeys(run.name if run.synthetic else run.dataset_title for run in studies))

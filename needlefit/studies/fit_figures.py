@@ -1,6 +1,6 @@
 """The figures of fits and cross-validations as frames: insertions, errors, predictive check, draws."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import pandas as pd
@@ -133,34 +133,6 @@ def draw_overlays(run: Run, role: str, *, from_above: bool = False) -> Drawing:
     options: dict[str, object] = {"heads": titles, "names": names}
     options |= {"height": "deflection out\nof the plane (mm)"} if from_above else {}
     return Drawing(forms.insertions, curves, options)
-
-
-# ---- errors on held-out groups
-
-
-def draw_groups(runs: Sequence[Run]) -> Drawing:
-    """Return the tip errors on held-out insertions by group, of several studies."""
-    rows = [row for run in runs for row in _list_group_errors(run)]
-    columns = ("group", "mark", "insertion", scores.TE, "origin")
-    return Drawing(forms.errors_by_group, pd.DataFrame(rows, columns=columns))
-
-
-def _list_group_errors(run: Run) -> Iterator[Row]:
-    """Yield every tip error of a group, the mean of the compared curve and of the paper, and the noise."""
-    frames = FitFrames.of(run)
-    errors = frames.select_errors("validate", method=frames.method)
-    for group in scores.list_held_out_groups(run):
-        head, study = group.head, group.head.study
-        assert head.medium is not None and head.layers is not None
-        layers = labels.group_name(head.medium, head.layers)
-        name = f"study {study}" if isinstance(study, int) else study  # of the paper's five the number
-        about = {"group": f"{name}, {layers}", "origin": run.origin}
-        for tip in to_records(scores.select_group(errors, group)[["insertion", scores.TE]]):
-            yield {**about, "mark": "tip", "insertion": tip["insertion"], scores.TE: tip[scores.TE]}
-        judged = judge(run, group)
-        means = {"curve": judged and judged.curve_mm}
-        means |= {"paper": group.get(scores.TE, "paper"), "noise": group.get(scores.TE, "floor")}
-        yield from ({**about, "mark": mark, scores.TE: mean} for mark, mean in means.items() if mean)
 
 
 # ---- predictive check

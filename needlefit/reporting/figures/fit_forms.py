@@ -29,7 +29,6 @@ from needlefit.reporting.figures.style import (
     choose_vertical_scale,
     choose_width,
     describe_scale,
-    draw_grid,
     set_margins,
 )
 from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR, method_colour
@@ -194,41 +193,6 @@ def _find_limits(points: pd.DataFrame, near: "pd.Series[bool]") -> tuple[float, 
     low, high = float(np.nanmin(own)), float(np.nanmax(own))
     far, room = 0.5 * (high - low), 0.06 * max(high - low, 0.2)
     return max(low - far, float(np.nanmin(every))) - room, min(high + far, float(np.nanmax(every))) + room
-
-
-# ---- errors by group
-
-
-def errors_by_group(marks: pd.DataFrame) -> Figure:
-    """Draw a line for each group: single tip errors, the means of the compared curve and of the paper, noise.
-
-    `marks` has a row per `group` and `mark` ("tip", "curve", "paper", "noise"), with its `te_mm`.
-    """
-    groups = list(dict.fromkeys(marks["group"]))
-    figure = Figure(figsize=(choose_width(), 0.7 + 0.22 * len(groups)))
-    axes = figure.add_subplot()
-    looks: dict[str, tuple[str, dict[str, Any]]] = {
-        "noise": ("measurement noise", {"color": lighten(GREY, 0.6), "lw": 6, "solid_capstyle": "butt"}),
-        "curve": ("compared curve, mean", {"color": GREY, "marker": "|", "ms": 9, "mew": 1.4, "lw": 0}),
-        "paper": (
-            "paper, own needles",
-            {"mec": PAPER_COLOUR, "marker": "D", "ms": 3.6, "mfc": "white", "lw": 0},
-        ),
-        "tip": ("our predictions", {"mfc": _OURS, "marker": "o", "ms": 3.4, "mec": "white", "lw": 0}),
-    }
-    for order, (mark, (_, look)) in enumerate(looks.items()):
-        for row in to_records(select_rows(marks, mark=mark)):
-            ends = [0, row["te_mm"]] if mark == "noise" else [row["te_mm"]]
-            axes.plot(ends, [groups.index(row["group"])] * len(ends), zorder=2 + order, **look)
-    axes.set_yticks(range(len(groups)), groups)
-    axes.tick_params(axis="y", length=0)
-    axes.set(ylim=(len(groups) - 0.5, -0.5), xlabel="tip error (mm)")
-    axes.set_xlim(left=0)
-    draw_grid(axes, "x")
-    shown = [_line(label, **look) for mark, (label, look) in looks.items() if mark in set(marks["mark"])]
-    beside = LETTER_WIDTH_IN * max(map(len, groups)) + 2 * GAP_IN
-    set_margins(figure, beside, add_legend(figure, shown, 4))
-    return figure
 
 
 # ---- predictive check
