@@ -159,7 +159,7 @@ def test_scored_simulations_are_counted_and_named():
     scored = list[Row]()
     for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
         place = {"fold": "all", "role": "tune", "method": method}
-        scored += scorer.score(place, one, model_predictor(values, medium(), data)).validity
+        scored += scorer.score(place, one, model_predictor(values, medium())).validity
     assert predict(STEEP, medium(), one).converged
     validity = tabulate_validity([ValidityCounts(scored=tuple(scored))])
     table = validity.model_dump(mode="json")
@@ -207,7 +207,7 @@ def planned() -> Insertion:
 
 
 def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_measured(planned) -> None:
-    curves = model_predictor(WRONG, medium(), dataset([planned]))(oblique(planned))
+    curves = model_predictor(WRONG, medium())(oblique(planned))
     s = np.linspace(0, 41, 42)
     crossing = own_crossing(planned)
     assert 14 < crossing < 15

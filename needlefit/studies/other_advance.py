@@ -40,7 +40,7 @@ def find_better_advance(job: Job, errors: Sequence[Row], settings: Settings) -> 
     fit = minimize(problem, recipe, rng, Callbacks(stop=settings.stop, jobs=settings.jobs))
     if not math.isfinite(fit.objective):
         return None
-    curves, scorer = model_predictor(fit.values, medium, job.dataset), make_scorer(job)
+    curves, scorer = model_predictor(fit.values, medium), make_scorer(job)
     error = np.mean([row["te_mm"] for one in fold.tune for row in scorer.score(place, one, curves).errors])
     if not error < missed:
         return None

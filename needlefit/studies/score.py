@@ -42,7 +42,7 @@ SHAPE_COLUMNS = (
 Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
 
 
-def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Predictor:
+def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predictor:
     """Return the method that simulates with given parameter values.
 
     Where the layers are surfaces it is scored twice: with the measured crossings, as the paper does,
@@ -66,7 +66,7 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
 
 
 def needle_predictor(
-    find_values: Callable[[Insertion], Mapping[str, float]], medium: MediumRecord, dataset: Dataset
+    find_values: Callable[[Insertion], Mapping[str, float]], medium: MediumRecord
 ) -> Predictor:
     """Return our prediction: the needle with the values of an insertion, through the layers it meets itself.
 
@@ -74,7 +74,7 @@ def needle_predictor(
     """
 
     def curves(insertion: Insertion) -> dict[str, Curve | None]:
-        found = model_predictor(find_values(insertion), medium, dataset)(insertion)
+        found = model_predictor(find_values(insertion), medium)(insertion)
         return {"measured": found.get("planned", found["measured"])}
 
     return curves
@@ -89,14 +89,10 @@ def make_predictors(
     problem: Problem, fits: Mapping[str, Fit], hand_tuned: Mapping[str, float] | None
 ) -> dict[str, Predictor]:
     """Return the fits, the paper's set, that set with b re-fitted, and the baseline curves."""
-    dataset, values = problem.dataset, {name: fit.values for name, fit in fits.items()}
+    values = {name: fit.values for name, fit in fits.items()}
     if hand_tuned is not None:
         values["hand_tuned"] = hand_tuned
-    models = {
-        name: model_predictor(values[name], problem.medium, dataset)
-        for name in MODEL_METHODS
-        if name in values
-    }
+    models = {name: model_predictor(values[name], problem.medium) for name in MODEL_METHODS if name in values}
     return {**models, **_fit_curves(problem)}
 
 

@@ -470,6 +470,6 @@ def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | Non
         mode = None if drawn is None else drawn.specimens.mode_in(insertion)
         return fit.values if mode is None else problem.values(mode)
 
-    ours = needle_predictor(find_values, problem.medium, problem.dataset)
+    ours = needle_predictor(find_values, problem.medium)
     place = {"fold": fold.name, "role": "validate", "method": PREDICTION_METHOD}
     yield from (scorer.score(place, one, ours) for one in held)
