@@ -172,18 +172,17 @@ def compare_with_references(
     method: str,
     noise_mm: float | None,
     margin_mm: float | None = None,
-    metric: str = TE,
 ) -> Comparison:
     """Compare tip errors with those of the references on the same needles; nothing is tested.
 
     The references were fixed before any needle was predicted, so neither is the best of many by chance. The
     model is worse only where it errs by more than twice the noise, too: noise explains less than that.
 
-    `errors` as in `judge_fits`. `noise_mm`: the noise floor of the metric; it is the margin, too, unless a
+    `errors` as in `judge_fits`. `noise_mm`: the noise floor of tip errors; it is the margin, too, unless a
     margin is stated, but a difference that noise alone may make is always within it (`NOISE_GUARD`).
     """
     finite = errors.replace([np.inf, -np.inf], np.nan)
-    table = finite.pivot(index=["fold", "specimen", "hole", "insertion"], columns="method", values=metric)
+    table = finite.pivot(index=["fold", "specimen", "hole", "insertion"], columns="method", values=TE)
     references = [name for name in REFERENCES if name in table]
     table = table[[method, *references]].dropna()
     if not references or table.empty:
@@ -223,7 +222,7 @@ def compare_with_references(
     )
 
 
-def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD, metric: str = TE) -> Outcome:
+def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD) -> Outcome:
     """Return whether several fits generalise: whether both their scores are better than every curve's.
 
     They generalise if tip errors and CRPS are significantly smaller than those of every curve. They do not if
@@ -231,17 +230,17 @@ def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD, metric: st
     have Holm's correction.
 
     `errors`: rows of the table "errors" of held-out insertions, with `fold`, `specimen`, `hole`, `insertion`,
-    `method` and the `metric` (mm): those of `method`, and of the curves by their names. `tip_crps_mm` is
-    the CRPS (mm) of `method`, and of curves if it is not their metric; without this column a point was
-    predicted, and the metric decides.
+    `method` and the tip error: those of `method`, and of the curves by their names. `tip_crps_mm` is the CRPS
+    (mm) of `method`, and of curves if it is not their tip error; without this column a point was predicted,
+    and tip errors decide.
     """
-    found = compare_with_curves(errors, method, metric)
+    found = compare_with_curves(errors, method)
     if (found["p_larger"] * len(found) <= SIGNIFICANCE).any():
         return "does not generalise"
     return "generalises" if len(found) and (found["p_smaller"] <= SIGNIFICANCE).all() else "not shown"
 
 
-def compare_with_curves(errors: pd.DataFrame, method: str, metric: str = TE) -> pd.DataFrame:
+def compare_with_curves(errors: pd.DataFrame, method: str) -> pd.DataFrame:
     """Compare the scores of a method with those of each curve on the same insertions.
 
     `errors` as in `judge_fits`. A trial is the mean over insertions that share a fit, a specimen or a hole.
@@ -253,12 +252,12 @@ def compare_with_curves(errors: pd.DataFrame, method: str, metric: str = TE) -> 
         (the method's score less the curve's) and the p values of its being smaller and larger than 0 by
         Student's t: `p_smaller`, `p_larger`.
     """
-    scores = [metric, CRPS] if CRPS in errors else [metric]
+    scores = [TE, CRPS] if CRPS in errors else [TE]
     table = errors.replace([np.inf, -np.inf], np.nan).pivot(
         index=["fold", "specimen", "hole", "insertion"], columns="method", values=scores
     )
-    curves = [name for name in BASELINES.names() if (metric, name) in table]
-    gaps = {score: -table[score][curves].fillna(table[metric][curves]) for score in scores}
+    curves = [name for name in BASELINES.names() if (TE, name) in table]
+    gaps = {score: -table[score][curves].fillna(table[TE][curves]) for score in scores}
     found = pd.concat({score: gaps[score].add(table[score][method], axis=0) for score in scores}, axis=1)
     trials = found.groupby(join_trials(table.index.to_frame(index=False))).mean()
     count, mean = trials.count(), trials.mean()
