@@ -42,9 +42,9 @@ from needlefit.datasets.tip_tracks import parse_tracks
 from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
 from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
+from needlefit.project import toml
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml import check as check_tables
 from needlefit.project.toml import locate_key
 from needlefit.project.unit_warnings import format_place
 from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord, TrackDatasetRecord
@@ -91,9 +91,9 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     try:
         tables = read_toml(file)
         if of_tracks := "tip_tracks" in tables:
-            record = check_tables(tables, TrackDatasetRecord, file)
+            record = toml.check(tables, TrackDatasetRecord, file)
         else:
-            record = check_tables(tables, DatasetRecord, file)
+            record = toml.check(tables, DatasetRecord, file)
         reading = _Reading(file, record, root or find_folder(record, file))
     except (ConfigError, DataError) as error:
         return Inspection(None, (error,))
