@@ -93,7 +93,7 @@ AREAS = {
     ),
     "coverage": Area(
         ("studies/coverage.py", "studies/prediction_scores.py", "studies/scored_groups.py"),
-        ("validation_heldout", "judge", "reporting_tables"),
+        ("validation_heldout", "inference_space", "judge", "reporting_tables"),
     ),
     "planes": Area(
         ("datasets/planes.py", "datasets/comparison.py"),
@@ -105,7 +105,7 @@ AREAS = {
     ),
     "lengths": Area(
         ("geometry/measured_curve.py", "geometry/penalized_spline.py", "datasets/curve_lengths.py"),
-        ("measured_curve", "dataset_warnings", "datasets"),
+        ("measured_curve", "dataset_warnings", "datasets", "outliers"),
     ),
     "surfaces": Area(
         ("geometry/crossings.py", "geometry/surfaces.py"),

@@ -174,6 +174,12 @@ def test_the_data_decide_where_needles_are_compared():
     noise = replace(data.noise, registration_mean=0.0, correlated_sd=0.0, point_sd=0.01)
     assert bent.points[-1, 2] > 0.005 * bent.depth
     assert not leaves_plane(bent, noise) and leaves_plane(replace(bent, roll_sd=math.radians(1.0)), noise)
+    # a tip alone that is out of the plane leaves it
+    aside = points.copy()
+    aside[:, 2] = 0.0
+    assert not leaves_plane(bent.with_points(aside), noise)
+    aside[-1, 2] = 2.0
+    assert leaves_plane(bent.with_points(aside), noise)
     # so do curvatures: 1e-4/mm toward z are explained by the roll, 1e-3/mm are not
     for kappa_z, leaves in ((1e-4, False), (1e-3, True)):
         sensors = np.array([[10.0, 2e-3, kappa_z, 2e-5], [30.0, 2e-3, kappa_z, 2e-5]])

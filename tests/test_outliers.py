@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import scipy
 from scipy.spatial.transform import Rotation
+from inference_cases import insertion
 from test_datasets import record, row
 
 from needlefit.datasets.comparison import Deviation, expect
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.needles import describe_rigidity
-from needlefit.datasets.outlying_needles import _join_evidence, compare_bends, compare_scatters
-from needlefit.datasets.points import find_rounding
+from needlefit.datasets.outlying_needles import _join_evidence, compare_bends, compare_scatters, find_ends
+from needlefit.datasets.points import Points, find_rounding
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.neighbours import find_steps, leave_last_out, leave_one_out
@@ -69,24 +72,25 @@ def test_sound_needles_give_no_warning(tmp_path, seed):
 
 
 @pytest.mark.parametrize(
-    ("index", "change", "words"),
+    ("index", "change", "words", "off_mm"),
     [
-        (4, move(0, 2, 0), ": y is"),
-        (5, move(0, 0, -2), ": z is"),
-        (-3, lambda point: point * [1, 0, 1], "empty cell"),
-        (-1, move(0, 1, 0), "the tip"),
-        (0, move(0, 0, 1), "the first point"),
-        (6, move(2, 0, 0), ": x is"),
-        (-3, move(-2, 0, 0), ": x is"),
+        (4, move(0, 2, 0), ": y is", 2.0),
+        (5, move(0, 0, -2), ": z is", 2.0),
+        (-3, lambda point: point * [1, 0, 1], "empty cell", 4.0),
+        (-1, move(0, 1, 0), "the tip", 1.0),
+        (0, move(0, 0, 1), "the first point", 1.0),
+        (6, move(2, 0, 0), ": x is", 2.0),
+        (-3, move(-2, 0, 0), ": x is", 2.0),
     ],
 )
-def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, change, words):
+def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, change, words, off_mm):
     curves = measure_needles(1)
     curves["n6"][index] = change(curves["n6"][index])
     (one,) = find_warnings(tmp_path, curves)
     line = 2 + index % len(curves["n6"])
     assert (one.kind, one.where) == ("point_outlier", f"{tmp_path}/centerlines/n6.csv:{line}")
     assert "n6" in one.what and words in one.what
+    assert float(re.search(r"([\d.]+) mm off", one.what)[1]) == pytest.approx(off_mm, abs=0.3)
 
 
 @pytest.mark.parametrize(
@@ -190,6 +194,16 @@ def test_what_others_lead_to_expect_is_their_mean_with_its_error():
     assert (found.value, found.sure) == (2.5, 11)
     assert found.variance == pytest.approx(25 / 44 + (1 / 4 + 25 / 44) / 4)
     assert found.natural_variance == pytest.approx(5 / 4 * 25 / 44)
+
+
+@pytest.mark.parametrize(("count", "free"), [(5, 2), (6, 2), (7, 2), (12, 7)])
+def test_the_curve_of_a_needle_leaves_degrees_of_freedom(count, free):
+    x = np.linspace(0.0, 40.0, count)
+    points = np.column_stack([x, 2e-3 * x**2, np.zeros(count)])
+    one = insertion(40.0).with_points(points)
+    listed = ListedInsertion(one, None, "", Points(Path(), one.frame.to_world(points)))
+    found = find_ends(listed, Noise(point_sd=0.05))
+    assert found.free == free and found.bend == pytest.approx(one.side * points[-1, 1])
 
 
 def make_ends(bend, scatter, across=0.0):

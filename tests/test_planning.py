@@ -19,7 +19,14 @@ from needlefit.mechanics.control import Bevel, Step
 from needlefit.mechanics.scene import Scene, begin_session
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
-from needlefit.planning.goals import Goal, compute_clearances, cut_plane, find_hits, read_goal_points
+from needlefit.planning.goals import (
+    Goal,
+    compute_clearances,
+    cut_plane,
+    find_hits,
+    minimize_miss,
+    read_goal_points,
+)
 from needlefit.planning.recording import Recording, read_recording, replay
 from needlefit.planning.steering import PlanLimits, StartedInsertion, SteeringPlan, plan_steering
 from needlefit.schemas.planning import ObstacleRecord
@@ -303,3 +310,15 @@ def test_a_plan_in_space_is_written_as_a_recording(tmp_path, capsys) -> None:
     assert last.tip_offset_mm == 0
     tip = compute_positions(last.state.shape, np.array([last.state.shape.depth]))[0]
     assert np.linalg.norm(tip - found["target_mm"]) == pytest.approx(found["nominal_miss_mm"], abs=1e-6)
+
+
+def test_the_least_miss_of_linear_residuals_is_that_of_least_squares():
+    matrix, goal = np.array([[1.5, 0.2], [0.3, 0.7], [0.1, -0.4]]), np.array([1.0, -2.0, 0.5])
+    best, (square,), *_ = np.linalg.lstsq(matrix, goal, rcond=None)
+    found, miss = minimize_miss(
+        lambda choices: [matrix @ one - goal for one in choices],
+        np.zeros(2),
+        (np.full(2, -9.0), np.full(2, 9.0)),
+        np.full(2, 0.01),
+    )
+    assert found == pytest.approx(best, abs=1e-6) and miss == pytest.approx(math.sqrt(square))
