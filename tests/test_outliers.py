@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy
-from scipy.spatial.transform import Rotation
 from inference_cases import insertion
+from scipy.spatial.transform import Rotation
 from test_datasets import record, row
 
 from needlefit.datasets.comparison import Deviation, expect
