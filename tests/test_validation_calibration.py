@@ -124,6 +124,13 @@ def test_a_wrong_posterior_is_noticed(wrong, count, monkeypatch):
     assert failures(run(small_job(), count))
 
 
+def test_the_rank_is_the_number_of_smaller_draws():
+    draws = np.array([[1.0, 7.0], [2.0, 7.0], [3.0, 7.0]])
+    assert rank_truth(np.array([2.5, 6.0]), draws, np.random.default_rng(0)).tolist() == [2, 0]
+    ties = [rank_truth(np.array([2.5, 7.0]), draws, np.random.default_rng(n))[1] for n in range(40)]
+    assert {*ties} == {0, 1, 2, 3}
+
+
 def test_exact_posteriors_pass_and_narrow_ones_fail():
     """A Gaussian toy: data with sd 1 about a truth with sd 1, the posterior known exactly."""
     rng = np.random.default_rng(3)
