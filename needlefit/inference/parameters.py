@@ -29,7 +29,7 @@ from needlefit.inference.parameter_names import (
 )
 from needlefit.inference.prior import Prior, SoftTie, add_ties, alpha_of, make_prior
 from needlefit.mechanics.laws import LAWS, ShapeParameter
-from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.tissue import MAX_MU_MPA, Tissue
 from needlefit.project.toml import add_key_context
 from needlefit.schemas.medium import MediumRecord, ParameterRecord, PriorRecord
 from needlefit.schemas.recipe import LikelihoodRecord
@@ -42,6 +42,8 @@ Status = Literal["free", "prior", "fixed", "tied"]
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
 MATERIAL_SPREAD = 1.2
+#: greatest modulus of a tied layer, Pa: a stiffer one is not simulated; less by what rounds in its logarithm
+MAX_TIED_MU_PA = MAX_MU_MPA * 1e6 * (1 - 1e-9)
 MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
@@ -390,7 +392,10 @@ def _find_tied_bounds(
 ) -> tuple[float, float]:
     low, high = bounds.get(tie.source) or (fixed[tie.source], fixed[tie.source])
     reach = tie.spread**MAX_TIE_SDS
-    return tie.factor * low / reach, tie.factor * high * reach
+    high *= tie.factor * reach
+    if dimension(tie.name) == "modulus":
+        high = min(high, MAX_TIED_MU_PA)
+    return tie.factor * low / reach, high
 
 
 def make_tissue(
