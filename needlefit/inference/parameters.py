@@ -42,8 +42,7 @@ Status = Literal["free", "prior", "fixed", "tied"]
 #: factor, one standard deviation, by which moduli tied as one material differ where the tie states none; the
 #: layers of the synthetic dataset had no part in it: casts of one recipe differ by 10 to 20 % in stiffness
 MATERIAL_SPREAD = 1.2
-#: greatest modulus of a tied layer, Pa: a stiffer one is not simulated; less by what rounds in its logarithm
-MAX_TIED_MU_PA = MAX_MU_MPA * 1e6 * (1 - 1e-9)
+MAX_TISSUE_MU_PA = MAX_MU_MPA * 1e6  #: greatest modulus that is simulated, Pa
 MAX_TIE_SDS = 6.0  #: standard deviations of a tie beyond which a tied parameter is not searched
 
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
@@ -394,7 +393,7 @@ def _find_tied_bounds(
     reach = tie.spread**MAX_TIE_SDS
     high *= tie.factor * reach
     if dimension(tie.name) == "modulus":
-        high = min(high, MAX_TIED_MU_PA)
+        high = min(high, MAX_TISSUE_MU_PA)
     return tie.factor * low / reach, high
 
 
@@ -495,6 +494,12 @@ def check_values(name: str, parameter: ParameterRecord, law: str) -> None:
         fault = (
             f"{name} may be {high:g}, and no needle is simulated with {CUT_ANGLE_LIMIT_DEG:g} or more",
             f"below {CUT_ANGLE_LIMIT_DEG:g} degrees",
+            "lower the upper bound, or the fixed value",
+        )
+    elif dimension(name) == "modulus" and high > MAX_TISSUE_MU_PA:
+        fault = (
+            f"{name} may be {high:g}, and no tissue is simulated with more than {MAX_TISSUE_MU_PA:g} Pa",
+            f"at most {MAX_TISSUE_MU_PA:g} Pa",
             "lower the upper bound, or the fixed value",
         )
     if fault:

@@ -79,7 +79,8 @@ class Tissue:
             )
         max_mu = MAX_MU_MPA if is_checked else LIKELY_MU_MPA
         words = f"above 0, at most {max_mu:g} MPa; 2e5 Pa are 0.2 MPa"
-        _require("mu", " MPa", self.mu, lambda value: 0 < value <= max_mu, words)
+        # the greatest one too, of which a fit has the rounded logarithm
+        _require("mu", " MPa", self.mu, lambda value: 0 < value <= max_mu * (1 + 1e-9), words)
         _require("thickness", " mm", self.thickness, lambda value: value > 0, "above 0")
         _require("friction", "", self.friction, lambda value: value >= 0, "0 or above")
 
