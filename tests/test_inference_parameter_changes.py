@@ -47,6 +47,13 @@ def test_a_modulus_gets_the_bounds_of_its_tie_or_of_the_others():
     assert changed(alone, "mu1_pa").bounds["mu1_pa"] == MODULUS_BOUNDS_PA
 
 
+def test_a_parameter_that_is_free_by_its_prior_keeps_no_other_from_being_freed():
+    record = medium(mu2_pa={"tie": "10 * mu1_pa"})
+    table = {name: one for name, one in record.parameters.items() if not name.startswith("alpha")}
+    found = changed(record.model_copy(update={"parameters": table}), "alpha1", "mu2_pa")
+    assert found.bounds["mu2_pa"] == (1e4, 1e10)
+
+
 def test_what_is_fixed_takes_exact_ties_with_it():
     record = medium(4, mu2_pa={"tie": "10 * mu1_pa"}, mu3_pa={"tie": "mu1_pa", "spread": 1.2})
     found = changed(record, mu1_pa=2e5, alpha1=3.0)

@@ -11,6 +11,7 @@ from reporting_results import stereo, study, with_predictions
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.reporting.labels import method_name
 from needlefit.studies.answer import Check, Verdict, worst_status
+from needlefit.studies.coverage import tabulate_coverage
 from needlefit.studies.fit_tables import lay_out_matrix, lay_out_summary
 from needlefit.studies.judge import (
     REFERENCES,
@@ -26,7 +27,7 @@ from needlefit.studies.judge import (
     list_checks,
 )
 from needlefit.studies.run import Run
-from needlefit.studies.scored_groups import pool_insertions
+from needlefit.studies.scored_groups import orient_pits, pool_insertions
 
 
 def needles(**te_mm: list[float]) -> pd.DataFrame:
@@ -378,3 +379,25 @@ def test_tips_without_an_interval_are_counted():
     for run, missing in ((results, 0), (kept, 2)):
         found = {one.check: one for one in list_checks(run)}
         assert found[Check.INTERVALS].missing == found[Check.COVERAGE_50].missing == missing
+
+
+def test_pits_of_tips_are_toward_the_bevel_in_a_plane_and_as_stored_in_space():
+    run = with_predictions(study(2), (0.1,))
+    shapes = run.frames["shapes"].copy()
+    turned = shapes["insertion"] == run.frames["predictive"]["insertion"].iloc[0]
+    shapes.loc[turned, "measured_y_mm"] *= -1  # its deflection stays: its bevel faces the other side
+    mirrored = run.with_frames(shapes=shapes)
+    plain, other = orient_pits(run)["tip"], orient_pits(mirrored)["tip"]
+    assert sorted({plain[0], other[0]}) == pytest.approx([0.1, 0.9])
+    np.testing.assert_allclose(other[1:], plain[1:])
+    np.testing.assert_allclose(orient_pits(mirrored)["shape"], 0.1)
+    space = replace(mirrored, metadata=mirrored.metadata.state(compared="space"))
+    np.testing.assert_allclose(orient_pits(space)["tip"], 0.1)
+
+
+def test_the_share_of_covered_tips_stands_with_its_interval():
+    predictions = with_predictions(study(2)).frames["predictive"].iloc[:4].copy()
+    predictions["fold"] = predictions["specimen"] = [f"f{number}" for number in range(4)]
+    # levels 0.1, 0.4, 0.7, 0.97: two within 50 %, four within 95 %; Wilson's intervals by hand
+    found = tabulate_coverage(predictions)
+    assert (found["tip_in_50"], found["tip_in_95"]) == ("2 (15–85 %)", "4 (51–100 %)")

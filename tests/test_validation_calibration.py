@@ -86,13 +86,14 @@ def failures(found: dict[str, np.ndarray]) -> list[str]:
     return find_failing(tabulate_covered_shares(found), tabulate_ecdfs(found))
 
 
-def test_the_limits_of_ten_quantities_share_one_percent():
-    ranks = {f"q{number}": np.zeros(60, dtype=np.int64) for number in range(10)}
+@pytest.mark.parametrize("count", [60, 100, 200, 400])
+def test_the_limits_of_ten_quantities_share_one_percent(count):
+    ranks = {f"q{number}": np.zeros(count, dtype=np.int64) for number in range(10)}
     limits = tabulate_covered_shares(ranks)[["count_low", "count_high"]].to_numpy()
     # 0.01 over ten quantities, of each four levels and an ECDF: half of it at either end
     error = 0.01 / (10 * 5)
     levels = np.tile([0.5, 0.8, 0.9, 0.95], 10)
-    expected = [scipy.stats.binom.ppf(end, 60, levels) for end in (error / 2, 1 - error / 2)]
+    expected = [scipy.stats.binom.ppf(end, count, levels) for end in (error / 2, 1 - error / 2)]
     np.testing.assert_array_equal(limits, np.transpose(expected))
 
 
