@@ -98,7 +98,6 @@ def test_a_point_off_its_curve_is_named_with_its_row_and_alone(tmp_path, index, 
     [
         ("entry_offset", move(0, 20 * SHIFT_SD, 0)),
         ("entry_offset", move(0, 0, 20 * SHIFT_SD)),
-        ("needle_outlier", lambda points: 1.1 * points),
         ("needle_outlier", lambda points: points * [1, 3, 1]),
         ("needle_outlier", lambda points: points * [1, 0.1, 1]),
         ("needle_outlier", Rotation.from_euler("y", 3, degrees=True).apply),
@@ -156,6 +155,34 @@ def test_a_needle_turned_in_its_plane_is_named_by_its_angle(tmp_path, degrees):
     assert float(re.search(r"([\d.]+) degrees", one.what)[1]) == pytest.approx(3, abs=0.6)
 
 
+DESIGNS = {
+    "one deeper, 20 points each": ((50.0,) * 5 + (60.0,), 20),
+    "one shallower": ((50.0,) * 7 + (40.0,), 11),
+    "of lengths that differ by noise": ((50.0, 50.02, 49.99, 50.01, 50.03, 60.0), 11),
+}
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("bend", [0.3, 1.0])
+def test_a_needle_of_another_depth_than_all_others_is_not_compared_with_them(tmp_path, design, bend):
+    rng, curves = np.random.default_rng(3), {}
+    depths, count = DESIGNS[design]
+    for n, depth in enumerate(depths):
+        x, side = np.linspace(0.0, depth, count), SIDES[n]
+        points = np.column_stack([x, side * bend * 1.5e-3 * x**2, np.zeros(count)])
+        curves[f"n{n + 1}"] = points + [0, POINT_SD, POINT_SD] * rng.normal(size=points.shape)
+    assert find_warnings(tmp_path, curves, SIDES[: len(depths)]) == []
+
+
+@pytest.mark.parametrize(("deepest", "is_compared"), [(70.0, False), (59.0, True)])
+def test_beyond_their_own_range_the_others_lead_to_expect_nothing(deepest, is_compared):
+    logs = np.log([50.0, 52.0, 54.0, 55.0, deepest])
+    design = np.column_stack([np.ones(5), logs - logs.mean()])
+    found = expect(4, design, 2 * logs, np.full(5, 1e-4), 0.1)
+    assert (found is not None) == is_compared
+    assert found is None or found.value == pytest.approx(2 * logs[4])
+
+
 def test_of_few_needles_none_is_compared_with_the_others(tmp_path):
     curves = {name: curve for name, curve in measure_needles(2).items() if name < "n5"}
     curves["n3"] = curves["n3"] * [1, 2, 1]
@@ -190,6 +217,7 @@ def test_what_others_lead_to_expect_is_their_mean_with_its_error():
     """Of 1, 2, 3, 4 with an error variance of 1/4 and a natural one of 1/4, by hand."""
     values, ones = np.array([1.0, 2.0, 3.0, 4.0, 9.0]), np.ones((5, 1))
     found = expect(4, ones, values, np.full(5, 0.25), 0.5)
+    assert found is not None
     # scatter 5/3 on 3 degrees of freedom; spread (8 / 4 + 3 (5/3 - 1/4)) / 11 = 25/44
     assert (found.value, found.sure) == (2.5, 11)
     assert found.variance == pytest.approx(25 / 44 + (1 / 4 + 25 / 44) / 4)
@@ -288,7 +316,7 @@ def test_a_verdict_on_data_that_contradict_themselves_does_not_pass():
         return type("Result", (), {"warnings": [ResultWarning(kind, "") for kind in kinds]})()
 
     found = [ResultWarning(kind, "") for kind in ("placeholder", "needle_outlier", "point_outlier")]
-    assert list_contradictions(found) == ["point_outlier", "needle_outlier"]
+    assert list_contradictions(found) == ["point_outlier"]
     assert classify_doubt(found[1]) == "dataset_doubtful"
     assert {limit_status(make("copy"), one) for one in ("pass", "warn", "fail")} == {"warn"}
     assert limit_status(make("noise"), "pass") == "pass"
@@ -332,8 +360,8 @@ def swap(first, second):
         (lambda curves: {name: 1.03 * one for name, one in curves.items()}, 8, "1.03 times as long"),
         (swap("n3", "n6"), 2, "n3 is as long as n6 is deep"),
         (lambda curves: curves | {"n4": curves["n4"][1:]}, 1, "along the entry direction"),
-        (lambda curves: curves | {"n4": 1.1 * curves["n4"]}, 1, "1.10 times as far apart"),
-        (lambda curves: curves | {"n4": 1.03 * curves["n4"]}, 1, "1.03 times as far apart"),
+        (lambda curves: curves | {"n4": 1.1 * curves["n4"]}, 1, "too small"),
+        (lambda curves: curves | {"n4": 1.03 * curves["n4"]}, 1, "too small"),
         (lambda curves: curves | {"n4": curves["n4"][:-3]}, 1, "last points may be missing"),
     ],
 )

@@ -30,6 +30,9 @@ class Deviation:
         return self.sds > OUTLIER_SD and self.chance < MAX_CHANCE
 
 
+NOT_COMPARED = Deviation(0.0, 0.0, 1.0)
+
+
 @dataclass(frozen=True)
 class Expectation:
     """What the others lead to expect of one value, without its own error."""
@@ -46,13 +49,19 @@ class Expectation:
         return Deviation(left, sds, 2 * float(scipy.special.stdtr(degrees, -sds)))
 
 
-def expect(own: int, design: Floats, values: Floats, stated: Floats, natural: float) -> Expectation:
+def expect(own: int, design: Floats, values: Floats, stated: Floats, natural: float) -> Expectation | None:
     """Return what a fit of `design` (n, p) to all others of `values` (n,) leads to expect of one.
+
+    None where that is no answer: the one lies beyond the others by more than their own range, as one deep
+    needle beside others of one depth.
 
     `stated` (n,): variances of their errors. The scatter of the others beyond these counts beside the
     `natural` standard deviation.
     """
     others = np.arange(len(values)) != own
+    low, high = design[others].min(axis=0), design[others].max(axis=0)
+    if np.any((design[own] < 2 * low - high) | (design[own] > 2 * high - low)):
+        return None
     fit = np.linalg.pinv(design[others])
     found = fit @ values[others]
     free = len(values) - 1 - len(found)
@@ -69,6 +78,9 @@ def compare(design: Floats, values: Floats, stated: Floats, natural: float) -> l
     found = []
     for own, value in enumerate(values.tolist()):
         expected = expect(own, design, values, stated, natural)
+        if expected is None:
+            found.append(NOT_COMPARED)
+            continue
         left = value - expected.value
         sds = abs(left) / math.sqrt(expected.variance + stated[own])
         found.append(expected.judge(left, sds, float(stated[own])))

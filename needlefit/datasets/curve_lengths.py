@@ -1,8 +1,8 @@
 """Compare the lengths of curves with the stated depths, and name what explains a difference.
 
 Points that are missing, a depth that is wrong, curves whose names were exchanged and another scale all make a
-length differ from its depth. They differ in the rest: where the points begin, how far apart they are, and
-which other needles have the same.
+length differ from its depth. They differ in the rest: where the points begin, and which other needles
+have the same.
 """
 
 import math
@@ -24,7 +24,7 @@ SAME_LENGTH_MM = 0.1  # mm, by which a curve's length and its depth may differ: 
 # Part of a difference that a cause explains at least: of the place of the first point, or of another length.
 MIN_EXPLAINED_PART = 0.7
 SAME_SCALE = 0.02  # by which factors of one scale differ at most
-MIN_ALIKE = 3  # needles that show a scale of all, or a spacing that others have
+MIN_ALIKE = 3  # needles that show a scale of all
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,6 @@ class _Difference:
         """Where the first point lies along the entry direction, from the entry, mm; 0 without an entry."""
         one = self.listed.insertion
         return 0.0 if one.pose_source == "none" else float(one.points[0, 0])
-
-    @property
-    def spacing(self) -> float:
-        """Median distance of neighbouring points, mm."""
-        steps = np.diff(self.listed.insertion.centerline, axis=0)
-        return float(np.median(np.linalg.norm(steps, axis=1)))
 
 
 def find_length_faults(listed: Sequence[ListedInsertion], pose: str, depth_column: str) -> Iterator[Fault]:
@@ -112,29 +106,23 @@ def find_length_warnings(
 def _find_cause(
     one: _Difference, found: Sequence[_Difference], every: Sequence[_Difference], column: str
 ) -> tuple[str, str]:
-    """Return what most likely made a difference, of those `found`, and how it is corrected."""
-    factor, small = one.length / one.depth, 1 - MIN_EXPLAINED_PART
+    """Return what most likely made a difference, of those `found`, and what to look at."""
+    small = 1 - MIN_EXPLAINED_PART
     factors = [each.length / each.depth for each in found]
     if len(found) == len(every) >= MIN_ALIKE and np.ptp(factors) < SAME_SCALE:
         scale = f"Every curve is {np.mean(factors):.3g} times as long as its depth"
-        return scale, f"correct the unit or scale of the points or of {column}"
+        return scale, f"check the unit and the scale of the points and of {column}"
     for other in (each for each in found if each is not one):
         crossed = one.length - other.depth, other.length - one.depth
         if np.hypot(*crossed) < small * np.hypot(one.gap, other.gap):
             fit = f"The curve of {one.name} is as long as {other.name} is deep, and the other way round"
-            return fit, "exchange the names of the two curves, or of their rows"
+            return fit, "check which curve has which name, and which row"
     if abs(one.begin + one.gap) < small * abs(one.gap):
         side = "beyond" if one.begin > 0 else "before"
-        fix = "add the missing points" if one.begin > 0 else "leave out the points outside the tissue"
+        fix = "first points are missing" if one.begin > 0 else "points lie outside the tissue"
         first = f"Its first point lies {abs(one.begin):.1f} mm {side} the entry"
-        return first, f"{fix}, or correct the entry"
-    others = [each.spacing for each in every if not each.is_beyond]
-    if len(others) >= MIN_ALIKE and np.ptp(others) < SAME_SCALE * others[0]:
-        apart = one.spacing / float(np.median(others))
-        if abs(apart - factor) < SAME_SCALE < abs(apart - 1):
-            scale = f"Its points are {apart:.2f} times as far apart as those of the others"
-            return scale, f"correct the scale of the points of {one.name}"
+        return first, f"check whether {fix}, and where the entry is"
     if one.gap < 0:
-        return "Its last points may be missing", f"add the points up to the tip, or correct {column}"
+        return "Its last points may be missing", f"check whether its points reach the tip, and {column}"
     more = f"{column} may be too small, or points lie outside the tissue"
-    return more, f"correct {column}, or keep exactly the points from the entry to the tip"
+    return more, f"check {column}, and whether its points go from the entry to the tip"

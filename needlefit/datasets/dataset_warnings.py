@@ -162,8 +162,8 @@ def find_side_warnings(
     if len(away) == clear > 1:
         yield ResultWarning.of(f"""all {clear} insertions that bend clearly bend away from their
                 bevel side
-            fix: the side convention is probably flipped: change the sign of `{column}` in every
-                row
+            fix: check whether the convention of `{column}` is flipped: a needle of side 1 bends
+                along the bevel direction
             where: {away[0][1]}
             kind: bevel_side""")
         return
@@ -181,7 +181,7 @@ def find_side_warnings(
         if len(group) > 1 and total < -REVERSED_SD * math.sqrt(len(group)):
             yield ResultWarning.of(f"""the {len(group)} insertions into {medium} together bend
                     away from their bevels
-                fix: change the sign of `{column}` there
+                fix: check `{column}` and the bevel direction of these rows
                 where: {min(group)[1]}
                 kind: bevel_side""")
 
@@ -275,8 +275,7 @@ def _find_copy_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> Iter
                 yield ResultWarning.of(f"""{later.id} and {one.id} are the same in {same} of
                         {count} points, within {least:.1g} mm, which
                         noise{" and rounding do" if step > least else " does"} not explain
-                    fix: remove one of the two if it was exported twice; else correct
-                        `noise.point_sd_mm`
+                    fix: check whether one was exported twice, and `noise.point_sd_mm`
                     where: {place}
                     kind: copy""")
                 break
@@ -304,7 +303,7 @@ def find_insertion_warnings(
     if deepest is not None and (unit := name_small_unit(deepest)):
         yield ResultWarning.of(f"""the deepest insertion is {deepest.depth:.3g} mm deep: this
                 looks like {unit}
-            fix: multiply all lengths by {LENGTH_UNITS[unit]:g}
+            fix: check the unit of all lengths; they are read in mm ({unit} times {LENGTH_UNITS[unit]:g})
             where: {listed[0].where}
             kind: units""")
     for name in dict.fromkeys(one.medium for one in insertions if one.surfaces):
@@ -388,7 +387,7 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
         why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
         yield ResultWarning.of(f"""curves seem to run from the tip to the entry: they {why}
-            fix: reverse the points and the entry direction; at an import state --entry last
+            fix: check the order of the points; at an import --entry last states this one
             where: {listed[0].where}
             kind: reversed""")
 

@@ -14,7 +14,15 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats
-from needlefit.datasets.comparison import MIN_OTHERS, OUTLIER_SD, Deviation, compare, design_lengths, expect
+from needlefit.datasets.comparison import (
+    MIN_OTHERS,
+    NOT_COMPARED,
+    OUTLIER_SD,
+    Deviation,
+    compare,
+    design_lengths,
+    expect,
+)
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import ListedInsertion
 from needlefit.datasets.noise import MEAN_NORM_PER_SD
@@ -39,8 +47,6 @@ MIN_SCATTER_CHANCE = 1e-6  # least probability that a scatter counts with: alone
 GIVE_SD = 0.5  # SD of this part over itself
 UNKNOWN_GIVE = 0.3  # SD of the part, where there are no others
 ALONG_SD_MM = 0.5  # of a first point along the needle: no point need lie exactly at the entry
-NATURAL_SPACING = 0.01  # SD of the logarithm of the spacing of points that are sampled alike
-MAX_SPACING_RATIO = 1.5  # of one needle's points over the others'; beyond, they are sampled otherwise
 # SD of a tip about the tangent at the entry, over that of points: of a parabola through about five free ones.
 TANGENT_FACTOR = 6.0
 MIN_COMMON = 3  # needles of which a common motion is sought
@@ -206,7 +212,7 @@ def _find_common_shift(placed: Sequence[NeedleEnds], noise: Noise) -> Iterator[R
         yield ResultWarning.of(f"""all {len(placed)} needles begin {found.size:.2g} mm from their
                 stated entries, on one side whichever way their bevels face: by
                 {_list_numbers(found.vector)} mm
-            fix: correct the entry points, or the frame in which the points are
+            fix: check how the entry points were measured, and in which frame the points are
             where: {placed[0].listed.where}
             kind: common_pose""")
 
@@ -226,11 +232,11 @@ def _find_common_lean(placed: Sequence[NeedleEnds]) -> Iterator[ResultWarning]:
         degrees = math.degrees(math.atan(found.size))
         what = f"all {len(placed)} needles lean by {degrees:.2g} degrees to one side"
         what += " whichever way their bevels face"
-        fix, along = "correct the entry directions or the frame", np.array([one.axes[0] for one in placed])
+        along = np.array([one.axes[0] for one in placed])
         if float(np.ptp(along, axis=0).max()) < MIN_BEND_SLOPE:
-            fix += f": the direction {_list_numbers(normalize(along[0] + found.vector), 3)} fits"
+            what += f", as if inserted along {_list_numbers(normalize(along[0] + found.vector), 3)}"
         yield ResultWarning.of(f"""{what}
-            fix: {fix}
+            fix: check how the entry directions were measured, and in which frame the points are
             where: {placed[0].listed.where}
             kind: common_pose""")
 
@@ -271,7 +277,7 @@ def _describe_off_entry(off: Sequence[tuple[NeedleEnds, Floats, float]]) -> Resu
     ]
     return ResultWarning.of(f"""needles begin off their stated entries:
             {join_names(named, MAX_NAMED_INSERTIONS)}
-        fix: correct the entry or the points of these needles, or state a larger pose_shift_sd_mm
+        fix: check how their entries and first points were measured, and with which pose_shift_sd_mm
         where: {off[0][0].listed.points.where(0)}
         kind: entry_offset""")
 
@@ -284,7 +290,8 @@ Describe = Callable[[Deviation, NeedleEnds], tuple[str, str]]  # -> what is wron
 def compare_bends(group: Sequence[NeedleEnds], design: Floats) -> list[Deviation]:
     """Return by which factor, as its logarithm, each needle bends more than the others of its length.
 
-    Bends grow by a power of the length: `design`.
+    Bends grow by a power of the length: `design`. A needle of a length at which the others do not determine
+    the bend is not compared.
     """
     sds = np.array([math.sqrt(one.entry_variance[0] + one.tip_variance[0]) for one in group])
     bends = np.array([one.bend for one in group])
@@ -292,6 +299,9 @@ def compare_bends(group: Sequence[NeedleEnds], design: Floats) -> list[Deviation
     stated, found = (sds / floored) ** 2, list[Deviation]()
     for own, (bend, sd) in enumerate(zip(bends, sds, strict=True)):
         expected = expect(own, design, np.log(floored), stated, NATURAL_BEND)
+        if expected is None:
+            found.append(NOT_COMPARED)
+            continue
         # Errors are those of the bend, and its nature that of the logarithm: the most likely one counts.
         usual = math.exp(expected.value)
         misfits = LOG_FACTORS**2 / expected.variance + ((bend - usual * np.exp(LOG_FACTORS)) / sd) ** 2
@@ -334,12 +344,6 @@ def compare_needles(group: Sequence[NeedleEnds]) -> Iterator[tuple[list[Deviatio
     slope = np.mean(np.abs(slope) / lengths)  # by which needles bend
     alike, by_length = np.ones((len(group), 1)), design_lengths(lengths)
     yield compare_bends(group, by_length), _describe_bend
-    steps = [np.linalg.norm(np.diff(one.listed.points.values, axis=0), axis=1) for one in group]
-    usual = np.array([float(np.median(one)) for one in steps])
-    scatter = np.array([float(np.std(one)) / math.sqrt(len(one)) for one in steps])
-    spacings = compare(alike, np.log(usual), (scatter / usual) ** 2, NATURAL_SPACING)
-    most = math.log(MAX_SPACING_RATIO)  # a large factor is a choice, and no deviation
-    yield [one if abs(one.value) < most else replace(one, sds=0.0) for one in spacings], _describe_spacing
     if group[0].is_placed:  # else each has its own plane
         leans = np.array([one.tip[1] - one.entry[1] for one in group]) / lengths
         stated = np.array([one.tip_variance[1] for one in group]) / lengths**2
@@ -379,14 +383,6 @@ def _describe_bend(found: Deviation, needle: NeedleEnds) -> tuple[str, str]:
         return "bends away from the side to which the others bend", "check its bevel side, or a mirrored axis"
     fix = "check the unit of its points, its entry direction, medium, layers and needle"
     return f"bends {math.exp(found.value):.2g} times as much as others of its depth", fix
-
-
-def _describe_spacing(found: Deviation, _: NeedleEnds) -> tuple[str, str]:
-    factor = math.exp(found.value)
-    fix = (
-        f"if they were not sampled otherwise, check their scale: divide them, and its depth, by {factor:.3g}"
-    )
-    return f"has points {factor:.3g} times as far apart as the others", fix
 
 
 def _describe_lean(found: Deviation, _: NeedleEnds) -> tuple[str, str]:

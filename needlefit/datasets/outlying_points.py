@@ -217,7 +217,7 @@ def find_point_warnings(listed: Sequence[ListedInsertion], found: OutlyingPoints
             name = {0: "the first point", last: "the tip"}.get(point.index, f"point {point.index + 1}")
             yield ResultWarning.of(f"""{name} of {one.insertion.id} is {point.distance:.2g} mm off
                     the curve of the others ({point.sds:.0f} SD){_name_cause(point)}
-                fix: correct it, or remove the row
+                fix: compare this row with its source, as the image or the protocol
                 where: {one.points.where(point.index)}
                 kind: point_outlier""")
 
@@ -232,7 +232,7 @@ def _warn_of_step(one: ListedInsertion, point: OutlyingPoint) -> ResultWarning:
     )
     rows = ", ".join(dict.fromkeys(one.points.where(n) for n in (point.index - 1, point.index)))
     return ResultWarning.of(f"""{what}
-        fix: find what moved between {rows}: correct all points of one side
+        fix: find what moved between {rows}
         where: {one.points.where(point.index)}
         kind: point_outlier""")
 

@@ -240,7 +240,7 @@ def find_curvature_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     for column, names in against.items():
         yield ResultWarning.of(f"""`{column}` bends {join_names(names, MAX_NAMED_INSERTIONS)} away
                 from the measured tips
-            fix: change its sign: curvatures are toward +y and +z of a bevel with a roll of 0
+            fix: check its sign: curvatures are toward +y and +z of a bevel with a roll of 0
             where: {listed[0].where}
             kind: curvature""")
 
@@ -268,7 +268,7 @@ def _find_aside(known: Sequence[ListedInsertion], noise: Noise) -> list[ListedIn
 def _propose_bevel(aside: Sequence[Insertion], noise: Noise) -> str:
     """Return what leads needles to where they are: turns, or rolls and the direction of side 1."""
     if all(one.turns and measure_aside(one, -1.0) < measure_aside(one) / 2 for one in aside):
-        return "change the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
+        return "check the sign of `bevel_roll_deg` in the table of turns: it is right-handed about x"
     turned = any(one.turns for one in aside) or _find_twisted(aside, noise)
     rolls, directions = [], []
     for one in aside:

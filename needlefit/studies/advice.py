@@ -83,11 +83,11 @@ def advise(
 
 #: kinds of warnings about data that cannot all be right: no verdict on them is one on the model
 CONTRADICTIONS = (
-    *("point_outlier", "axis_unit", "common_pose", "entry_offset", "needle_outlier"),
+    *("point_outlier", "axis_unit", "common_pose", "entry_offset"),
     *("bevel_side", "length", "reversed", "copy"),
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
-_OF_DATASETS = (*CONTRADICTIONS, "assumed", "curvature", "no_noise", "noise", "surfaces")
+_OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")
 #: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
 _NO_DOUBTS = ("placeholder", "validity")
 
