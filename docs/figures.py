@@ -8,24 +8,31 @@ python docs/figures.py --workbook      fills the example sheets of the workbook 
 import argparse
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.style
 import numpy as np
 import openpyxl
+from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
 from needlefit.datasets.importing.files import WORKBOOK_FILE
 from needlefit.datasets.importing.questions import QUESTIONS
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.planning.recording import RecordedStep, RecordingWriter, make_head
 from needlefit.planning.steered_needle import Change, SteeredNeedle
 from needlefit.project.locate import find_file
 from needlefit.project.toml import load
+from needlefit.reporting.figures.needles import StateFigure
+from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 from needlefit.schemas.scene import SceneRecord
 
 FOLDER = Path(__file__).resolve().parent / "figures"
@@ -48,10 +55,9 @@ def main() -> None:
             name = draw.__name__.removeprefix("draw_")
             figure.savefig(FOLDER / f"{name}.svg", metadata={"Date": None}, transparent=False)
     if options.animation:
-        record(FOLDER / "steering.csv")
+        animate(*record(FOLDER / "steering.csv"), FOLDER / "steering.gif")
         replay = [sys.executable, "-m", "needlefit", "simulate", "--recording", str(FOLDER / "steering.csv")]
-        outputs = ["--animation", str(FOLDER / "steering.gif"), "--html", str(FOLDER / "steering.html")]
-        subprocess.run([*replay, *outputs], check=True)
+        subprocess.run([*replay, "--html", str(FOLDER / "steering.html")], check=True)
 
 
 # --- the schematics -------------------------------------------------------------------------------------
@@ -202,6 +208,7 @@ def _finish(axes: Axes, xlim: tuple[float, float], ylim: tuple[float, float]) ->
 
 # --- the animation --------------------------------------------------------------------------------------
 
+TITLE = "Steering through four layers: the bevel turns over twice"
 STEPS_PER_S = 5
 LEGS = (  # seconds, depth at the end (mm), then what is set before
     (6.0, 40.0, {}),
@@ -210,13 +217,17 @@ LEGS = (  # seconds, depth at the end (mm), then what is set before
 )
 
 
-def record(path: Path) -> None:
-    """Record an insertion of 19 s: the bevel turns over twice, the base moves across."""
+def record(path: Path) -> tuple[Scene, list[NeedleState]]:
+    """Record an insertion of 19 s: the bevel turns over twice, the base moves across.
+
+    Return its scene, and the needle at first contact and after every step.
+    """
     path.unlink(missing_ok=True)
     scene = load(find_file("scene", "figure1"), SceneRecord)
-    scene = scene.model_copy(update={"title": "Steering through four layers: the bevel turns over twice"})
+    scene = scene.model_copy(update={"title": TITLE})
     steering = SteeredNeedle(Scene.from_record(scene), 1.0)
     writer = RecordingWriter(path, make_head("figure1", 1.0, scene))
+    states = [steering.now]
     number, begin, depth, base = 0, 0.0, 0.0, 0.0
     for seconds, end, settings in LEGS:
         target_base = settings.get("base_y_mm", base)
@@ -227,10 +238,28 @@ def record(path: Path) -> None:
             moved = base + part * (target_base - base), depth + part * (end - depth)
             changes = [*first, *map(Change, ("base_y_mm", "depth_mm"), (None, None), moved)]
             first, number = [], number + 1
-            steering.apply(changes)
+            states.append(steering.apply(changes))
             time = round(begin + part * seconds, 3)
             writer.write(RecordedStep(number, time, tuple(changes), steering.now.shape.tip_lateral))
         begin, depth, base = begin + seconds, end, target_base
+    return steering.scene, states
+
+
+def animate(scene: Scene, states: Sequence[NeedleState], path: Path) -> None:
+    """Write the insertion as a GIF at its own speed; its end stays for a second."""
+    writer = PillowWriter(fps=STEPS_PER_S)
+    with matplotlib.style.context(["default", RC_PARAMS]):
+        drawn = StateFigure(TITLE, scene, states)
+        FigureCanvasAgg(drawn.figure)
+        drawn.paint(states[0])
+        fit_height(drawn.figure)
+        with mpl.rc_context({"figure.constrained_layout.use": False}):
+            # The layout was found once; a new one for each frame would let the axes jump.
+            drawn.figure.set_layout_engine(None)
+            with writer.saving(drawn.figure, str(path), dpi=110):
+                for state in [*states, *states[-1:] * (STEPS_PER_S - 1)]:
+                    drawn.paint(state)
+                    writer.grab_frame()
 
 
 # --- the example of the workbook ------------------------------------------------------------------------

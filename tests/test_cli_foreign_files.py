@@ -54,7 +54,6 @@ CASES = {
     "plan": Case("plan study2 --target 40,1 --write-recording out/plan.csv -q"),
     "check": Case("check twin"),
     "diff": Case("diff ./out/run ./out/run"),
-    "paper": Case("paper"),
     "explain": Case("explain coverage"),
     "tune": Case("tune held_out --out out -q", "held_out-tune held_out-tune.partial"),
     "validate": Case(
@@ -69,14 +68,13 @@ CASES = {
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),
     "import": Case("import curves.csv --out out/found --yes", "found"),
     "new project": Case("new project out/project", "project"),
-    "twin build": Case("twin build --out out/twin -q", "twin"),
     "new workbook": Case("new workbook out/own.xlsx"),
     "view --recording": Case("view --recording log.csv --no-browser --out out"),
     "simulate --recording": Case(
         "simulate --recording log.csv --plot out/n.pdf --csv out/n.csv --slicer out/n.mrk.json"
     ),
 }
-STUBBED = {name for name in CASES if name.startswith(("twin build", "view"))}
+STUBBED = {name for name in CASES if name.startswith("view")}
 """Those that take long, or serve until they are ended."""
 REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.places]
 
@@ -140,9 +138,6 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")
     monkeypatch.setattr("needlefit.viewer.server.serve", steer)
-    monkeypatch.setattr(
-        "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()
-    )
 
 
 def leave_run(folder: Path) -> None:
@@ -236,7 +231,7 @@ def own(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("option", ["--csv", "--plot", "--slicer", "--animation"])
+@pytest.mark.parametrize("option", ["--csv", "--plot", "--slicer"])
 @pytest.mark.parametrize("how", ["same", "link", "hard link", "relative"])
 def test_a_scene_is_not_replaced_by_what_is_written_of_it(option, how, own, monkeypatch):
     monkeypatch.setattr(scene, "simulate_scene", None)  # refused before it is simulated

@@ -59,7 +59,7 @@ def test_files_of_a_needle_in_space_show_it_from_above_too(capsys, tmp_path):
     """A bevel rolled by 90 degrees: the columns of z are those of y of the needle that is not rolled."""
     tables, panels = {}, {}
     for roll in (0, 90):
-        names = {"--csv": "a.csv", "--slicer": "a.mrk.json", "--plot": "a.svg", "--animation": "a.gif"}
+        names = {"--csv": "a.csv", "--slicer": "a.mrk.json", "--plot": "a.svg"}
         paths = {option: tmp_path / f"{roll}{name}" for option, name in names.items()}
         words = [word for option, path in paths.items() for word in (option, str(path))]
         assert run("simulate", "phantom1", *settings(f"bevel.roll_deg={roll}"), "--depth", "30", *words) == 0

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, twin, view
+from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, view
 from needlefit.cli.options import option
 
 _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
@@ -23,15 +23,12 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
     ("new project", data.new_project, "myproject"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
-    ("twin build", twin.build, "--out twin2 --seed 2"),
     ("calibrate", studies.calibrate, "phantom1 --replicates 100"),
-    ("paper", results.paper, ""),
 )
 """Name, function and words of an example; those most used come first."""
 
 _GROUPS = {
     "new": "Write files to edit: a project, or a workbook.",
-    "twin": "Build a synthetic dataset.",
 }
 
 _STYLE: dict[str, Any] = {"rich_markup_mode": None, "no_args_is_help": True}

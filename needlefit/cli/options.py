@@ -109,7 +109,7 @@ Strict = Annotated[bool, _flag("Exit code 5 after a warning; results are written
 Seed = Annotated[
     int | None,
     option(
-        "Seed of all randomness (default: that of the recipe, or of the shipped twin).",
+        "Seed of all randomness (default: that of the recipe).",
         "N",
         min=0,
         max=MAX_SEED,

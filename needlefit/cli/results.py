@@ -1,4 +1,4 @@
-"""Commands about results: report, diff, explain, paper."""
+"""Commands about results: report, diff, explain."""
 
 import difflib
 from dataclasses import asdict
@@ -114,11 +114,3 @@ def explain(
             screen.print_line(f"\n{group}")
             for one in members:
                 screen.print_line(f"  {one.key:32}{one.title}")
-
-
-def paper() -> None:
-    """Print the paper's tables."""
-    from needlefit.datasets import paper as published
-
-    for name, title in published.TABLE_TITLES.items():
-        screen.show_frame(published.read_printed_table(name), title)

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from needlefit.reporting.table_files import Row
     from needlefit.schemas.scene import SceneRecord
 
-ANIMATION_SPEED_MM_S = 10.0  # mm/s: how fast a scene goes in in an animation; the model knows no time
-
 
 @dataclass(frozen=True)
 class SimulationOutcome:
@@ -65,9 +63,6 @@ def simulate(
             "FILE",
         ),
     ] = None,
-    animation: Annotated[
-        Path | None, option("Animate the insertion: .gif; a SCENE at 10 mm/s.", "FILE")
-    ] = None,
     html: Annotated[
         Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
     ] = None,
@@ -80,7 +75,7 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
-    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--animation": animation, "--html": html}
+    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--html": html}
     written = {option: path for option, path in files.items() if path is not None}
     if recording is None:
         if scene is None:
@@ -128,7 +123,7 @@ def simulate(
 
 def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
     """Carry out a scene's steps; `where` is named in errors."""
-    from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
+    from needlefit.mechanics.scene import Scene, simulate_scene
     from needlefit.mechanics.session import NeedleState, find_tip_force
     from needlefit.project.unit_warnings import scene_warnings
 
@@ -158,13 +153,7 @@ def _simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationO
 
         return write_simulated_needle(scene.entry.placement, shapes, path)
 
-    def draw_animation(path: Path) -> None:
-        from needlefit.reporting.figures.animation import animate
-
-        states = [(gone / ANIMATION_SPEED_MM_S, state) for gone, state in iterate_states(scene)]
-        animate(title, scene, states, states[-1][0], path)
-
-    files = {"plot": draw, "csv": write_table, "slicer": write_curves, "animation": draw_animation}
+    files = {"plot": draw, "csv": write_table, "slicer": write_curves}
     warnings = tuple(scene_warnings(record, where))
     return SimulationOutcome(title, scene, shapes, files, {}, warnings)
 

@@ -12,14 +12,7 @@ from needlefit.project.input_files import convert_stored_errors
 TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
 ]
-TABLE_TITLES: dict[TableName, str] = {
-    "insertions": "Table I: insertions by medium and layers traversed",
-    "study_design": "Table II: fitted and held-out insertions of each study",
-    "tuning_by_layers": "Table III, upper half: in-sample errors in phantom 2, by layers",
-    "tuning_by_media": "Table III, lower half: in-sample errors, by medium",
-    "validation": "Table IV: errors on held-out insertions",
-    "parameters": "Table V: parameters (printed without units; read as Pa and mm)",
-}
+"""Tables I and II, both halves of table III, IV, and V, whose parameters are read as Pa and mm."""
 
 
 def read_published_table(name: TableName) -> pd.DataFrame:
@@ -29,15 +22,6 @@ def read_published_table(name: TableName) -> pd.DataFrame:
     """
     with convert_stored_errors(path := _find_file(name)):
         return pd.read_csv(path)
-
-
-def read_printed_table(name: TableName) -> pd.DataFrame:
-    """Read one published table with its numbers as texts, as they are printed: 33.60, 12.0.
-
-    Raises ConfigError, DataError as `read_published_table`.
-    """
-    with convert_stored_errors(path := _find_file(name)):
-        return pd.read_csv(path, dtype=str).fillna("")
 
 
 def read_hand_tuned(name: str) -> dict[str, float]:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -16,11 +15,10 @@ from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.packing import compile_law
 from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
-from needlefit.mechanics.session import NeedleState, Session
+from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
-from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
 from needlefit.schemas.scene import ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
 MAX_AXIS_ANGLE_RAD = math.radians(45)  #: greatest angle between C's x axis and a guide's or the stage's
@@ -205,29 +203,3 @@ def _name_keys(where: str, *keys: str) -> Iterator[None]:
         raise ConfigError(
             f"{named}{error.what}", where=where, expected=error.expected, fix=error.fix
         ) from error
-
-
-def iterate_states(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, NeedleState]]:
-    """Yield the path length of the tip (mm, insertions plus retractions) and the needle's state, from first
-    contact on.
-
-    The depths of the steps are among the places where it is seen, the others at most `stride` mm apart, or
-    farther where that would be more than `MAX_SHOWN_POSITIONS`; it ends before a stride that fails.
-    """
-    depths = [0.0, *(step.depth for step in scene.steps)]
-    path = sum(abs(b - a) for a, b in pairwise(depths))
-    stride = max(stride, path / MAX_SHOWN_POSITIONS)
-    session = begin_session(scene, scene.lattice.first_cell)
-    path_length = 0.0
-    yield path_length, session.now
-    for step in scene.steps:
-        start = session.depth
-        count = max(1, math.ceil(abs(step.depth - start) / stride))
-        for n in range(1, count + 1):
-            part = n / count
-            # The last part ends at the step's depth to the bit, as `simulate_scene` does.
-            depth = step.depth if n == count else start + part * (step.depth - start)
-            if not session.go(Step(depth, step.bevel, step.controls)).converged:
-                return
-            yield path_length + part * abs(step.depth - start), session.now
-        path_length += abs(step.depth - start)

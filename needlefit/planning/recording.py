@@ -198,11 +198,6 @@ class ReplayedStep:
     state: NeedleState
 
     @property
-    def time(self) -> float:
-        """Time since the recording began, s."""
-        return self.recorded.time if self.recorded else 0.0
-
-    @property
     def tip_offset_mm(self) -> float:
         """Distance of the tip from its recorded position, mm; 0: the same bits."""
         return abs(self.state.shape.tip_lateral - self.recorded.tip_lateral) if self.recorded else 0.0

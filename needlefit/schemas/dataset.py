@@ -282,7 +282,7 @@ class SourceRecord(FileRecord):
     source: str
     """Who measured, where it is published."""
     truth_seed: int | None = Field(default=None, ge=0, le=MAX_SEED)
-    """Of synthetic data: seed of `needlefit twin build`, from which the true parameters follow."""
+    """Of synthetic data: seed of `needlefit.api.make_twin`, from which the true parameters follow."""
     truth: dict[str, float] = {}
     """Of other synthetic data: the true parameters by name, such as `mu1_pa`, in Pa and mm."""
     how_to_get: str = ""

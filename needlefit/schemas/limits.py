@@ -11,7 +11,6 @@ MAX_CONSTRAINT_SPACING_MM = 10.0
 MAX_ELEMENTS = 5000  #: elements in the tissue: 5 m in elements of 1 mm, 250 mm in those of 0.05 mm
 #: elements solved for in all equilibria of an insertion; one to `MAX_ELEMENTS` without a halt has as many
 MAX_ELEMENT_SOLVES = 12_500_000
-MAX_SHOWN_POSITIONS = 5000  #: places on its way at which an insertion is shown
 #: the same of all insertions that one evaluation of a fit simulates
 MAX_EVALUATION_ELEMENT_SOLVES = 50_000_000
 MAX_STEPS = 10_000  #: of a scene; and rays that an interactive needle may have cut

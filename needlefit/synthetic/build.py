@@ -52,7 +52,7 @@ def describe_dataset(seed: int, scanned: str, population: TrueSpread | None = No
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
-        source=f"needlefit twin build --seed {seed}",
+        source=f"needlefit.api.make_twin, seed {seed}",
         # of a population the truth does not follow from the seed alone
         truth_seed=None if population else seed,
         notes=DATASET_NOTES.format(scanned),

@@ -1,4 +1,4 @@
-"""Export a recording: its last shape, figures, an animation, its inputs, or an HTML file that computes."""
+"""Export a recording: its last shape, a figure, its inputs, or an HTML file that computes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -86,18 +86,8 @@ def write_picture(outcome: RecordingOutcome, path: Path) -> None:
     """Draw the needle with its overlays, .svg, .png or .pdf."""
     from needlefit.reporting.figures.needles import draw_state
 
-    overlays = _find_overlays(outcome, banded=True)
+    overlays = _find_overlays(outcome)
     draw_state(outcome.title, outcome.scene, outcome.state, path, outcome.tip_force, overlays)
-
-
-def write_animation(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw the whole recording, .gif; without the band, which belongs to one state."""
-    from needlefit.reporting.figures.animation import animate
-
-    recording = outcome.recording
-    states = ((replayed.time, replayed.state) for replayed in replay(recording))
-    lasted = recording.steps[-1].time if recording.steps else 0.0
-    animate(outcome.title, outcome.scene, states, lasted, path, _find_overlays(outcome, banded=False))
 
 
 def write_share(outcome: RecordingOutcome, path: Path) -> None:
@@ -111,7 +101,6 @@ WRITERS: dict[str, Write] = {
     "plot": write_picture,
     "csv": write_table,
     "slicer": write_curve,
-    "animation": write_animation,
     "html": write_share,
 }
 
@@ -143,14 +132,13 @@ def export(path: Path, kind: str) -> bytes:
         return file.read_bytes()
 
 
-def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
+def _find_overlays(outcome: RecordingOutcome) -> "SceneOverlays":
     """Return what was shown beside the needle, if it is still there."""
     from needlefit.reporting.figures.needles import SceneOverlays
 
     viewed_scene = open_recording(outcome.recording)
     points = None if viewed_scene.measured is None else viewed_scene.measured.points[:, :2]
-    spread = viewed_scene.spread if banded else None
-    found = compute_band(continue_insertion(outcome.steering, spread))
+    found = compute_band(continue_insertion(outcome.steering, viewed_scene.spread))
     if found is None:
         return SceneOverlays(points, synthetic=viewed_scene.synthetic)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
