@@ -18,7 +18,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from complex_step import follow
+import reference_solver
 from mechanics_cases import random_case
 from solver_checks.beams import FOUNDED, LOADED
 from solver_checks.clamped import MANUFACTURED, measure_orders, measure_tangent
@@ -31,7 +31,6 @@ from solver_checks.refinement import (
     measure_spacing,
 )
 
-from needlefit.mechanics import reference
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.plan import make_lattice
@@ -44,7 +43,7 @@ WRT = ("mu", "shape", "friction", "offset", "rigidity", "base_y", "base_slope", 
 def measure_reference(rng: np.random.Generator) -> float:
     """Return the largest difference of deflection between kernel and reference, mm, in a random schedule."""
     case = random_case(rng)
-    return float(np.max(np.abs(simulate_steps(*case).u - reference.simulate_steps(*case).u)))
+    return float(np.max(np.abs(simulate_steps(*case).u - reference_solver.simulate_steps(*case).u)))
 
 
 def measure_balance(rng: np.random.Generator) -> float:
@@ -69,7 +68,7 @@ def measure_jacobian(rng: np.random.Generator) -> tuple[float, float]:
     _, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=WRT)
     errors = {True: [0.0], False: [0.0]}
     for p, name in enumerate(found.names):
-        _, (u, _), _, _ = follow(needle, tissue, steps, rules, name, lattice)  # y and z
+        _, (u, _), *_ = reference_solver.differentiate(needle, tissue, steps, rules, name, lattice)
         unit = tissue.mu[int(name[2:]) - 1] if name.startswith("mu") else 1.0
         unit = needle.flexural_rigidity if name == "rigidity" else unit
         size = max(np.max(np.abs(u)), 1e-3 / unit)
@@ -109,7 +108,7 @@ def list_rows(cases: int, seed: int) -> Iterator[Row]:
         yield "limit of small $C_{\\mathrm{int}}$, path angle", f"tip at 1 mm; order: {name}", found
     rng = np.random.default_rng(seed)
     what, largest = f"{cases} random schedules", max(measure_reference(rng) for _ in range(cases))
-    yield f"`reference.py`, {what}", "deflection", f"{show(largest)} mm"
+    yield f"`tests/reference_solver.py`, {what}", "deflection", f"{show(largest)} mm"
     largest = max(measure_balance(rng) for _ in range(cases))
     yield f"balance, {what}", "sum of the forces over their sizes", show(largest)
     few = max(1, cases // 4)  # complex steps through dense matrices take seconds a case

@@ -4,8 +4,8 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-import complex_step
 import numpy as np
+import reference_solver
 
 from needlefit.mechanics.batch import Batch, Jacobian
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -64,7 +64,7 @@ def assert_derivatives(
 ) -> None:
     """Compare a Jacobian with complex steps; by shape parameters of laws, some in tables, to 1e-5."""
     for p, name in enumerate(found.names):
-        nodes, u, slope, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
+        nodes, u, slope, points = reference_solver.differentiate(needle, tissue, steps, rules, name, lattice)
         tolerance = 1e-5 if name.rstrip("0123456789") in LAWS[tissue.law].shape_names else rtol
         largest = max(np.abs(u).max(), np.abs(points).max(), 1e-6)
         # a parameter that shifts the needle as a whole hardly turns it: its slopes are but rounding

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+import reference_solver
 from equilibrium import equilibrium
 from mechanics_cases import NEEDLE, RULES, assert_close, random_case
 from refusals import refusal
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import reference
 from needlefit.mechanics.batch import Batch, simulate_batches
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.plan import Lattice
@@ -22,14 +22,14 @@ def test_kernel_equals_reference(seed: int, kind: str) -> None:
     """One step, or many: inputs and bevel change on the way in, and out, and in again, on any grid."""
     rng = np.random.default_rng(seed)
     case = random_case(rng, kind, 5, 11.0) if seed % 2 else random_case(rng, kind, 0, 22.0)
-    assert_close(simulate_steps(*case), reference.simulate_steps(*case))
+    assert_close(simulate_steps(*case), reference_solver.simulate_steps(*case))
 
 
 def test_large_compression_few_iterations_and_short_needles():
     # A base moved sideways compresses thin tissue by a third: far beyond the series.
     tissue = Tissue(mu=[0.05], alpha=[8.0], thickness=[3.0])
     case = (NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
-    fast, slow = simulate(*case), reference.simulate(*case)
+    fast, slow = simulate(*case), reference_solver.simulate(*case)
     assert np.max(np.abs(fast.u[1:])) / 3.0 > 0.1
     np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
     # Only the base moves: the first iteration, from the straight guess, still compresses nothing fully.
@@ -133,7 +133,7 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
 @pytest.mark.parametrize("depth", [0.4, 1.0, 7.3, 9.0])
 @pytest.mark.parametrize("spacing", [1.0, 2.0])
 @pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("solve", [simulate, reference.simulate])
+@pytest.mark.parametrize("solve", [simulate, reference_solver.simulate])
 def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve) -> None:
     """Load-free until it enters: c_1 = y + slope (L + x_1) + x_1 s b / C_int."""
     y, slope = 0.7, -0.004
@@ -146,7 +146,7 @@ def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve)
     np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("solve", [simulate, reference.simulate])
+@pytest.mark.parametrize("solve", [simulate, reference_solver.simulate])
 def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
     guides = (Guide(-3.0), Guide(-130.0, 0.0, None))
     assert solve(NEEDLE, TWO_LAYERS, BEVEL, 19.9, Controls(guides=guides)).converged

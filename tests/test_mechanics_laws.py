@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import reference_solver
 from mechanics_cases import NEEDLE, assert_derivatives, draw_shape
 from plugin_cases import install, plugin_folder
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import native, reference
+from needlefit.mechanics import native
 from needlefit.mechanics.batch import linearize_steps
 from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
@@ -168,7 +169,7 @@ def test_a_law_without_shape_parameters_is_a_table(monkeypatch):
     monkeypatch.setitem(LAWS._builtin, "exponential", Exponential())
     monkeypatch.setattr(LAWS, "_builtin_names", names)
     tissue = Tissue([0.4, 2.0], boundaries=[7.3], thickness=5.0, law="exponential")
-    fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference.simulate_steps))
+    fast, slow = (solve(NEEDLE, tissue, STEPS) for solve in (simulate_steps, reference_solver.simulate_steps))
     np.testing.assert_allclose(fast.u, slow.u, rtol=0, atol=1e-7)
 
 

@@ -4,7 +4,7 @@ import pytest
 
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, Move, list_stops, make_lattice, make_stops
+from needlefit.mechanics.plan import Lattice, Move, make_lattice, make_moves, make_stops
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
@@ -135,7 +135,7 @@ def test_depths_close_to_a_constraint_point_are_depths(spacing: float, off: floa
         depth = cells * spacing + off
         steps = (Step(depth, Bevel(0.1)),)
         lattice = make_lattice(steps, ModelOptions(spacing, spacing))
-        found = list_stops(steps, lattice, 150.0)
+        found = make_stops(make_moves(steps, 150.0), lattice)
         assert found[-1].tip == pytest.approx(depth, abs=1e-12)
         assert len(found) in (cells + 1, cells + 2)
         shape = simulate(Needle(150.0, 1e4), Tissue(mu=[1.0], alpha=[1.0]), Bevel(0.1), depth,

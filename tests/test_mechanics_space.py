@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import reference_solver
 from mechanics_cases import (
     NEEDLE,
     RULES,
@@ -18,7 +19,6 @@ from refusals import refusal
 from space_cases import assert_turned, list_planes, random_spatial_case, turn, turn_step
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import reference
 from needlefit.mechanics.batch import (
     DERIVATIVE_KINDS,
     Batch,
@@ -41,7 +41,7 @@ FINE = 1e-11
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
 
 
-SOLVERS = pytest.mark.parametrize("solve", [simulate_steps, reference.simulate_steps])
+SOLVERS = pytest.mark.parametrize("solve", [simulate_steps, reference_solver.simulate_steps])
 
 
 @SOLVERS
@@ -82,13 +82,13 @@ def test_rolling_is_exact_in_a_common_needle(solve) -> None:
 def test_kernel_equals_reference(seed: int, kind: str) -> None:
     rng = np.random.default_rng(seed)
     case = random_spatial_case(rng, kind, 5, 11.0) if seed % 2 else random_spatial_case(rng, kind, 0, 22.0)
-    found, expected = simulate_steps(*case), reference.simulate_steps(*case)
+    found, expected = simulate_steps(*case), reference_solver.simulate_steps(*case)
     assert found.leaves_plane
     assert_close(found, expected)
     s = np.union1d(found.x, rng.uniform(found.x[0], found.depth, 20))
     points = compute_positions(found, s)
     atol = 1e-6 if found.validity.max_slope < 0.3 else 1e-4  # five points in each free span
-    np.testing.assert_allclose(points, reference.compute_positions(expected, s), atol=atol)
+    np.testing.assert_allclose(points, reference_solver.compute_positions(expected, s), atol=atol)
     assert (found.tip_lateral, found.tip_z) == pytest.approx(points[-1, 1:], abs=1e-12)
 
 
@@ -96,7 +96,7 @@ def test_kernel_equals_reference(seed: int, kind: str) -> None:
 def test_strongly_compressed_tissue_is_the_reference_too(thickness: float) -> None:
     tissue = Tissue(mu=[0.05], alpha=[8.0], thickness=[thickness])
     steps = (Step(12.0, Bevel(0.02, roll_deg=70.0), Controls(0.1 * thickness, base_z=-0.2 * thickness)),)
-    fast, slow = (solve(NEEDLE, tissue, steps) for solve in (simulate_steps, reference.simulate_steps))
+    fast, slow = (solve(NEEDLE, tissue, steps) for solve in (simulate_steps, reference_solver.simulate_steps))
     assert_close(fast, slow)
     assert fast.validity.compression > 0.05
 
@@ -221,7 +221,7 @@ def test_sub_steps_and_a_way_back_change_nothing() -> None:
         Step(12.0, turned),
     ]
     found = simulate_steps(NEEDLE, TISSUE, again, lattice=lattice)
-    assert_close(found, reference.simulate_steps(NEEDLE, TISSUE, again, lattice=lattice))
+    assert_close(found, reference_solver.simulate_steps(NEEDLE, TISSUE, again, lattice=lattice))
 
 
 def test_a_twisted_session_follows_the_hub_as_the_steps_do() -> None:
@@ -236,7 +236,7 @@ def test_a_twisted_session_follows_the_hub_as_the_steps_do() -> None:
         shape = session.go(step)
     expected = simulate_steps(NEEDLE, TWISTED, steps, lattice=Lattice(1.0, 1.0))
     assert_same_bits(shape, expected, but=("iterations",))
-    assert_close(shape, reference.simulate_steps(NEEDLE, TWISTED, steps, lattice=Lattice(1.0, 1.0)))
+    assert_close(shape, reference_solver.simulate_steps(NEEDLE, TWISTED, steps, lattice=Lattice(1.0, 1.0)))
     refusal(ModelError, "torsional friction", session.input_path)
 
 
@@ -287,7 +287,7 @@ def test_a_needle_that_is_rolled_steadily_becomes_a_helix() -> None:
     needle = replace(NEEDLE, length=400.0)
     shape = simulate_steps(needle, tissue, steps)
     part = steps[:24]
-    assert_close(simulate_steps(needle, tissue, part), reference.simulate_steps(needle, tissue, part))
+    assert_close(simulate_steps(needle, tissue, part), reference_solver.simulate_steps(needle, tissue, part))
     radii, pitches = [], []
     for start in (60.0, 96.0):  # turns of 36 mm, around an axis that is not that of the entry
         s = np.arange(start, start + 37.0)
@@ -313,8 +313,8 @@ def test_quarter_turns_are_exact(quarters: int) -> None:
 
 def test_a_needle_turned_by_90_degrees_bends_to_y_and_then_to_z() -> None:
     steps = Step(10.0, Bevel(0.1)), Step(20.0, Bevel(0.1, roll_deg=90.0))
-    shape = reference.simulate_steps(NEEDLE, TISSUE, steps)
-    before = reference.simulate_steps(NEEDLE, TISSUE, steps[:1])
+    shape = reference_solver.simulate_steps(NEEDLE, TISSUE, steps)
+    before = reference_solver.simulate_steps(NEEDLE, TISSUE, steps[:1])
     assert shape.leaves_plane and not before.leaves_plane
     y, z = list_planes(shape)["constraints"]
     np.testing.assert_allclose(y[:11], before.constraints[:, 1], atol=1e-7)

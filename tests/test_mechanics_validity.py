@@ -17,7 +17,7 @@ from needlefit.mechanics.compression import compute_stress
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.native import make_flat
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, count_element_solves, list_stops
+from needlefit.mechanics.plan import Lattice, count_element_solves, make_moves, make_stops
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import (
     LIMITS,
@@ -142,7 +142,8 @@ def make_batch(**given):
 
 
 def insert(depth, *guides, length=150.0):
-    return list_stops((Step(1.0, Bevel()), Step(depth, Bevel(), Controls(guides=guides))), FULL, length)
+    steps = Step(1.0, Bevel()), Step(depth, Bevel(), Controls(guides=guides))
+    return make_stops(make_moves(steps, length), FULL)
 
 
 FULL, ANGLE = Lattice(1.0, 1.0), ModelOptions(advance="path_angle")
@@ -189,7 +190,7 @@ REFUSED = [
     (lambda: insert(150.0), " 150 mm"), (lambda: insert(140.0, Guide(-10.0)), " 140 mm"),
     (lambda: insert(100.0, Guide(-3.0), Guide(-60.0)), " 100 mm"),
     (lambda: insert(40.0, Guide(-15.0), length=0.15), r"needle of 0\.15 mm"),
-    (lambda: list_stops((), FULL, 150.0), "without steps"),
+    (lambda: make_moves((), 150.0), "without steps"),
     (lambda: make_batch(), "not given"), (lambda: make_batch(mu=[[1.0, 2.0, 3.0]]), r"mu .*\(1, 3\)"),
     (lambda: make_batch(mu=[1.0, 2.0]), r"mu .*\(2,\)"),
     (lambda: make_batch(offset=[[0.1]]), r"offset .*\(1, 1\)"),

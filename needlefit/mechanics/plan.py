@@ -133,19 +133,14 @@ class Lattice:
         return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
 
-def list_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
-    """Return the stops of all steps of a needle of `length` (mm), from first contact on.
+def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
+    """Return the steps as moves, after a check that the needle of `length` (mm) is long enough for each.
 
     Their `bevel_id` and `controls_id` are numbers: of the first step with that bevel, and with those
     controls.
 
     Raises ModelError if there are no steps, or the needle is too short for one of them.
     """
-    return make_stops(make_moves(steps, length), lattice)
-
-
-def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
-    """Return the steps as moves, after a check that the needle of `length` (mm) is long enough for each."""
     if not steps:
         raise ModelError("an insertion without steps", expected="one step at least")
     bevels: dict[Bevel, int] = {}

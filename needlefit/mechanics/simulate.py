@@ -41,8 +41,6 @@ def simulate(
 ) -> NeedleShape:
     """Insert the needle to `depth` (mm of inserted arc length) under constant inputs; return its shape in C.
 
-    The same model as `mechanics.reference.simulate`, by the kernel.
-
     Raises ModelError if the needle is too short for the depth or the guides.
 
     Returns

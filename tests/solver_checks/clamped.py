@@ -16,12 +16,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import reference_solver
 from equilibrium import equilibrium, find_equilibrium
 from numpy.polynomial import Polynomial
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.arrays import Floats, Ints
-from needlefit.mechanics import native, reference
+from needlefit.mechanics import native
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.laws import Numbers
 from needlefit.mechanics.needle import Needle
@@ -154,10 +155,10 @@ def measure_tangent(friction: float) -> tuple[float, float]:
     constraints = simulate(NEEDLE, tissue, Bevel(0.2), 25.0).constraints
     clamped = ClampedNeedle(NEEDLE, tissue, ModelOptions(), constraints)
     nodes = clamped.nodes
-    K_b = reference.bending_stiffness(nodes, NEEDLE.flexural_rigidity)
-    change = reference.change_depths(constraints[:, 0], ModelOptions())
-    x, w = reference.quadrature(nodes, change, tissue.boundaries)
-    N, dN = reference.shape_functions(nodes, x)
+    K_b = reference_solver.bending_stiffness(nodes, NEEDLE.flexural_rigidity)
+    change = reference_solver.change_depths(constraints[:, 0], ModelOptions())
+    x, w = reference_solver.quadrature(nodes, change, tissue.boundaries)
+    N, dN = reference_solver.shape_functions(nodes, x)
     layer, y = np.searchsorted(tissue.boundaries, x), constraints[np.searchsorted(change, x), 1]
 
     def R(u: Numbers) -> Numbers:

@@ -1,24 +1,59 @@
-"""The model of docs/model.md, line by line: slow, dense, to be read beside the equations.
+"""The model of docs/model.md, line by line: slow, dense, apart from the kernel, which tests compare with it.
 
-Section numbers are those of docs/model.md. `mechanics.simulate` is the same model by the kernel; a test
-compares the two. Displacements, slopes and the cut have two components, along y and z; those along z are 0
-where all inputs lie in the plane z = 0.
+Section numbers are those of docs/model.md. Displacements, slopes and the cut have two components, along y and
+z; those along z are 0 where all inputs lie in the plane z = 0.
+
+Derivatives are by complex steps: f(p + i h) = f(p) + i h f'(p) to rounding for h = 1e-30, since nothing is
+subtracted. Branches follow real parts; |e| is the root of e . e. What the kernel linearises by hand is here
+left to complex arithmetic: boundaries and guides carry their step into quadrature points, weights and shape
+functions.
 """
 
+# ruff: noqa: N803, N806  EI, K, N: the symbols of the equations
 import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from needlefit.arrays import Bools, Floats, Ints
+from needlefit.arrays import Bools, Floats
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, TipStop, list_stops, make_lattice
+from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, compute_scales
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
+
+H = 1e-30
+GUIDE_PARTS = ("x", "y", "slope", "z", "slope_z")
+
+
+class Inputs:
+    """The numbers of a case; complex ones if one of them, `name`, has a step."""
+
+    def __init__(self, needle: Needle, tissue: Tissue, steps: Sequence[Step], name: str = "") -> None:
+        dtype = complex if name else float
+        for kind in ("mu", "shape", "friction", "boundaries", "thickness"):
+            setattr(self, kind, getattr(tissue, kind).astype(dtype))
+        self.law = LAWS[tissue.law]
+        self.rigidity = dtype(needle.flexural_rigidity)
+        # what is added to the inputs of the steps
+        self.offset = self.cut_angle = self.base_y = self.base_slope = self.stage_slope = dtype(0)
+        self.roll = self.base_z = self.base_slope_z = self.stage_slope_z = dtype(0)
+        places = sorted({guide.x for step in steps for guide in step.controls.guides})
+        self.guides = {x: np.zeros(5, dtype) for x in places}
+        kind, _, part = name.partition("_") if name.startswith("guide") else (name, "", "")
+        number = int("".join(filter(str.isdigit, kind)) or 0)
+        kind = kind.rstrip("0123456789")
+        if kind == "guide":
+            self.guides[places[number - 1]][GUIDE_PARTS.index(part)] += H * 1j
+        elif number:
+            shape = dict(zip(self.law.shape_names, self.shape, strict=True))
+            rows = {**shape, "boundary": self.boundaries, "mu": self.mu, "friction": self.friction}
+            rows[kind][number - 1] += H * 1j
+        elif name:
+            setattr(self, kind, getattr(self, kind) + H * 1j)
 
 
 def simulate(
@@ -41,15 +76,46 @@ def simulate_steps(
     lattice: Lattice | None = None,
 ) -> NeedleShape:
     """Bring the tip from stop to stop (section 4); arguments as in `mechanics.simulate.simulate_steps`."""
-    lattice = lattice or make_lattice(steps, rules)
     steps = turn_tip(needle, tissue, steps)
+    return advance(Inputs(needle, tissue, steps), needle, tissue, steps, rules, lattice)
+
+
+def differentiate(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: ModelOptions,
+    name: str,
+    lattice: Lattice | None = None,
+) -> tuple[Floats, ...]:
+    """Return the derivatives of nodes, deflection, slope and constraint points by one parameter.
+
+    All but those of the nodes have a leading axis of two, y and z.
+    """
+    steps = turn_tip(needle, tissue, steps)
+    shape = advance(Inputs(needle, tissue, steps, name), needle, tissue, steps, rules, lattice)
+    planes = (shape.u, shape.w), (shape.slope, shape.slope_z), shape.constraints[:, 1:].T
+    return tuple(np.imag(part) / H for part in (shape.x, *planes))
+
+
+def advance(
+    inputs: Inputs,
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: ModelOptions,
+    lattice: Lattice | None,
+) -> NeedleShape:
+    """Return the shape at the last stop, its numbers complex where those of the inputs are."""
+    lattice = lattice or make_lattice(steps, rules)
     C_int = rules.spacing
-    c = {0: np.zeros(2)}  # y and z of the constraint points, by their number
+    still = np.zeros(2, inputs.mu.dtype)
+    c = {0: still}  # y and z of the constraint points, by their number
     rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (y, z) and slopes
     track: dict[int, tuple[Floats, Floats]] = {}
-    x_tip, u_tip, slope_tip, c_tip = 0.0, np.zeros(2), np.zeros(2), np.zeros(2)
+    x_tip, u_tip, slope_tip, c_tip = 0.0, still, still, still
     iterations = 0
-    for stop in list_stops(steps, lattice, needle.length):
+    for stop in make_stops(make_moves(steps, needle.length), lattice):
         if stop.starts_ray:
             if rules.path_angle:
                 if x_tip == 0:
@@ -65,14 +131,19 @@ def simulate_steps(
             # the path
             x_0, c_0, slope_0 = rays[stop.ray]
             bevel = steps[stop.bevel_id].bevel
-            turn = bevel.cut_angle if rules.path_angle else bevel.offset / C_int
-            c[stop.cell] = c_0 + (stop.tip - x_0) * (slope_0 + turn * np.array(bevel.toward))
+            turn = (bevel.offset + inputs.offset) / C_int
+            if rules.path_angle:
+                turn = bevel.cut_angle + inputs.cut_angle
+            (y, z), cos, sin = bevel.toward, np.cos(inputs.roll), np.sin(inputs.roll)
+            c[stop.cell] = c_0 + (stop.tip - x_0) * (
+                slope_0 + turn * np.array([y * cos - z * sin, z * cos + y * sin])
+            )
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
         points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))  # (M + 1, 3)
-        nodes, u, prescribed = mesh(
-            stop, steps[stop.controls_id].controls, lattice, needle.length, rules.element
-        )
-        u, used = equilibrium(needle, tissue, nodes, points, u, prescribed, rules)
+        controls = steps[stop.controls_id].controls
+        nodes, u, prescribed = mesh(stop, controls, lattice, needle.length, rules.element)
+        nodes, u = add_steps(inputs, stop, controls, nodes, u, prescribed)
+        u, used = equilibrium(inputs, nodes, points, u, prescribed, rules)
         iterations += used
         x_tip, u_tip, slope_tip = stop.tip, u[-2], u[-1]
         c_tip = c[stop.cell] if stop.cell > 0 else u_tip
@@ -118,37 +189,51 @@ def mesh(
     return np.array(nodes), u.reshape(-1, 2), prescribed.ravel()
 
 
+def add_steps(
+    inputs: Inputs, stop: TipStop, controls: Controls, nodes: Floats, u: Floats, prescribed: Bools
+) -> tuple[Floats, Floats]:
+    """Return nodes and prescribed values of a mesh with what the inputs add to base and guides."""
+    x, dtype = nodes, inputs.mu.dtype
+    nodes, u, held = nodes.astype(dtype), u.astype(dtype).reshape(-1, 2, 2), prescribed.reshape(-1, 2)
+    u[0, 0, 0] += inputs.base_y + inputs.stage_slope * stop.tip
+    u[0, 0, 1] += inputs.base_z + inputs.stage_slope_z * stop.tip
+    u[0, 1] += inputs.base_slope, inputs.base_slope_z
+    for guide in controls.guides:
+        for node in np.flatnonzero(x == guide.x):
+            # not at the tip, nor at a node that is there anyway
+            nodes[node] += inputs.guides[guide.x][0] * held[node, 0]
+            u[node] += inputs.guides[guide.x][1:].reshape(2, 2).T * held[node][:, None]
+    return nodes, u.reshape(-1, 2)
+
+
 def equilibrium(
-    needle: Needle,
-    tissue: Tissue,
-    nodes: Floats,
-    constraints: Floats,
-    u: Floats,
-    prescribed: Bools,
-    rules: ModelOptions,
+    inputs: Inputs, nodes: Floats, constraints: Floats, u: Floats, prescribed: Bools, rules: ModelOptions
 ) -> tuple[Floats, int]:
     """Find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method (section 3).
 
     `u` (2 N, 2) is a guess of deflections and slopes of every node, true where they are `prescribed` (2 N,).
     """
-    K_b = bending_stiffness(nodes, needle.flexural_rigidity)
-    change = change_depths(constraints[:, 0], rules)
-    x_q, w_q = quadrature(nodes, change, tissue.boundaries)
+    K_b = bending_stiffness(nodes, inputs.rigidity)
+    change = change_depths(constraints[:, 0].real, rules)
+    x_q, w_q = quadrature(nodes, change, inputs.boundaries)
     N, dN = shape_functions(nodes, x_q)  # (Q, 2 N) each
-    layer = np.searchsorted(tissue.boundaries, x_q)
+    layer = np.searchsorted(inputs.boundaries.real, x_q.real)
     c_q = cut(rules, x_q, change, constraints)
-    t, gamma = tissue.thickness[layer], tissue.friction[layer]
+    mu, shape = inputs.mu[layer], inputs.shape[:, layer]
+    t, gamma = inputs.thickness[layer], inputs.friction[layer]
     u = u.copy()
     free = np.tile(~prescribed, 2)  # of all unknowns along y, then of those along z
-    before = math.inf
+    before, settled = math.inf, 0
     for iteration in range(rules.max_iterations):
         e, slope = N @ u - c_q, dN @ u  # (Q, 2) each
-        distance, steepness = np.linalg.norm(e, axis=1), np.linalg.norm(slope, axis=1)
+        distance, steepness = (np.sqrt(np.sum(part**2, axis=1)) for part in (e, slope))
         lam = (t - distance) / t
-        k, dk = modulus(tissue, layer, lam)
-        g = 1 - gamma * np.sin(np.arctan(steepness)) ** 2
+        k = mu * inputs.law.k(lam, *shape)
+        # the tangent may be real: it is exact where the real part has converged
+        dk = (mu * inputs.law.dk_dstretch(lam.real, *shape.real)).real
+        g = 1 - gamma * steepness**2 / (1 + steepness**2)  # sin^2(atan |u'|)
         dg = -2 * gamma[:, None] * slope / (1 + steepness**2)[:, None] ** 2  # by both slopes
-        away = e / np.maximum(distance, 1e-300)[:, None]  # the direction of e
+        away = e / np.where(distance == 0, 1, distance)[:, None]  # the direction of e
         stiffening = -distance / t * dk  # |e| dk/d|e|
         residual = K_b @ u + N.T @ ((w_q * k * g)[:, None] * e)
         # Derivatives of the force along i by e along j, which are w_q g (k + |e| dk/d|e|) along e and w_q g k
@@ -166,16 +251,18 @@ def equilibrium(
                 for i in (0, 1)
             ]
         )
-        step = np.zeros(u.size)
+        step = np.zeros(u.size, u.dtype)
         # Prescribed values do not change: their rows and columns are left out.
         step[free] = np.linalg.solve(tangent[np.ix_(free, free)], -residual.T.ravel()[free])
-        u += step.reshape(2, -1).T
-        change = np.max(np.abs(step))  # of deflections, and of slopes over a millimetre
-        if np.any(distance >= t) and change < rules.tolerance:
-            raise ArithmeticError("tissue is compressed to nothing")
-        if change < rules.tolerance or (change < 1e-4 and change > 0.5 * before):  # or it is but rounding
-            return u, iteration + 1
-        before = change
+        u = u + step.reshape(2, -1).T
+        size = np.max(np.abs(step.real))  # of deflections, and of slopes over a millimetre
+        if size < rules.tolerance or (size < 1e-4 and size > 0.5 * before):  # or it is but rounding
+            if np.any(distance.real >= t.real):
+                raise ArithmeticError("tissue is compressed to nothing")
+            settled += 1
+            if settled == (4 if np.iscomplexobj(u) else 1):  # the imaginary part is a step behind
+                return u, iteration + 1
+        before = size
     raise ArithmeticError(f"no equilibrium after {rules.max_iterations} iterations")
 
 
@@ -199,15 +286,9 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     return reached[np.searchsorted(edges, s)]
 
 
-def modulus(tissue: Tissue, layer: Ints, lam: Floats) -> tuple[Floats, Floats]:
-    """Return k(lambda) and dk/dlambda at points in the given layers (section 3)."""
-    law, mu, shape = LAWS[tissue.law], tissue.mu[layer], tissue.shape[:, layer]
-    return mu * law.k(lam, *shape), mu * law.dk_dstretch(lam, *shape)
-
-
 def bending_stiffness(nodes: Floats, EI: float) -> Floats:
     """Return the bending stiffness int EI N_i'' N_j'' dx, (2 N, 2 N), of two-node cubic elements."""
-    K = np.zeros((2 * len(nodes), 2 * len(nodes)))
+    K = np.zeros((2 * len(nodes), 2 * len(nodes)), nodes.dtype)
     for a, h in enumerate(np.diff(nodes)):
         K[2 * a : 2 * a + 4, 2 * a : 2 * a + 4] += (EI / h**3) * np.array(
             [
@@ -230,16 +311,23 @@ def change_depths(x_c: Floats, rules: ModelOptions) -> Floats:
 
 def cut(rules: ModelOptions, x: Floats, change: Floats, constraints: Floats) -> Floats:
     """Return c(x), (Q, 2): of the nearest constraint point (section 3), or linear between (section 4)."""
-    if rules.path_angle:
-        return np.column_stack([np.interp(x, constraints[:, 0], constraints[:, i]) for i in (1, 2)])
-    return constraints[np.searchsorted(change, x), 1:]
+    if not rules.path_angle:
+        return constraints[np.searchsorted(change, x.real), 1:]
+    x_c = constraints[:, 0].real
+    cell = np.clip(np.searchsorted(x_c, x.real) - 1, 0, len(x_c) - 2)
+    slope = np.diff(constraints[:, 1:], axis=0) / np.diff(x_c)[:, None]
+    return constraints[cell, 1:] + (x - x_c[cell])[:, None] * slope[cell]
 
 
 def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:
     """Return two Gauss points and weights on each interval free of nodes, boundaries and changes of
     constraint (section 3).
     """
-    edges = np.unique(np.clip(np.concatenate(([0.0], nodes, change, boundaries)), 0.0, nodes[-1]))
+    inner = np.concatenate((nodes, change, boundaries))
+    inner = inner[(inner.real > 0) & (inner.real < nodes[-1].real)]
+    inner = inner[np.argsort(inner.real, kind="stable")]
+    edges = np.concatenate(([0.0], inner, nodes[-1:]))
+    edges = edges[np.concatenate(([True], np.diff(edges.real) > 0))]
     middle, half = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     points = middle[:, None] + half[:, None] * np.array([-1, 1]) / math.sqrt(3)
     return points.ravel(), np.repeat(half, 2)
@@ -247,8 +335,9 @@ def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Float
 
 def shape_functions(nodes: Floats, x: Floats) -> tuple[Floats, Floats]:
     """Return the cubic Hermite functions of all nodes, and their slopes, at points x: (Q, 2 N) each."""
-    N, dN = np.zeros((len(x), 2 * len(nodes))), np.zeros((len(x), 2 * len(nodes)))
-    element = np.clip(np.searchsorted(nodes, x) - 1, 0, len(nodes) - 2)
+    N = np.zeros((len(x), 2 * len(nodes)), nodes.dtype)
+    dN = np.zeros_like(N)
+    element = np.clip(np.searchsorted(nodes.real, x.real) - 1, 0, len(nodes) - 2)
     h = np.diff(nodes)[element]
     s = (x - nodes[element]) / h
     values = (1 - 3 * s**2 + 2 * s**3, h * s * (1 - s) ** 2, 3 * s**2 - 2 * s**3, h * s**2 * (s - 1))
