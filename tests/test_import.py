@@ -13,7 +13,7 @@ from refusals import refusal
 from scipy.io import savemat
 from test_cli import run
 
-from needlefit.api import score_study, validate
+from needlefit.api import score_study
 from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.files import read_content
 from needlefit.datasets.importing.synonyms import read_header
@@ -726,17 +726,6 @@ def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_les
     steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
     assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.851], abs=1e-3)
     assert [step.bevel.roll_deg or 0.0 for step in steps] == pytest.approx([0.0, 90.0])
-
-
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_the_rule_of_advance_that_fits_better_is_named_with_its_tip_error(tmp_path):
-    folder = import_turned(tmp_path, **SHARP)
-    text = (folder / "tissue.toml").read_text().replace('advance = "path_angle"', "")
-    (folder / "tissue.toml").write_text(text.replace("cut_angle_deg", "bevel_mm"))
-    found = validate(f"{folder}/gel_study.toml", jobs=1, recipe={"metric": False, "starts": 4})
-    other = found.metadata.other_advance
-    assert other.advance == "path_angle" and 0.1 < other.te_mm < 0.3
-    assert other.stated_te_mm > 0.4 and "advance" in [one.kind for one in found.warnings]
 
 
 @pytest.mark.parametrize(

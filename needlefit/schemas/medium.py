@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Record
 from needlefit.schemas.limits import MAX_LAYERS
-from needlefit.schemas.scene import Advance, AdvanceRecord
+from needlefit.schemas.scene import AdvanceRecord
 
 
 class PriorRecord(Record):
@@ -110,15 +110,6 @@ class MediumRecord(FileRecord, AdvanceRecord):
 
 #: bounds of the bevel's parameter, in mm or degrees, where only a start is needed
 BEVEL_BOUNDS: dict[str, tuple[float, float]] = {"bevel_mm": (1e-3, 1.0), "cut_angle_deg": (0.05, 44.0)}
-
-
-def change_advance(medium: MediumRecord) -> MediumRecord:
-    """Return the medium with the other rule of advance, whose bevel parameter is free."""
-    other: Advance = "tangent" if medium.advance == "path_angle" else "path_angle"
-    kept = {name: one for name, one in medium.parameters.items() if name != medium.bevel_parameter}
-    changed = medium.model_copy(update={"advance": other, "constraint_switch": 0.5, "tangent_part": 1.0})
-    own = {(name := changed.bevel_parameter): ParameterRecord(bounds=BEVEL_BOUNDS[name])}
-    return changed.model_copy(update={"parameters": kept | own})
 
 
 _PRINTED_NAMES = {

@@ -127,14 +127,6 @@ class DepthMetadata(_Metadata):
     factor_per_mm: float  #: of this parameter
 
 
-class AdvanceMetadata(_Metadata):
-    """The other rule of advance, which fits better: its tip error beside that of the stated one."""
-
-    advance: str
-    te_mm: float
-    stated_te_mm: float
-
-
 # ---- runs
 
 
@@ -187,7 +179,6 @@ class FitMetadata(JobMetadata):
     truth: dict[str, float] = {}  #: the true parameters, of our synthetic data
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
-    other_advance: AdvanceMetadata | None = None
     validity: ValidityMetadata
 
 

@@ -178,12 +178,6 @@ def _find_outside(run: Run) -> Iterator[Row]:
         yield {"parts": parts}
 
 
-def _find_other_advance(run: Run) -> Iterator[Row]:
-    """Yield the other rule of advance, if it fits better."""
-    if (found := run.knows(FitMetadata).other_advance) is not None:
-        yield vars(found)
-
-
 #: of fits and cross-validations, by the kind of the warning, which programs may rely on: run -> the values of
 #: the text, for each case found
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
@@ -194,5 +188,4 @@ RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "shared_residual": _find_shared_residual,
     "boundary_shift": _find_shifted_boundaries,
     "units": _find_implausible_moduli,
-    "advance": _find_other_advance,
 }

@@ -15,7 +15,7 @@ from needlefit.project.locate import read_toml
 from needlefit.project.processes import one_thread
 from needlefit.reporting.needles_in_scan import tabulate_needles_in_scan
 from needlefit.reporting.table_files import select_rows
-from needlefit.schemas.run_metadata import AdvanceMetadata, FitMetadata, JobMetadata
+from needlefit.schemas.run_metadata import FitMetadata, JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.answer import FaultKind, RunFault
 from needlefit.studies.explorer import describe_insertions, find_bevel_sd
@@ -25,7 +25,6 @@ from needlefit.studies.kinds.cross_validation.fold import FoldResult, FoldServic
 from needlefit.studies.kinds.cross_validation.frames import FRAMES
 from needlefit.studies.kinds.cross_validation.progress import StudyProgress
 from needlefit.studies.load import load_study, print_notes
-from needlefit.studies.other_advance import find_better_advance
 from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 from needlefit.studies.simulated_data import find_true_value
@@ -54,15 +53,10 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
         results.append(run_fold(job, fold, services))
         if results[-1].interrupted:
             break
-    better = None
-    if not results[-1].interrupted:
-        better = find_better_advance(job, results[0].rows["errors"], settings)
-    return conclude_run(job, work, results, better)
+    return conclude_run(job, work, results)
 
 
-def conclude_run(
-    job: Job, work: JobMetadata, results: Sequence[FoldResult], better: AdvanceMetadata | None = None
-) -> Run:
+def conclude_run(job: Job, work: JobMetadata, results: Sequence[FoldResult]) -> Run:
     """Return the run of a job by the results of its folds, with warnings about data, fits and predictions.
 
     `work` is what `describe_configuration` returns.
@@ -93,8 +87,6 @@ def conclude_run(
         found["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
         found["stated_depths"] = depths
-    if better is not None:
-        found["other_advance"] = better
     run = Run(
         kind="cross_validation" if isinstance(job.record, StudyRecord) else "fit",
         name=job.name,
