@@ -1,4 +1,4 @@
-"""How the site is built: the pages of this folder, and a reference generated from the code.
+"""How the site is built: the pages of this folder, and commands, API and what ships from the code.
 
 Nothing is fetched from a network: mathematics is MathML, fonts are those of the reader's system, and names of
 other packages are not linked.
@@ -26,11 +26,7 @@ extensions = [
     "elsewhere",
     "mathml",
     "docstrings",
-    "names",
-    "api_pages",
     "commands",
-    "toml_page",
-    "columns_page",
     "notebooks_page",
     "shipped",
 ]
@@ -41,9 +37,6 @@ html_title = "needlefit"
 html_static_path = ["_static"]
 html_css_files = ["quiet.css"]
 html_copy_source = False
-toc_object_entries = (
-    False  # the contents of a package are its modules; listing every function would be too long
-)
 html_show_sphinx = False
 smartquotes = False  # options are shown as typed: two hyphens stay two
 html_math_renderer = "mathml"
@@ -58,23 +51,10 @@ autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 160
-default_role = "name"
+default_role = "literal"
 
 nitpicky = True
-nitpick_ignore_regex = [
-    # Types of others, which signatures name: without a network there is nothing to link them to.
-    ("py:.*", r"(numpy|np|scipy|pandas|pd|xarray|arviz|matplotlib|pydantic|pydantic_core|typer)\..*"),
-    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|jinja2|markupsafe)\..*"),
-    ("py:.*", r"(collections|concurrent|contextlib|ctypes|dataclasses|pathlib|types|typing)\..*"),
-    # Bounds in the types of keys.
-    ("py:class", r"(annotated_types\.)?(Ge|Gt|Le|Lt|MaxLen|MinLen)|FieldInfo|NoneType"),
-    # What begins with an underscore has no entry, even where a signature names it.
-    ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
-    # Imported for type checkers alone: from a package that may not be installed, or that takes long to load.
-    ("py:class", r"BaseFileLock|Client|SpecCluster|Curve|Path|Pose|Row"),
-    # Type variables: what stands for them is the caller's.
-    ("py:class", r"(needlefit\.[\w.]+\.)?(F|R|T|Given|Item|Key|Known|Other|Result|Returned|Value)"),
-]
+nitpick_ignore_regex = [("py:class", ".*")]  # types of signatures: most have no entry
 
 
 class TermIndexer(SphinxTransform):

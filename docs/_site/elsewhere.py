@@ -12,7 +12,7 @@ PAGES = {
     "../data/README.md": "datasets.md",
     "../benchmarks/README.md": "developers/benchmarks.md",
     "../needlefit/cli/application.py": "reference/commands.md",
-    "../needlefit/api.py": "reference/api/index.md",
+    "../needlefit/api.py": "api.md",
     "../studies": "reference/shipped.md",
     "notebooks/1_fit_your_csv.ipynb": "reference/notebooks.md",
     "notebooks/3_simulate.ipynb": "reference/notebooks.md",

@@ -24,8 +24,8 @@ Every file of the project that a command takes by its name; `needlefit new proje
 
 ## Studies
 
-`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the
-keys of the other kinds are those of their records: {kinds}.
+`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others;
+`needlefit explain KIND` prints the keys of another kind: {kinds}.
 """
 
 
@@ -40,19 +40,13 @@ def _write(app: Sphinx) -> None:
 
 
 def _page() -> Iterator[str]:
-    yield OPENING.format(kinds=", ".join(_record(kind) for kind in KINDS.names()))
+    yield OPENING.format(kinds=", ".join(f"`{kind}`" for kind in KINDS.names()))
     yield from ("| name | kind | question |", "|---|---|---|")
     for name, record in _files("studies"):
         yield f"| `{name}` | {_cell(record, 'kind')} | {_cell(record, 'question', 'title')} |"
     for title, folder in FOLDERS.items():
         yield from ("", f"## {title}", "", "| name | what it is |", "|---|---|")
         yield from (f"| `{name}` | {_cell(record, 'title')} |" for name, record in _files(folder))
-
-
-def _record(kind: str) -> str:
-    """Return a kind of study as a link to what its file holds."""
-    record = KINDS[kind].record
-    return f"{{py:obj}}`{kind} <{record.__module__}.{record.__qualname__}>`"
 
 
 def _files(folder: str) -> Iterator[tuple[str, dict[str, object]]]:

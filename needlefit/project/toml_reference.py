@@ -57,18 +57,11 @@ def list_files(studies: Mapping[str, type[FileRecord]]) -> tuple[FileKind, ...]:
 
 @dataclass(frozen=True)
 class KeyDescription:
-    """A key of a table: what it takes, and what it means.
-
-    `owner` and `field` are the record that documents it and its name there. `described_in` is the title of
-    the table that describes its own keys; empty if it is no table.
-    """
+    """A key of a table: what it takes, and what it means."""
 
     key: str
     value: str
     meaning: str
-    owner: type[BaseModel]
-    field: str
-    described_in: str
 
 
 @dataclass(frozen=True)
@@ -96,26 +89,24 @@ def _describe_record(
     """Yield the keys of a record, then those of the tables within it that were not described."""
     keys, inner = [], []
     for name, field in record.model_fields.items():
-        key, record_in = field.alias or name, find_record(field.annotation)
+        key, record_in = field.alias or name, _find_record(field.annotation)
         if record_in and record_in not in described:
             path_in = ".".join(filter(None, (path, key)))
             inner.append((record_in, path_in))
             described[record_in] = f"{title}: {path_in}"
-        owner = find_owner(record, name)
-        meaning, place = _field_docstrings(owner)[name], described[record_in] if record_in else ""
-        value = f"up to {record.SCHEMA}, **required**" if name == "schema_" else _describe_value(field)  # type: ignore[attr-defined]
-        keys.append(KeyDescription(key, value, meaning, owner, name, place))
+        value = f"up to {record.SCHEMA}, required" if name == "schema_" else _describe_value(field)  # type: ignore[attr-defined]
+        keys.append(KeyDescription(key, value, _find_meaning(record, name)))
     summary = " ".join((inspect.getdoc(record) or "").partition("\n\n")[0].split())
     yield TableDescription(described[record], summary, tuple(keys))
     for record_in, path_in in inner:
         yield from _describe_record(record_in, path_in, title, described)
 
 
-def find_owner(record: type[BaseModel], name: str) -> type[BaseModel]:
-    """Return the record or base class that documents a field; KeyError if none does."""
+def _find_meaning(record: type[BaseModel], name: str) -> str:
+    """Return the docstring of a field, of the record or of a base class; KeyError if none has it."""
     for one in record.__mro__:
-        if name in _field_docstrings(one):
-            return one
+        if name in (meanings := _field_docstrings(one)):
+            return meanings[name]
     raise KeyError(f"{record.__name__}.{name} has no docstring")
 
 
@@ -147,11 +138,11 @@ def _describe_value(field: FieldInfo) -> str:
     )
     parts = [_describe_type(field.annotation), *(words.format(at) for words, at in bounds if at is not None)]
     if field.is_required():
-        parts.append("**required**")
+        parts.append("required")
     else:
         value = field.get_default(call_default_factory=True)
         if not (value in (None, "", {}, ()) or isinstance(value, BaseModel)):
-            parts.append(f"default `{format_value(value)}`")
+            parts.append(f"default `{_format_value(value)}`")
     return ", ".join(parts)
 
 
@@ -159,7 +150,7 @@ def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand
     """Return what a key takes, in words."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Literal:
-        return " or ".join(f"`{format_value(one)}`" for one in inner)
+        return " or ".join(f"`{_format_value(one)}`" for one in inner)
     if origin in (Union, types.UnionType):
         return " or ".join(dict.fromkeys(_describe_type(one) for one in inner if one is not type(None)))
     if hasattr(annotation, "__metadata__"):  # of Annotated
@@ -168,16 +159,16 @@ def _describe_type(annotation: Any) -> str:  # noqa: ANN401 - whatever may stand
         return f"table of {_describe_type(inner[1])} by name"
     if origin is tuple:
         return f"array of {_describe_type(inner[0])}" + (f" × {len(inner)}" if inner[-1] is not ... else "")
-    return "table" if find_record(annotation) else TYPES.get(annotation, "value")
+    return "table" if _find_record(annotation) else TYPES.get(annotation, "value")
 
 
-def find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever may stand in an annotation
+def _find_record(annotation: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever may stand in an annotation
     """Return the record within an annotation, also in a list or a table."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for one in get_args(annotation) if (found := find_record(one))), None)
+    return next((found for one in get_args(annotation) if (found := _find_record(one))), None)
 
 
-def format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value
+def _format_value(value: Any) -> str:  # noqa: ANN401 - a TOML value
     """Return a value as a TOML file has it."""
     return dumps({"key": value}).partition("= ")[2].strip() if value != "" else '""'

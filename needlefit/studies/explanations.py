@@ -64,8 +64,8 @@ def _describe_files() -> Iterator[Topic]:
 
 
 def _list_keys(table: TableDescription) -> Iterator[str]:
-    yield f"{table.title}. {_plain(table.summary)}"
-    yield from (f"- {one.key} ({_plain(one.value)}): {_plain(one.meaning)}" for one in table.keys)
+    yield f"{table.title}. {table.summary}"
+    yield from (f"- {one.key} ({one.value}): {one.meaning}" for one in table.keys)
 
 
 def _describe_keys() -> Iterator[Topic]:
@@ -83,9 +83,4 @@ def _list_meanings(places: list[tuple[str, KeyDescription]]) -> Iterator[str]:
     meanings = group_values(((one.value, one.meaning), title) for title, one in places)
     for (value, meaning), titles in meanings.items():
         head = f"{', '.join(dict.fromkeys(titles))}: " if len(meanings) > 1 else ""
-        yield f"{head}{_plain(meaning)} ({_plain(value)})"
-
-
-def _plain(words: str) -> str:
-    """Return text of the reference without what marks strong words."""
-    return words.replace("**", "")
+        yield f"{head}{meaning} ({value})"
