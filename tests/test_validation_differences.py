@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from made_again import store
 from reporting_results import study
@@ -84,3 +85,12 @@ def test_the_command_prints_a_row_for_each_difference(first, tmp_path, capsys):
     assert run("diff", str(first), str(second), "--json") == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["column"] for row in rows] == list(found["column"])
+
+
+def test_of_unlike_runs_the_screen_has_40_rows_and_a_file_all(first, tmp_path, capsys):
+    parts = {str(n): n for n in range(50)}
+    second = write(tmp_path / "b", errors=ERRORS.assign(**{f"extra_{name}": n for name, n in parts.items()}))
+    table = tmp_path / "differences.csv"
+    assert run("diff", str(first), str(second), "--csv", str(table)) == 0
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("errors.csv")]
+    assert len(printed) == 40 and len(pd.read_csv(table)) == 50

@@ -11,6 +11,8 @@ from needlefit.cli import options, screen
 from needlefit.cli.execution import show_json_of, show_run, show_warnings
 from needlefit.cli.options import argument, option
 
+MAX_SHOWN_DIFFERENCES = 40  #: rows of the table of differences on the screen
+
 
 def report(
     context: typer.Context,
@@ -57,19 +59,26 @@ def diff(
         str,
         argument("RUN_B", "A folder of results, or its bare name in reports/."),
     ],
+    csv: Annotated[Path | None, option("Write all rows of the printed table.", "FILE")] = None,
     json: options.Json = False,
     plugins: options.Plugins = None,
 ) -> None:
     """Compare two runs: inputs, states, every number.
 
-    Prints the greatest change of each column, and how many rows differ. Runs with files that do not agree
-    with their manifest are not compared.
+    Prints the greatest change of each column, and how many rows differ; of unlike runs the first 40 rows.
+    Runs with files that do not agree with their manifest are not compared.
     """
+    from needlefit.project.folders import require_output_files
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
     from needlefit.studies.run_differences import RUN_JSON, compare_runs
 
-    found = compare_runs(find_run(run_a), find_run(run_b))
+    folders = find_run(run_a), find_run(run_b)
+    if csv is not None:
+        require_output_files({"--csv": csv}, folders)
+    found = compare_runs(*folders)
+    if csv is not None:
+        found.to_csv(csv, index=False)
     if context.find_root().obj.json:
         screen.show_json(to_records(found))
         return
@@ -77,7 +86,12 @@ def diff(
     keys = len(found) - len(tables)
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
     if len(found):
-        screen.show_frame(found, "\nThe greatest change of each column, from RUN_A to RUN_B")
+        shown = found.head(MAX_SHOWN_DIFFERENCES)
+        screen.show_frame(shown, "\nThe greatest change of each column, from RUN_A to RUN_B")
+        if more := len(found) - len(shown):
+            screen.print_line(f"{more} more rows: --csv FILE writes all of them")
+    if csv is not None:
+        screen.print_note(f"written: {csv}")
 
 
 def explain(
