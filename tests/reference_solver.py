@@ -230,7 +230,7 @@ def equilibrium(
         lam = (t - distance) / t
         k = mu * inputs.law.k(lam, *shape)
         # the tangent may be real: it is exact where the real part has converged
-        dk = (mu * inputs.law.dk_dstretch(lam.real, *shape.real)).real
+        dk = mu.real * inputs.law.k(lam.real + H * 1j, *shape.real).imag / H
         g = 1 - gamma * steepness**2 / (1 + steepness**2)  # sin^2(atan |u'|)
         dg = -2 * gamma[:, None] * slope / (1 + steepness**2)[:, None] ** 2  # by both slopes
         away = e / np.where(distance == 0, 1, distance)[:, None]  # the direction of e

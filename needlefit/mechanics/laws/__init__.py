@@ -74,10 +74,6 @@ class TissueLaw(ABC):
     def k(self, stretch: Numbers, *shape: Any) -> Numbers:  # noqa: ANN401  -- a law names its parameters
         """Return the tangent modulus over mu."""
 
-    def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
-        """Return dk/dlambda over mu."""
-        return self.k(stretch + 1j * COMPLEX_STEP, *shape).imag / COMPLEX_STEP
-
     def dk_dshape(self, number: int, stretch: Floats, *shape: Floats) -> Floats:
         """Return the derivative of k over mu by a shape parameter, `number` its place in `parameters`."""
         stepped = [value + 1j * COMPLEX_STEP * (p == number) for p, value in enumerate(shape)]
@@ -123,18 +119,10 @@ class PowerLaw(TissueLaw):
 
     def k(self, stretch: Numbers, *shape: Numbers) -> Numbers:
         """Return the tangent modulus over mu."""
-        c, q = self._terms_of(stretch, shape)
+        c, q = self.terms_at_zero
+        if shape:
+            c, q = self.power_terms(np.stack(np.broadcast_arrays(*shape), axis=-1))
         return np.sum(c * stretch[..., None] ** q, axis=-1)
-
-    def dk_dstretch(self, stretch: Floats, *shape: Floats) -> Floats:
-        """Return dk/dlambda over mu."""
-        c, q = self._terms_of(stretch, shape)
-        return np.sum(c * q * stretch[..., None] ** (q - 1), axis=-1)
-
-    def _terms_of(self, stretch: Numbers, shape: Sequence[Numbers]) -> tuple[Numbers, Numbers]:
-        if not shape:
-            return self.terms_at_zero
-        return self.power_terms(np.stack(np.broadcast_arrays(*shape), axis=-1))
 
 
 LAWS: Registry[TissueLaw] = Registry(TissueLaw, __name__, "tissue law")  # type: ignore[type-abstract]
