@@ -64,10 +64,6 @@ class Registry(Generic[T]):
             self._builtin[name] = found[name]
         return self._builtin[name]
 
-    def get(self, name: str) -> T | None:
-        """Return an entry; None if there is none of that name, as in a stored result of a plugin."""
-        return self[name] if name in self else None  # noqa: SIM401 -- this is `get`
-
     def plugin_of(self, name: str) -> Plugin | None:
         """Return the plugin that an entry comes from; None for a built-in entry."""
         return self._added().get(name, (None, None))[1]

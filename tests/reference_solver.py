@@ -18,7 +18,6 @@ import numpy as np
 from needlefit.arrays import Bools, Floats
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.laws import LAWS
-from needlefit.mechanics.native import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, compute_scales
@@ -26,6 +25,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.torsion import turn_tip
 
 H = 1e-30
+GUIDE_ENGAGEMENT_MM = 0.05
 GUIDE_PARTS = ("x", "y", "slope", "z", "slope_z")
 
 

@@ -69,7 +69,7 @@ def test_where_the_needle_goes_by_itself_nothing_is_moved() -> None:
     x, y = tip_of(replace(insertion().now, depth=40.0))
     found = plan((x, y))
     assert found.nominal_miss < 0.02 and found.turns == ()
-    assert abs(found.end.controls.base_y) < 0.05 and abs(found.end.depth - 40.0) < 0.05
+    assert abs(found.steps[-1].controls.base_y) < 0.05 and abs(found.steps[-1].depth - 40.0) < 0.05
     other = plan((x, -y), base_mm=0.0, base_angle_deg=0.0, turns=0)
     assert other.turns == (0.0,) and other.nominal_miss < 0.02  # the bevel alone
 
@@ -81,7 +81,7 @@ def test_a_plan_is_the_needle_that_its_steps_simulate() -> None:
     assert np.linalg.norm(tip - (42.0, -1.5)) == pytest.approx(found.nominal_miss, abs=1e-6)
     assert found.nominal_miss < 0.05
     assert found.steps[0].controls == insertion().now.controls  # the entry is where the needle lies
-    assert abs(found.end.controls.base_y) > 0.1
+    assert abs(found.steps[-1].controls.base_y) > 0.1
 
 
 def test_an_obstacle_on_the_way_is_passed_by() -> None:
@@ -99,7 +99,8 @@ def test_the_probability_is_that_of_draws_that_the_plan_was_not_sought_with() ->
     found, tests = plan((40.0, 1.0), 0.1, start=one), one.samples[1]
     assert len(found.needles) == len(tests) == 64
     (shapes,) = simulate_batches(one.make_batches(tests, [found.steps]), 1)
-    tips = np.array([compute_positions(shapes[n], np.array([found.end.depth]))[0, :2] for n in range(64)])
+    depth = np.array([found.steps[-1].depth])
+    tips = np.array([compute_positions(shapes[n], depth)[0, :2] for n in range(64)])
     assert found.hits == np.sum(np.linalg.norm(tips - found.goal.target, axis=1) <= 0.1)
     assert found.hits == np.sum(find_hits(found.needles, found.goal))
     assert 0.1 < found.probability < 1 and found.low < found.probability < found.high

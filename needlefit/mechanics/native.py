@@ -29,8 +29,6 @@ LIBRARY_VARIABLE = "NEEDLEFIT_LIBRARY"
 _FIX = "install needlefit again; of a checkout: pip install -e ."
 
 SAME_DEPTH_MM = 1e-9  #: two depths that differ by less than this, mm, are the same
-#: a guide in the tissue holds the needle once the tip is this far past it: a length of the model
-GUIDE_ENGAGEMENT_MM = 0.05
 LINEAR_CUT = -1.0  #: in place of a `switch`: the cut is linear between its constraint points
 #: of a law's table: its pieces of equal length, the Chebyshev terms of each, |e| / t at its end
 TABLE_PIECES, TABLE_TERMS, TABLE_COMPRESSION = 16, 20, 0.8

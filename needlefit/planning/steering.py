@@ -175,11 +175,6 @@ class SteeringPlan:
     at_limit: tuple[str, ...] = ()  #: which of `LIMITED` are at the end of their range
 
     @property
-    def end(self) -> Step:
-        """The last step."""
-        return self.steps[-1]
-
-    @property
     def solved(self) -> Bools:
         """Which draws (B,) have a needle."""
         return np.isfinite(self.needles[:, -1, 0])

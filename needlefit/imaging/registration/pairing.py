@@ -61,11 +61,6 @@ class MarkerSets:
         """The typical deviation of a pair in any one direction, mm: the median over markers."""
         return float(np.hypot(np.median(self.found_sd), np.median(self.known_sd)))
 
-    @property
-    def extent(self) -> float:
-        """The greatest distance between two known markers, mm."""
-        return float(np.max(np.linalg.norm(self.known[:, None] - self.known[None], axis=-1)))
-
 
 def make_marker_sets(
     found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
