@@ -57,7 +57,7 @@ def simulate_needles(
     return np.abs(off - np.sqrt(1 - registration) * own - np.sqrt(registration) * shared)
 
 
-#: what outcomes are called here where they say more: that a needle decides, and which error is the smaller one
+#: outcomes that say more than is counted here: that one needle decides, or which error is smaller
 WITHOUT_NEEDLES = {"closer by one needle": "closer than both", "not clearly closer": "as close"}
 
 

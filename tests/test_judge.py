@@ -156,7 +156,7 @@ NOISE_MM = 0.22  #: noise floor of the tip errors of made-up studies
 
 
 def make_scores(seed: int) -> Run:
-    """Return a study with tip errors by chance: borderline, of one needle or few, some NaN, noise unstated."""
+    """Return a study with tip errors by chance: borderline, of few needles, NaN, noise not stated."""
     rng = np.random.default_rng(seed)
     results = study(4)
     errors = results.frames["errors"].copy()

@@ -89,8 +89,9 @@ CONTRADICTIONS = (
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
 _OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")
-#: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
-_NO_DOUBTS = ("placeholder", "validity")
+#: kinds of warnings that are no doubt about the data: a text that reports print, the model's limits, and the
+#: choice of a point of a predictive distribution
+_NO_DOUBTS = ("placeholder", "validity", "predictive_median")
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:

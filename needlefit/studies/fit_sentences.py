@@ -51,6 +51,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "by_curves": lambda v: v.curved,
     "by_tips": lambda v: not v.curved,
     "row_prediction": lambda v: "our prediction" in v.rows,
+    **dict.fromkeys(("row_medians", "summary_medians"), lambda v: v.medians),
     "row_floor": lambda v: "noise floor" in v.rows,
     "errors_aligned": lambda v: any(one.comparison == "aligned" for one in v.groups),
     "paper_in_world": lambda v: "paper" in v.rows,

@@ -7,8 +7,9 @@ predicts a point; its CRPS is its error. Of two that miss alike a distribution h
 wrong spread is seen in CRPS alone: both scores are needed.
 
 With fewer trials, as of one fit or one specimen, nothing is tested. The tip error is compared with those of
-two references that are fixed beforehand: "closer than both", "not clearly closer", "as close" or "worse than
-one", and "closer by one needle" where that needle decides. That states what holds on these needles. How often either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
+two references that are fixed beforehand: "closer than both" ("closer by one needle" where that one decides),
+"not clearly closer", "as close" or "worse than one". That states what holds on these needles. How often
+either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
 """
 
 import math

@@ -93,6 +93,8 @@ def conclude_run(
         found["truth"] = truth
     if depths := [row for one in results for row in one.depths]:
         found["stated_depths"] = depths
+    if medians := [row for one in results for row in one.rows.get("medians", ())]:
+        found["medians"] = medians
     if better is not None:
         found["other_advance"] = better
     run = Run(
