@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
@@ -260,9 +260,9 @@ class _Predictor:
         if not point.is_median:
             return point, needle
         at, median = s, point.take(needle(s), drawn)
-        if s[0] > 0:  # of a tip alone; the needle begins at the entry
+        if len(s) == 1:  # of a tip alone; the needle begins at the entry
             at, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
-        return point, CubicSpline(at, median)
+        return point, PchipInterpolator(at, median)
 
     def _plan(
         self,

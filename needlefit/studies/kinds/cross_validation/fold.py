@@ -406,10 +406,12 @@ def _place_needles(
     job: Job, fold: Fold, fit: Fit, drawn: FoldDrawn | None, jobs: int
 ) -> Iterator[NeedleInScan]:
     """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
-    bands = [row for one in (drawn.predicted if drawn else ()) for row in one.band]
+    predicted = drawn.predicted if drawn else ()
+    bands = [row for one in predicted for row in one.band]
+    curves = {one.row["insertion"]: one.curve for one in predicted if one.curve is not None}
     shown = drawn.shown if drawn else None
     problem, fitted = job.problem(fold), len(job.folds) == 1
-    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted)
+    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted, curves=curves)
 
 
 def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> FitRows:
