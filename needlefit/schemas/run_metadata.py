@@ -127,6 +127,15 @@ class DepthMetadata(_Metadata):
     factor_per_mm: float  #: of this parameter
 
 
+class MedianMetadata(_Metadata):
+    """An insertion whose prediction is the predictive median, and why it is not the mode (`choose_point`)."""
+
+    fold: str
+    insertion: str
+    mode_fault: str
+    at_bound: dict[str, str]  #: by symbol of a parameter the bound at which it lies, in words
+
+
 # ---- runs
 
 
@@ -179,6 +188,7 @@ class FitMetadata(JobMetadata):
     truth: dict[str, float] = {}  #: the true parameters, of our synthetic data
     search_faults: dict[str, list[str]]  #: by fold: why the best point may not be the best
     stated_depths: list[DepthMetadata] = []
+    medians: list[MedianMetadata] = []
     validity: ValidityMetadata
 
 
@@ -226,7 +236,11 @@ class PredictionMetadata(AnalysisMetadata):
     failed_solves: int
     outside_validity: int
     not_converged: list[str]
-    mode: dict[str, float] | None = None  #: parameters of the predicted needle
+    mode: dict[str, float] | None = None  #: parameters of the posterior mode
+    mode_fault: str = "none"  #: why the predictive median is reported in its place (`choose_point`)
+    at_bound: dict[str, str] = {}  #: as of `MedianMetadata`
+    #: where the median is reported, parameters of the draw whose needle is nearest to it
+    nearest: dict[str, float] | None = None
     drawn: dict[str, list[float]] | None = None  #: parameters of certified draws, evenly chosen, for its page
 
 

@@ -33,6 +33,7 @@ COMMANDS: Mapping[str, str] = {
     "other_medium_missed": "",
     "curve_closer": "explain closer-than-curves",
     "curve_as_good": "explain closer-than-curves",
+    "one_needle_decides": "explain closer-than-curves",
     "not_clearly_closer": "explain closer-than-curves",
     "closer_undecided": "explain closer-than-curves",
     "margin_unstated": "explain closer-than-curves",
@@ -88,8 +89,9 @@ CONTRADICTIONS = (
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
 _OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")
-#: kinds of warnings that are no doubt about the data: a text that reports print, and the model's limits
-_NO_DOUBTS = ("placeholder", "validity")
+#: kinds of warnings that are no doubt about the data: a text that reports print, the model's limits, and the
+#: choice of a point of a predictive distribution
+_NO_DOUBTS = ("placeholder", "validity", "predictive_median")
 
 
 def list_doubts(warnings: Iterable[ResultWarning]) -> list[ResultWarning]:
@@ -118,17 +120,16 @@ def name_doubt(kind: str) -> str:
     return title[:1].lower() + title[1:]
 
 
-def find_failures(checks: Mapping[Check, Finding], other_medium: bool) -> list[str]:
+def find_failures(checks: Mapping[Check, Finding], comparison: str, other_medium: bool) -> list[str]:
     """Return what failed checks of fits and predictions found.
 
-    `other_medium`: whether the insertions are into a medium that was not fitted.
+    `comparison`: what the comparison with curves found, the `advice` of a judgement. `other_medium`: whether
+    the insertions are into a medium that was not fitted.
     """
     failed = {one for one, found in checks.items() if found.passed is False}
-    found = []
+    found = [comparison] if comparison else []
     if other_medium and failed & {Check.CURVES, Check.NOISE}:
         found.append("other_medium_missed")
-    if (curves := checks.get(Check.CURVES)) and curves.named and curves.passed is not True:
-        found.append(_find_against_curves(curves, checks.get(Check.NOISE)))
     half, intervals = (checks.get(one) for one in (Check.COVERAGE_50, Check.INTERVALS))
     if (intervals and intervals.covered is False) or (Check.COVERAGE_50 in failed and half and half.is_below):
         found.append("intervals_miss")
@@ -137,14 +138,3 @@ def find_failures(checks: Mapping[Check, Finding], other_medium: bool) -> list[s
     if Check.NOISE in failed:
         found.append("beyond_noise")
     return found
-
-
-def _find_against_curves(curves: Finding, noise: Finding | None) -> str:
-    """Return what a comparison that the model did not pass found; within the noise no curve is better."""
-    if curves.passed is False:
-        return "curve_as_good" if noise and noise.passed else "curve_closer"
-    if curves.needles is None:
-        return "closer_undecided"
-    if curves.margin_mm is None:
-        return "margin_unstated"
-    return "not_clearly_closer" if curves.is_below else "curve_as_good"

@@ -15,7 +15,7 @@ FIT_KINDS = ("cross_validation", "fit")  #: kinds of study whose runs have these
 #: in place of a specimen's name: those that were tuned on, together, and one that is not in the dataset
 TUNED_SPECIMENS, NEW_SPECIMEN = "(tuned)", "(new)"
 
-#: our prediction: the needle of the posterior mode, through the layers that it meets itself
+#: our prediction: the needle of the posterior mode, through the layers that it meets itself, or the median
 PREDICTION_METHOD = "prediction"
 #: the methods that simulate a needle: both fits, b fitted alone with the others as they are before any data,
 #: the paper's parameters, and these with b fitted again

@@ -34,11 +34,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "closest_curve": lambda v: (
         not (v.judged.has_reference or v.judged.curve_is_closer or v.judged.curve_mm is None)
     ),
-    "curve_as_good": lambda v: not v.judged.is_closer,
-    "not_clearly_closer": lambda v: v.judged.is_closer,
-    "below_margin": lambda v: v.judged.outcome == "as close" and v.judged.is_within_margin,
-    "tracks_as_good": lambda v: v.tracks.rms_mm >= v.tracks.curve_mm,
-    "tracks_not_clearly_closer": lambda v: v.tracks.rms_mm < v.tracks.curve_mm,
+    "below_margin": lambda v: v.judged.is_within_margin,
     "tracks_closer": lambda v: v.tracks.closer is not None,
     # what the fit determined, for each word of `find_least_determined`
     "determined_within": lambda v: v.word == "yes" and v.intervals,
@@ -55,6 +51,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "by_curves": lambda v: v.curved,
     "by_tips": lambda v: not v.curved,
     "row_prediction": lambda v: "our prediction" in v.rows,
+    **dict.fromkeys(("row_medians", "summary_medians"), lambda v: v.medians),
     "row_floor": lambda v: "noise floor" in v.rows,
     "errors_aligned": lambda v: any(one.comparison == "aligned" for one in v.groups),
     "paper_in_world": lambda v: "paper" in v.rows,

@@ -75,7 +75,8 @@ def lay_out_validation(*runs: Run) -> TableLayout:
     """Return the errors by held-out group: ours, noise floor, paper."""
     groups = scores.list_held_out_groups(*runs)
     heads = ("study", "medium", "layers", "insertions")[len(runs) == 1 :]
-    return _lay_out_groups("validation", [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups], heads)
+    blocks = [(one, (*_HELD_OUT_KINDS, _FLOOR, _PAPER)) for one in groups]
+    return _lay_out_groups("validation", blocks, heads, medians=_count_medians(runs))
 
 
 def lay_out_tuning(*runs: Run) -> TableLayout:
@@ -113,7 +114,7 @@ def lay_out_summary(run: Run) -> TableLayout:
             references.append(_RowKind(f"closest curve{hindsight}: {method_name(curve)}", curve))
         blocks.append((group, (ours, _B_ALONE, *references, *paper)))
     heads = ("medium", "layers", "insertions") if several else ()
-    found = _lay_out_groups("summary", blocks, heads, short=True)
+    found = _lay_out_groups("summary", blocks, heads, short=True, medians=_count_medians([run]))
     if several or not groups:
         return found
     head = groups[0].head
@@ -128,6 +129,7 @@ def _lay_out_groups(
     blocks: Sequence[tuple[scores.ScoredGroup, Sequence[_RowKind]]],
     heads: Sequence[str],
     short: bool = False,
+    medians: int = 0,
 ) -> TableLayout:
     """Return a block of rows for each group, of which the first has its name (`heads`) and its noise.
 
@@ -152,7 +154,13 @@ def _lay_out_groups(
     table = Table(name, lines, columns, groups=("number",), heads=len(heads), strong="groups")
     heads_of_groups = [SimpleNamespace(**_head(group)) for group, _ in blocks]
     names = {row["row"] for row in rows}
-    return _lay_out(table, short, rows=names, groups=heads_of_groups, curved=IPE.name in shown)
+    about = {"groups": heads_of_groups, "curved": IPE.name in shown, "medians": medians}
+    return _lay_out(table, short, rows=names, **about)
+
+
+def _count_medians(runs: Sequence[Run]) -> int:
+    """Return of how many insertions the prediction is the predictive median."""
+    return sum(len(run.knows(FitMetadata).medians) for run in runs)
 
 
 def _list_scores(group: scores.ScoredGroup, kinds: Sequence[_RowKind]) -> Iterator[Row]:

@@ -16,6 +16,8 @@ from needlefit.inference.identifiability.directions import (
     short_name,
 )
 from needlefit.inference.parameter_names import BEVEL_SPREAD, is_logarithmic, is_shape_parameter
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.point_prediction import PointPrediction
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.unit_warnings import MU_PA
 from needlefit.reporting.number_format import format_quantity
@@ -30,7 +32,16 @@ from needlefit.studies.validity import list_outside
 if TYPE_CHECKING:
     from needlefit.studies.job import Job
 
-TEXT = KindText("warnings", rules={"of_many": lambda v: v.many, "of_fits": lambda v: v.total > 1})
+TEXT = KindText(
+    "warnings",
+    rules={
+        "of_many": lambda v: v.many,
+        "of_fits": lambda v: v.total > 1,
+        "mode_at_bound": lambda v: v.at_bound,
+        "or_else": lambda v: v.at_bound and v.mode_fault == "outside",
+        "mode_outside": lambda v: v.mode_fault == "outside",
+    },
+)
 
 
 def add_warnings(run: Run, job: "Job") -> Run:
@@ -105,6 +116,29 @@ def _describe_bound(
     if place < near and name != BEVEL_SPREAD:  # next to 0 it says that bevels do not differ
         return f"lower bound, {format_quantity(name, low)}"
     return f"upper bound, {format_quantity(name, high)}" if place > 1 - near else ""
+
+
+# ---- the predictive median in place of the mode
+
+
+def describe_point(point: PointPrediction, parameters: Parameters) -> Row:
+    """Return what runs store of a choice between mode and median."""
+    bounds = {
+        short_name(name): f"{end} bound, {format_quantity(name, parameters.bounds[name][end == 'upper'])}"
+        for name, end in point.at_bound.items()
+    }
+    return {"mode_fault": point.mode_fault, "at_bound": bounds}
+
+
+def _find_medians(run: Run) -> Iterator[Row]:
+    """Yield how many predictions are medians, and what is wrong with their modes."""
+    if medians := run.knows(FitMetadata).medians:
+        outside = any(one.mode_fault == "outside" for one in medians)
+        yield {
+            "count": len(medians),
+            "at_bound": {name: bound for one in medians for name, bound in one.at_bound.items()},
+            "mode_fault": "outside" if outside else "at_bound",
+        }
 
 
 # ---- errors beside the noise floor
@@ -183,6 +217,7 @@ def _find_outside(run: Run) -> Iterator[Row]:
 RULES: Mapping[str, Callable[[Run], Iterable[Row]]] = {
     "validity": _find_outside,
     "parameter_at_bound": _find_bounds,
+    "predictive_median": _find_medians,
     "noise_too_large": partial(_find_wrong_noise, too_large=True),
     "noise_too_small": partial(_find_wrong_noise, too_large=False),
     "shared_residual": _find_shared_residual,

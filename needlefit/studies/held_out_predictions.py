@@ -14,13 +14,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from needlefit.arrays import Floats
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers, find_repeats, list_bevels, name_holes
 from needlefit.geometry.curves import select_compared
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import align, draw_rolls, turn_about_x
+from needlefit.inference.compared_points import Curve, align, draw_rolls, turn_about_x
 from needlefit.inference.curve_bands import predict_bands
 from needlefit.inference.draw_simulation import (
     DrawnNeedles,
@@ -32,6 +33,7 @@ from needlefit.inference.draw_simulation import (
 from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.curvature import append_sensors
+from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import Draws, PredictiveMixture, find_geometric_median, rms_noise_scale
 from needlefit.inference.problem import Problem
 from needlefit.project.random_streams import random_stream
@@ -48,7 +50,7 @@ from needlefit.studies.prediction_scores import (
     tabulate_band,
     tabulate_sensors,
 )
-from needlefit.studies.score import Row
+from needlefit.studies.score import Row, predict_needle
 
 #: one in so many draws predicts a needle that is held out; all do where an end of the tip's 95 % interval has
 #: a Monte Carlo standard error above this part of the interval's width
@@ -71,7 +73,8 @@ PREDICTIVE_COLUMNS = (
 class HeldOutPrediction:
     """The prediction of one needle: its rows of the tables "predictive", "bands", "curvature".
 
-    `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
+    `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes. With bands,
+    `point` is which needle is reported, and `curve` that needle in C, mm: None where it has no solution.
     """
 
     row: Row
@@ -79,6 +82,8 @@ class HeldOutPrediction:
     sensors: tuple[Row, ...]
     solved: int
     outside: int
+    point: PointPrediction | None = None
+    curve: Curve | None = None
 
 
 def predict_held_out(
@@ -184,9 +189,9 @@ class _Predictor:
         solved = found.solved
         if np.sum(solved) < MIN_SOLVED_DRAWS:
             return None
-        needles, directions = found.points[solved], job.dataset.directions
-        rolls = draw_rolls(insertion.roll_sd, directions, len(needles), rng)
-        needles = select_compared(turn_about_x(needles, rolls), job.dataset.compared)
+        drawn, directions = found.points[solved], job.dataset.directions
+        drawn = turn_about_x(drawn, draw_rolls(insertion.roll_sd, directions, len(drawn), rng))
+        needles = select_compared(drawn, job.dataset.compared)
         needles, about_sensors = needles[:, : len(s)], needles[:, len(s) :]
         aligned = align(observation.pose, needles, observation.measured)
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
@@ -231,7 +236,33 @@ class _Predictor:
             band = tuple({**where, **point} for point in tabulate_band(mixture, whole, observation.measured))
         row = {name: row[name] for name in columns}
         outside = int(np.sum(~found.valid[solved]))
-        return HeldOutPrediction(row, band, sensors, len(aligned), outside)
+        chosen = self._choose_needle(insertion, s, drawn[:, : len(s)]) if self.bands else ()
+        return HeldOutPrediction(row, band, sensors, len(aligned), outside, *chosen)
+
+    def _choose_needle(
+        self, insertion: Insertion, s: Floats, drawn: Floats
+    ) -> tuple[PointPrediction, Curve | None]:
+        """Return which needle is reported, and its curve; `drawn` (B, K, 3) are those of draws at `s`."""
+        job, mode = self.known.job, self.known.mode_in(insertion)
+        problem, across = job.problem(self.known.fold), slice(1, 1 + job.dataset.directions)
+        assert mode is not None
+
+        def simulate(theta: Floats) -> Curve | None:
+            return predict_needle(problem.values(theta), job.medium, insertion)
+
+        def predict(theta: Floats) -> Floats:
+            curve = simulate(theta)
+            return np.full_like(drawn[0, :, across], np.nan) if curve is None else curve(s)[:, across]
+
+        if (needle := simulate(mode)) is None:
+            return PointPrediction(), None
+        point = choose_point(problem, mode, drawn[..., across], predict)
+        if not point.is_median:
+            return point, needle
+        at, median = s, point.take(needle(s), drawn)
+        if len(s) == 1:  # of a tip alone; the needle begins at the entry
+            at, median = np.append(0.0, s), np.vstack([np.zeros(3), median])
+        return point, PchipInterpolator(at, median)
 
     def _plan(
         self,

@@ -19,10 +19,12 @@ from needlefit.inference.likelihood.observation import Observation
 from needlefit.inference.likelihood.observations import make_observation
 from needlefit.inference.likelihood.observations.tip_track import split_directions
 from needlefit.inference.parameter_names import NOISE_SCALE
+from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.track_predictions import MIN_TUNED_RUNS, predict_by_curve, predict_runs
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import TrackErrorsRecord
 from needlefit.schemas.study import StudyRecord
+from needlefit.studies.fit_warnings import describe_point
 from needlefit.studies.job import Job
 from needlefit.studies.load import count_registered
 from needlefit.studies.score import Row
@@ -44,13 +46,15 @@ RUN_COLUMNS = (
 def predict_tracks(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict[str, list[Row]]:
     """Return the rows of `runs` and `readings` of the runs that a fold holds out, by every method.
 
+    Those of `medians` name runs whose prediction is the predictive median.
+
     What was fitted along y alone is predicted as it was fitted, and along z as in space, where all runs were
     tracked there.
     """
     found = _predict_runs(job, fold, draws, jobs)
     if (whole := _restore_directions(job, fold)) is not None:
         for frame, rows in _predict_runs(*whole, draws, jobs).items():
-            found[frame] += [row for row in rows if row["direction"] == "z"]
+            found[frame] += [row for row in rows if row.get("direction") == "z"]
     return found
 
 
@@ -67,7 +71,7 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
 
     Curves predict each direction by itself.
     """
-    runs, readings, directions = list[Row](), list[Row](), job.dataset.directions
+    runs, readings, medians, directions = list[Row](), list[Row](), list[Row](), job.dataset.directions
     assert isinstance(job.record, StudyRecord) and job.record.registration_depth_mm is not None
     placed = [count_registered(track, job.record.registration_depth_mm) for track in fold.validate]
     # curves are of readings in a frame whose slope they estimate from their own residuals
@@ -94,9 +98,11 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
         else:
             rng = random_stream(job.recipe.seed, job.name, fold.name, method)
             ahead = predict_runs(*simulate_runs(job, fold, draws.thetas, jobs, rng), placed, rng)
-            assert draws.mode is not None
-            alone = predict_runs(*simulate_runs(job, fold, draws.mode[None], jobs), placed)
-            points = [one[0] for one in alone]
+            chosen, points = _choose_readings(job, fold, draws, ahead, placed, jobs)
+            about = describe_point(chosen, job.parameters)
+            medians += [
+                {"fold": fold.name, "insertion": run.id, **about} for run in fold.validate if chosen.is_median
+            ]
         certified = method not in BASELINES and not draws.faults
         steered = any(one.guided for one in fold.tune)
         for track, count, predicted, point in zip(fold.validate, placed, ahead, points, strict=True):
@@ -108,7 +114,29 @@ def _predict_runs(job: Job, fold: Fold, draws: predict.Draws, jobs: int) -> dict
                 about = {"fold": fold.name, "method": method, "direction": direction}
                 runs.append({**about, **row})
                 readings += [{**about, **each} for each in rows]
-    return {"runs": runs, "readings": readings}
+    return {"runs": runs, "readings": readings, "medians": medians}
+
+
+def _choose_readings(
+    job: Job, fold: Fold, draws: predict.Draws, ahead: Sequence[Floats], placed: Sequence[int], jobs: int
+) -> tuple[PointPrediction, list[Floats]]:
+    """Return which prediction of all runs held out is reported, and the readings (n - k,) of each, mm.
+
+    `ahead` (B, n - k) are those of draws; of draws that are not certified there is no median.
+    """
+    assert draws.mode is not None
+    drawn = np.concatenate(ahead, axis=1)
+
+    def predict_all(theta: Floats) -> Floats:
+        simulated = simulate_runs(job, fold, theta[None], jobs)
+        solved = len(simulated[0]) > 0
+        return np.hstack(predict_runs(*simulated, placed))[0] if solved else np.full(drawn.shape[1], np.nan)
+
+    point = PointPrediction()
+    if not draws.faults:
+        point = choose_point(job.problem(fold), draws.mode, drawn, predict_all)
+    ends = np.cumsum([one.shape[1] for one in ahead])[:-1]
+    return point, np.split(point.take(predict_all(draws.mode), drawn), ends)
 
 
 def simulate_runs(

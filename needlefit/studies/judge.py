@@ -7,14 +7,14 @@ predicts a point; its CRPS is its error. Of two that miss alike a distribution h
 wrong spread is seen in CRPS alone: both scores are needed.
 
 With fewer trials, as of one fit or one specimen, nothing is tested. The tip error is compared with those of
-two references that are fixed beforehand: "closer than both", "as close" or "worse than one". That states what
-holds on these needles. How often either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
+two references that are fixed beforehand: "closer than both" ("closer by one needle" where that one decides),
+"not clearly closer", "as close" or "worse than one". That states what holds on these needles. How often
+either rule is wrong: `studies/judge_rates.py`, `studies/one_fit_rates.py`.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -33,6 +33,7 @@ from needlefit.studies.coverage import (
     median_width,
 )
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
+from needlefit.studies.outcome import Outcome
 from needlefit.studies.run import Run
 from needlefit.studies.scored_groups import TE, ScoredGroup, pool_insertions, select_group
 
@@ -49,21 +50,6 @@ NOISE_GUARD = 4.2
 SIGNIFICANCE = 0.05
 SIDES = {"smaller": 1.0, "larger": -1.0}  #: signs of Student's t of a smaller and of a larger score
 CRPS = "tip_crps_mm"  #: column of the table "predictive": continuous ranked probability score of a tip
-
-#: of a comparison with references, of which data that contradict themselves decide nothing; of several trials
-Outcome = (
-    Literal["closer than both", "as close", "worse than one", "undecided"]
-    | Literal["generalises", "not shown", "does not generalise"]
-)
-TESTED: tuple[Outcome, ...] = ("generalises", "not shown", "does not generalise")
-STATUS: Mapping[Outcome, Status] = {
-    **{"closer than both": "pass", "as close": "warn", "worse than one": "fail", "undecided": "warn"},
-    **{"generalises": "pass", "not shown": "warn", "does not generalise": "fail"},
-}
-#: whether the model is closer; None: not shown
-CLOSER: Mapping[Outcome, bool | None] = {
-    one: {"pass": True, "fail": False}.get(status) for one, status in STATUS.items()
-}
 
 
 @dataclass(frozen=True)
@@ -107,10 +93,6 @@ class Judgement:
         return self.curve_mm is not None and self.curve_mm < self.error_mm
 
     @property
-    def is_closer(self) -> bool:
-        return self.curve_mm is not None and self.error_mm < self.curve_mm
-
-    @property
     def is_within_margin(self) -> bool:
         """Whether the tip errors of the model and of the closer reference differ by less than the margin."""
         found = self.compared
@@ -119,16 +101,22 @@ class Judgement:
         return abs(self.error_mm - found.reference_mm) < found.margin_mm
 
     @property
-    def hangs_on_needles(self) -> bool:
-        """Whether the outcome is another if some one needle is left out."""
-        return self.compared is not None and bool(self.compared.hangs_on)
+    def within_noise(self) -> bool | None:
+        """Whether the tip error is at most twice that of the measurement noise; None where none is stated."""
+        return None if self.noise_ratio is None else self.noise_ratio <= MAX_NOISE_RATIO
 
     @property
     def status(self) -> Status:
-        """The status of the outcome; one trial passes only within twice the noise, and without any needle."""
-        far = self.noise_ratio is not None and self.noise_ratio > MAX_NOISE_RATIO
-        doubtful = far or self.hangs_on_needles
-        return "warn" if self.outcome == "closer than both" and doubtful else STATUS[self.outcome]
+        """The status of the outcome; one trial passes only within twice the noise."""
+        far = self.outcome is Outcome.CLOSER and self.within_noise is False
+        return "warn" if far else self.outcome.status
+
+    @property
+    def advice(self) -> str:
+        """What the comparison found, "" without a curve; within the noise no curve is better."""
+        if not self.curve:
+            return ""
+        return "curve_as_good" if self.outcome.passed is False and self.within_noise else self.outcome.advice
 
 
 def judge(run: Run, group: ScoredGroup) -> Judgement | None:
@@ -153,7 +141,7 @@ def judge(run: Run, group: ScoredGroup) -> Judgement | None:
         curve = find_closest_curve(group) or ""
         nearest = group.get(TE, method=curve)
     if list_contradictions(run.warnings):
-        outcome = "undecided"
+        outcome = Outcome.UNDECIDED
     return Judgement(outcome, error, ratio, curve, nearest, trials, specimens, found)
 
 
@@ -186,7 +174,7 @@ def compare_with_references(
     references = [name for name in REFERENCES if name in table]
     table = table[[method, *references]].dropna()
     if not references or table.empty:
-        return Comparison("undecided")
+        return Comparison(Outcome.UNDECIDED)
     holes = [table.index.get_level_values(name) for name in ("specimen", "hole")]
     needle = pd.Series(zip(*holes, strict=True), table.index)
     noise, needles = noise_mm or 0.0, needle.nunique()
@@ -198,12 +186,12 @@ def compare_with_references(
         mean = rows.mean()
         closer_by = mean[references] - mean[method]
         if margin == 0:  # neither noise nor margin is stated
-            return "undecided"
+            return Outcome.UNDECIDED
         if (closer_by > margin).all():
-            return "closer than both"
+            return Outcome.CLOSER
         if (closer_by < -margin).any() and mean[method] > MAX_NOISE_RATIO * noise:
-            return "worse than one"
-        return "as close"
+            return Outcome.WORSE
+        return Outcome.AS_CLOSE
 
     outcome, hangs_on = find_outcome(table), list[str]()
     for rows in (table.loc[labels] for labels in needle.groupby(needle).groups.values()):
@@ -211,6 +199,10 @@ def compare_with_references(
         if len(left) and find_outcome(left) != outcome:
             *_, hole, insertion = rows.index[0]
             hangs_on.append(str(insertion if len(rows) == 1 else hole))
+    if outcome is Outcome.CLOSER and hangs_on:
+        outcome = Outcome.CLOSER_BY_ONE_NEEDLE
+    if outcome is Outcome.AS_CLOSE and table[method].mean() < table[nearest].mean():
+        outcome = Outcome.NOT_CLEARLY_CLOSER
     return Comparison(
         outcome,
         nearest,
@@ -236,8 +228,9 @@ def judge_fits(errors: pd.DataFrame, method: str = PREDICTION_METHOD) -> Outcome
     """
     found = compare_with_curves(errors, method)
     if (found["p_larger"] * len(found) <= SIGNIFICANCE).any():
-        return "does not generalise"
-    return "generalises" if len(found) and (found["p_smaller"] <= SIGNIFICANCE).all() else "not shown"
+        return Outcome.DOES_NOT_GENERALISE
+    better = len(found) and (found["p_smaller"] <= SIGNIFICANCE).all()
+    return Outcome.GENERALISES if better else Outcome.NOT_SHOWN
 
 
 def compare_with_curves(errors: pd.DataFrame, method: str) -> pd.DataFrame:
@@ -293,14 +286,15 @@ def list_checks(run: Run, role: str = "validate") -> tuple[Finding, ...]:
 
 
 def check_curves(judged: Judgement) -> Finding:
-    """Return whether the model is closer than the curves that it was compared with.
-
-    That cannot be decided where the outcome is another if some one needle is left out.
-    """
-    closer = CLOSER[judged.outcome]
-    if closer and judged.hangs_on_needles:
-        closer = None
-    one = Finding(Check.CURVES, closer, judged.error_mm, judged.curve_mm, judged.curve, judged.trials)
+    """Return whether the model is closer than the curves that it was compared with."""
+    one = Finding(
+        Check.CURVES,
+        judged.outcome.passed,
+        judged.error_mm,
+        judged.curve_mm,
+        judged.curve,
+        judged.trials,
+    )
     if (found := judged.compared) is None:
         return one
     return replace(
@@ -314,8 +308,7 @@ def check_curves(judged: Judgement) -> Finding:
 
 def check_noise(judged: Judgement) -> Finding:
     """Return whether the tip error is at most twice that of the measurement noise."""
-    ratio = judged.noise_ratio
-    return Finding(Check.NOISE, None if ratio is None else ratio <= MAX_NOISE_RATIO, ratio, MAX_NOISE_RATIO)
+    return Finding(Check.NOISE, judged.within_noise, judged.noise_ratio, MAX_NOISE_RATIO)
 
 
 def check_intervals(

@@ -6,6 +6,7 @@ the noise of the measured points nor what the model misses is in it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,11 @@ from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion, find_pose
 from needlefit.geometry.frames import Placement
 from needlefit.grouping import group_values
-from needlefit.inference.compared_points import align
+from needlefit.inference.compared_points import Curve, align
 from needlefit.inference.curve_bands import find_bands
 from needlefit.inference.fit import Fit
 from needlefit.inference.forward_model import PreparedModel, predict
-from needlefit.inference.likelihood.observations import read_points, select_points
+from needlefit.inference.likelihood.observations import SimulatedCurve, select_points
 from needlefit.inference.predict import Draws
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
@@ -39,10 +40,12 @@ def place_needles(
     jobs: int = 1,
     *,
     fitted: bool = True,
+    curves: Mapping[str, Curve] = MappingProxyType({}),
 ) -> Iterator[NeedleInScan]:
     """Yield every insertion that a fold holds out, before them, if wanted, those that were `fitted` to.
 
-    `predicted` are the rows of the table "bands". Tip tracks were never in a scan: of them there is none.
+    `predicted` are the rows of the table "bands", `curves` the predicted needles by insertion; without one it
+    is that of the fit. Tip tracks were never in a scan: of them there is none.
     """
     if problem.dataset.pose == "tracker":
         return
@@ -50,7 +53,8 @@ def place_needles(
     for role, insertions in (("tune", fold.tune if fitted else ()), ("validate", fold.validate)):
         for insertion in insertions:
             placement, band = Placement(insertion.frame, insertion.patient), None
-            points = _simulate_needle(problem, insertion, np.array(fit.theta))
+            curve = curves.get(insertion.id) if role == "validate" else None
+            points = _place_needle(problem, insertion, curve or _simulate_fit(problem, insertion, fit))
             if role == "validate":
                 band = _place_predicted_band(insertion, placement, bands.get(insertion.id, ()))
             elif points is not None and draws is not None and draws.certified is not None:
@@ -66,14 +70,16 @@ def place_needles(
             )
 
 
-def _simulate_needle(problem: Problem, insertion: Insertion, theta: Floats) -> Floats | None:
-    """Return the needle (K, 3) in C, as `place_points`; None without a solution."""
-    values = problem.parameters.values(theta)
-    shape = predict(values, problem.medium, insertion)
-    if not shape.converged:
-        return None
+def _simulate_fit(problem: Problem, insertion: Insertion, fit: Fit) -> Curve | None:
+    """Return the needle of a fit; None without a solution."""
+    shape = predict(fit.values, problem.medium, insertion)
+    return SimulatedCurve(shape, insertion) if shape.converged else None
+
+
+def _place_needle(problem: Problem, insertion: Insertion, curve: Curve | None) -> Floats | None:
+    """Return a needle (K, 3) in C, as `place_points`; None without one."""
     s = _choose_places(problem, insertion)
-    return place_points(problem.dataset, insertion, s, read_points(insertion, shape, s))
+    return None if curve is None else place_points(problem.dataset, insertion, s, curve(s))
 
 
 def _choose_places(problem: Problem, insertion: Insertion) -> Floats:

@@ -65,19 +65,10 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord) -> Predic
     return curves
 
 
-def needle_predictor(
-    find_values: Callable[[Insertion], Mapping[str, float]], medium: MediumRecord
-) -> Predictor:
-    """Return our prediction: the needle with the values of an insertion, through the layers it meets itself.
-
-    It is compared as all methods are: in the place of what has the measured layers.
-    """
-
-    def curves(insertion: Insertion) -> dict[str, Curve | None]:
-        found = model_predictor(find_values(insertion), medium)(insertion)
-        return {"measured": found.get("planned", found["measured"])}
-
-    return curves
+def predict_needle(values: Mapping[str, float], medium: MediumRecord, insertion: Insertion) -> Curve | None:
+    """Return the needle of given values through the layers that it meets itself; None without a solution."""
+    found = model_predictor(values, medium)(insertion)
+    return found.get("planned", found["measured"])
 
 
 def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:

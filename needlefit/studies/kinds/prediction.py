@@ -1,9 +1,9 @@
 """Predict a planned insertion from a fit: draws of its posterior, simulated in a scene.
 
-The predicted needle is that of the posterior mode. Its bands come from the draws of the parameters, of a
-bevel for each insertion, and of the depths of layers and tip; in a specimen that was not tuned on the
-parameters differ (`Specimens`). They include neither model error nor errors of measurement. Draws that are
-not certified have no bands.
+The predicted needle is that of the posterior mode, or the predictive median (`choose_point`). Its bands come
+from the draws of the parameters, of a bevel for each insertion, and of the depths of layers and tip; in a
+specimen that was not tuned on the parameters differ (`Specimens`). They include neither model error nor
+errors of measurement. Draws that are not certified have no bands.
 
 What is known of the fit, by a run of it, stands first: its verdict and failed checks.
 """
@@ -33,6 +33,7 @@ from needlefit.inference.fit import Callbacks, keep_fit, read_fit
 from needlefit.inference.forward_model import make_options
 from needlefit.inference.identifiability.profile import minimize_squares
 from needlefit.inference.optimize import minimize
+from needlefit.inference.point_prediction import PointPrediction, choose_point
 from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_end_errors, thin_posterior
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
@@ -56,6 +57,7 @@ from needlefit.studies.advice import NEW_SPECIMENS, advise
 from needlefit.studies.answer import Advice, Answer, RunFault, Verdict, find_fault_kind
 from needlefit.studies.coverage import MAX_AIMING_WIDTH_MM
 from needlefit.studies.explorer import choose_drawn
+from needlefit.studies.fit_warnings import describe_point, write_warning
 from needlefit.studies.fold_draws import (
     PREDICTION_DRAWS,
     Specimens,
@@ -209,11 +211,13 @@ class Forecast:
     """A predicted needle in the scene's constraint frame, with its uncertainty."""
 
     s: Floats  #: (K,), arc length from the entry, mm
-    needle: Floats  #: (K, 3), the needle of the posterior mode, mm
+    needle: Floats  #: (K, 3), the predicted needle, mm
     across: Floats  #: (B, K, 1), in space (B, K, 2): y, and z, of each draw that has a solution, mm
     failed: int  #: draws of which the solve failed; they are left out
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
-    mode: Mapping[str, float]  #: the parameters of the predicted needle
+    point: PointPrediction  #: which needle is predicted
+    mode: Mapping[str, float]  #: the parameters of the posterior mode
+    nearest: Mapping[str, float]  #: those of the draw whose needle is nearest to the predicted one
     sets: Sequence[Mapping[str, float]]  #: parameters of all draws, each with a bevel of its own
 
 
@@ -260,8 +264,14 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     held = job.parameters.held
     found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
     points = found.points[found.solved]  # (B, K, 3)
-    values, exact = job.parameters.values(mode), np.zeros((1, scene.tissue.layers))
-    (needle,) = simulate_scene_draws([values], job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
+
+    def simulate(theta: Floats) -> Floats:
+        exact = np.zeros((1, scene.tissue.layers))
+        values = [job.parameters.values(theta)]
+        (simulated,) = simulate_scene_draws(values, job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
+        return simulated
+
+    needle = simulate(mode)
     if not (len(points) and np.isfinite(needle).all()):
         raise ModelError(
             f"{len(points)} of {len(thetas)} draws of the parameters can be solved for this scene, and "
@@ -273,8 +283,23 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     directions = max(job.dataset.directions, 1 + int(points[..., 2].any()))
     roll_sd = math.sqrt(np.mean([one.roll_sd**2 for one in job.dataset.insertions]))
     points = turn_about_x(points, draw_rolls(roll_sd, directions, len(points), rng))
-    across = points[:, :, 1 : 1 + directions]
-    return Forecast(s, needle, across, len(thetas) - len(points), outside, values, sets)
+    compared, point = slice(1, 1 + directions), PointPrediction()
+    if not draws.faults:
+        problem = job.problem(known.fold)
+        point = choose_point(problem, mode, points[..., compared], lambda theta: simulate(theta)[:, compared])
+    needle = point.take(needle, points)
+    nearest = np.flatnonzero(found.solved)[np.argmin(((points - needle) ** 2).sum(axis=(1, 2)))]
+    return Forecast(
+        s,
+        needle,
+        points[..., compared],
+        failed=len(thetas) - len(points),
+        outside=outside,
+        point=point,
+        mode=job.parameters.values(mode),
+        nearest=sets[nearest],
+        sets=sets,
+    )
 
 
 def require_fitted_kind(scene: Scene, job: Job) -> None:
@@ -406,6 +431,9 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     depths = [one.depth for one in job.folds[0].tune]
     z_unfitted = found.across.shape[2] > job.dataset.directions
     warned += extrapolation_warnings(scene.depth, depths, z_unfitted=z_unfitted)
+    chosen = describe_point(found.point, job.parameters)
+    if found.point.is_median:
+        warned.append(write_warning("predictive_median", {**chosen, "text": "median_of_scene"}))
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
     if changed:
@@ -433,6 +461,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             outside_validity=found.outside,
             not_converged=list(draws.faults),
             mode=dict(found.mode),
+            nearest=dict(found.nearest) if found.point.is_median else None,
+            **chosen,
             drawn=None if draws.faults else choose_drawn(found.sets),
             warnings=to_stored_rows(warned),
         ),
@@ -460,6 +490,8 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "sampled": lambda v: v.draw_source == "posterior",
     "weighted": lambda v: v.draw_source != "posterior",
     "failed_draws": lambda v: v.failed_solves,
+    **dict.fromkeys(("by_median", "median_drawn", "median_reported"), lambda v: v.mode_fault != "none"),
+    **dict.fromkeys(("needle_drawn", "mode_reported"), lambda v: v.mode_fault == "none"),
 }
 TEXT = KindText("prediction", rules=RULES)
 
@@ -474,6 +506,7 @@ def describe_prediction(run: Run) -> dict[str, Any]:
         "specimen": stated.specimen,
         "fit_verdict": stated.fit_verdict,
         "fit_changed": stated.fit_changed,
+        "mode_fault": stated.mode_fault,
         **find_tip(run),
         "title": study.scene.title or study.scene_name,
         "scene": study.scene_name,
@@ -563,7 +596,8 @@ def draw_prediction(run: Run) -> dict[str, Drawing]:
     table = run.frames["forecast"].assign(origin=run.origin, scene=title)
     bands = {level: (f"simultaneous {level} % band", colour) for level, colour in BAND_COLOURS.items()}
     names = {name: Look(*one, width=6.0, white=0.0) for name, one in bands.items()}
-    names["needle"] = Look("predicted needle", METHOD_COLOURS["fitted"], width=1.4)
+    predicted = "predicted needle" if facts["mode_fault"] == "none" else "predictive median"
+    names["needle"] = Look(predicted, METHOD_COLOURS["fitted"], width=1.4)
     if run.faults:  # whose bands are left out
         names = {"needle": names["needle"]}
     axes = [axis for axis in AXES if f"needle_{axis}predicted_mm" in table]

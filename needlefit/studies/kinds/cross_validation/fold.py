@@ -15,6 +15,7 @@ import numpy as np
 
 from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.compared_points import Curve
 from needlefit.inference.error_fit import ErrorMinimisingFit, examine_errors
 from needlefit.inference.fit import MET_BY_PROFILE, Callbacks, Fit, Start, keep_fit, read_fit
 from needlefit.inference.held_parameters import PriorShift
@@ -39,6 +40,7 @@ from needlefit.reporting.number_format import format_bare_symbol, format_quantit
 from needlefit.schemas.run_metadata import CountMetadata, DepthMetadata
 from needlefit.studies.answer import RunFault, find_fault_kind
 from needlefit.studies.fit_frames import PREDICTION_METHOD, TUNED_SPECIMENS
+from needlefit.studies.fit_warnings import describe_point
 from needlefit.studies.fold_draws import Specimens, draw_fold_parameters, measure_prior
 from needlefit.studies.held_out_predictions import HeldOutPrediction, predict_held_out
 from needlefit.studies.held_out_tracks import predict_tracks
@@ -62,7 +64,7 @@ from needlefit.studies.kinds.cross_validation.rows import (
     make_start_row,
 )
 from needlefit.studies.needle_placement import place_needles
-from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, needle_predictor
+from needlefit.studies.score import Row, Scores, make_predictors, make_scorer, predict_needle
 from needlefit.studies.validity import MOSTLY_OUTSIDE, NO_SIMULATIONS, ValidityCounts, add_counts
 
 FitRows = dict[str, Sequence[Any]]  #: rows by the name of the table that they belong to
@@ -150,6 +152,7 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         "errors": [row for one in scored for row in one.errors],
         "shapes": [row for one in scored for row in one.shapes],
         "starts": list(_list_starts(job, fold, found.fits)),
+        "medians": [*rows.get("medians", ()), *_list_medians(job, predicted)],
         "predictive": [one.row for one in predicted],
         "bands": [row for one in predicted for row in one.band],
         "curvature": [row for one in predicted for row in one.sensors],
@@ -171,6 +174,14 @@ def run_fold(job: Job, fold: Fold, services: FoldServices) -> FoldResult:
         posterior=drawn.posterior if drawn else None,
         interrupted=found.interrupted,
     )
+
+
+def _list_medians(job: Job, predicted: Iterable[HeldOutPrediction]) -> Iterator[Row]:
+    """Yield the insertions whose prediction is the predictive median."""
+    for one in predicted:
+        if one.point is not None and one.point.is_median:
+            place = {"fold": one.row["fold"], "insertion": one.row["insertion"]}
+            yield place | describe_point(one.point, job.parameters)
 
 
 # ---- fits and draws
@@ -395,10 +406,12 @@ def _place_needles(
     job: Job, fold: Fold, fit: Fit, drawn: FoldDrawn | None, jobs: int
 ) -> Iterator[NeedleInScan]:
     """Yield the needles that a fold holds out in their scans, of a single fold also those fitted to."""
-    bands = [row for one in (drawn.predicted if drawn else ()) for row in one.band]
+    predicted = drawn.predicted if drawn else ()
+    bands = [row for one in predicted for row in one.band]
+    curves = {one.row["insertion"]: one.curve for one in predicted if one.curve is not None}
     shown = drawn.shown if drawn else None
     problem, fitted = job.problem(fold), len(job.folds) == 1
-    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted)
+    return place_needles(problem, fold, fit, shown, bands, jobs, fitted=fitted, curves=curves)
 
 
 def _describe_fit(job: Job, fold: Fold, fit: Fit, found: FoldFits, drawn: FoldDrawn | None) -> FitRows:
@@ -465,11 +478,18 @@ def _score(job: Job, fold: Fold, fits: Mapping[str, Fit], drawn: FoldDrawn | Non
             yield from (scorer.score(place, one, curves) for one in insertions)
     if (fit := fits.get("fitted")) is None:
         return
+    predicted = {} if drawn is None else {one.row["insertion"]: one.curve for one in drawn.predicted}
 
-    def find_values(insertion: Insertion) -> Mapping[str, float]:
+    def find_curves(insertion: Insertion) -> dict[str, Curve | None]:
+        """Return our prediction, that of the mode where no draws are certified.
+
+        It is compared as all methods are: in the place of what has the measured layers.
+        """
+        if insertion.id in predicted:
+            return {"measured": predicted[insertion.id]}
         mode = None if drawn is None else drawn.specimens.mode_in(insertion)
-        return fit.values if mode is None else problem.values(mode)
+        values = fit.values if mode is None else problem.values(mode)
+        return {"measured": predict_needle(values, problem.medium, insertion)}
 
-    ours = needle_predictor(find_values, problem.medium)
     place = {"fold": fold.name, "role": "validate", "method": PREDICTION_METHOD}
-    yield from (scorer.score(place, one, ours) for one in held)
+    yield from (scorer.score(place, one, find_curves) for one in held)

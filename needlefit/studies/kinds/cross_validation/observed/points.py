@@ -20,7 +20,7 @@ from needlefit.studies.coverage import AFTER_ONE_COLUMN
 from needlefit.studies.fit_frames import FitFrames
 from needlefit.studies.fit_sentences import TEXT
 from needlefit.studies.identification import ParameterRow
-from needlefit.studies.judge import CRPS, judge, limit_status, list_checks
+from needlefit.studies.judge import CRPS, Judgement, judge, limit_status, list_checks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.run import Run
 
@@ -66,14 +66,18 @@ def answer_by_tips(run: Run, values: Mapping[str, Any]) -> Answer:
         sentence, status = TEXT.sentence("predicted", words), judged.status
         table = fit_tables.lay_out_summary(run)
     about, known = (TEXT.sentence(block, words) for block in ("about", "what_fit_determined"))
-    advice = find_advice(run, checks, [word for word, _ in determined], values["media"])
+    advice = find_advice(run, judged, checks, [word for word, _ in determined], values["media"])
     return Answer([Verdict(sentence, status, "", numbers)], [table], about, checks, advice, known)
 
 
 def find_advice(
-    run: Run, checks: Sequence[Finding], determined: Sequence[str], media: Mapping[str, Sequence[str]]
+    run: Run,
+    judged: Judgement,
+    checks: Sequence[Finding],
+    determined: Sequence[str],
+    media: Mapping[str, Sequence[str]],
 ) -> Advice | None:
-    """Return what to do: it follows from faults, checks and what the fit determined.
+    """Return what to do: it follows from faults, the judgement, checks and what the fit determined.
 
     `media`: by role, into which insertions went.
     """
@@ -82,11 +86,11 @@ def find_advice(
     by_check = {one.check: one for one in checks}
     other = [name for name in media["validate"] if name not in media["tune"]]
     gain = frames.predictive[AFTER_ONE_COLUMN].astype(float).median()
-    intervals, curves = by_check.get(Check.INTERVALS), by_check.get(Check.CURVES)
+    intervals = by_check.get(Check.INTERVALS)
     doubts = list_doubts(run.warnings)[:1]
-    found = ["predictable", *find_failures(by_check, other_medium=bool(other))]
-    if role == "tune":  # curves were fitted to the same needles
-        found = [one for one in found if one not in ("curve_as_good", "not_clearly_closer")]
+    # curves were fitted to the needles of a fit, too: only one that is closer is advised about
+    comparison = judged.advice if role == "validate" or judged.outcome.passed is False else ""
+    found = ["predictable", *find_failures(by_check, comparison, other_medium=bool(other))]
     if run.faults or run.interrupted:
         found.append("not_converged")
     found += map(classify_doubt, doubts)
@@ -97,7 +101,7 @@ def find_advice(
         "doubt": "".join(one.help_key for one in doubts),
         "doubt_title": "".join(name_doubt(one.kind) for one in doubts),
         "other_medium": other[0] if other else "",
-        "curve": BASELINES[curves.named].description if curves and curves.named else "",
+        "curve": BASELINES[judged.curve].description if judged.curve else "",
         "width": None if intervals is None else intervals.width_mm,
         "gain": None if pd.isna(gain) or intervals is None else float(gain),
     }

@@ -15,18 +15,10 @@ from needlefit.studies.advice import advise
 from needlefit.studies.answer import Answer, Check, Finding, Verdict
 from needlefit.studies.fit_frames import PREDICTION_METHOD, FitFrames
 from needlefit.studies.fit_sentences import TEXT
-from needlefit.studies.judge import (
-    CLOSER,
-    REFERENCES,
-    STATUS,
-    TESTED,
-    Outcome,
-    check_data,
-    check_intervals,
-    judge_tracks,
-)
+from needlefit.studies.judge import REFERENCES, check_data, check_intervals, judge_tracks
 from needlefit.studies.kinds.cross_validation.observed import ObservationReport
 from needlefit.studies.kinds.cross_validation.observed.points import list_overlays
+from needlefit.studies.outcome import Outcome
 from needlefit.studies.run import Run
 
 # mean error over the runs into a medium; the method's error minus the fitted model's, and its 95 % interval
@@ -78,7 +70,7 @@ def judge_readings(run: Run) -> TrackErrors:
     runs = FitFrames.of(run).runs
     outcome = judge_tracks(runs, run.record.margin_mm)
     each = runs.pivot_table(index=["run", "direction"], columns="method", values="rms_mm")
-    tested, errors = outcome in TESTED, each.mean()
+    tested, errors = outcome.is_tested, each.mean()
     curve = str(errors[errors.index.drop("fitted") if tested else list(REFERENCES)].idxmin())
     rms, least = float(errors["fitted"]), float(errors[curve])
     depth = float(run.record.registration_depth_mm)
@@ -94,13 +86,13 @@ def judge_readings(run: Run) -> TrackErrors:
 def answer_by_readings(run: Run, values: Mapping[str, object]) -> Answer:
     """Return how the predicted tracks compare with the baselines, and whether their intervals cover."""
     known, runs = judge_readings(run), FitFrames.of(run).runs
-    status, closer = STATUS[known.outcome], CLOSER[known.outcome]
+    status = known.outcome.status
     compared = (known.rms_mm, known.curve_mm, known.curve)
     needles = None if known.closer is None else known.tracks
     checks = [
         Finding(
             Check.CURVES,
-            closer,
+            known.outcome.passed,
             *compared,
             margin_mm=run.record.margin_mm,
             needles=needles,
