@@ -67,14 +67,18 @@ def diff(
     """
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
-    from needlefit.studies.run_differences import RUN_JSON, compare_runs
+    from needlefit.studies.run_differences import IDENTITY, RUN_JSON, compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b))
     if context.find_root().obj.json:
         screen.show_json(to_records(found))
         return
+    identity = found["column"] == IDENTITY
+    changes, found = found.loc[identity, "row"], found[~identity]
     tables = found[found["table"] != RUN_JSON]
     keys = len(found) - len(tables)
+    for changed in changes:
+        screen.print_text(f"The runs are of different fits; changed: {changed}.")
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
     if len(found):
         screen.show_frame(found, "\nThe greatest change of each column, from RUN_A to RUN_B")

@@ -12,10 +12,11 @@ import itertools
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -49,7 +50,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.run_metadata import PredictionMetadata
+from needlefit.schemas.run_metadata import PredictionMetadata, RunMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import NEW_SPECIMENS, advise
@@ -63,14 +64,15 @@ from needlefit.studies.fold_draws import (
     draw_fold_parameters,
     measure_prior,
 )
+from needlefit.studies.identity import describe_change, require_same_fit
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.provenance import compare_configuration, require_same_configuration
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, restore_run
-from needlefit.studies.study_files import begin_run, is_study, prepare_target, target_name
+from needlefit.studies.study_files import begin_run, describe_study, is_study, prepare_target, target_name
 
 
 class PredictionRecord(TargetRecord):
@@ -300,18 +302,16 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
 
 
 def draw_parameters(
-    job: Job, run: Run | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT, where: str = ""
+    job: Job, run: Run | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> Draws | None:
-    """Return draws of the posterior of a run, stored in the folder `where`, or without one about a new fit.
+    """Return draws of the posterior of a run of this fit, or without one about a new fit.
 
     None after a stop.
-
-    Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
     """
     if settings.inputs.posterior is not None:
         return _thin_with_mode(job, settings.inputs.posterior)
     if run is not None:
-        return _draw_from_run(job, run, where)
+        return _thin_with_mode(job, run.posterior)
     (fold,) = job.folds
     fit = read_fit(checkpoint, "fitted")
     if fit is None:
@@ -327,18 +327,6 @@ def draw_parameters(
     return None if settings.stop() else found
 
 
-def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
-    if not run.posteriors:
-        raise ConfigError(
-            f"holds no {POSTERIOR_FILE}",
-            where=where,
-            expected="the folder of a run of one fold that was sampled",
-            fix="name a result of `needlefit tune` without --no-sample",
-        )
-    require_same_configuration(job, run.metadata, where)
-    return _thin_with_mode(job, run.posterior)
-
-
 def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
     """Return draws of a sampled posterior, and its mode: the minimum to which its best draw leads."""
     problem = job.problem(job.folds[0]).searched
@@ -348,15 +336,60 @@ def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
     return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS), mode=mode)
 
 
-def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
-    """Return a warning if the result that judges a fit is of other data, or of another fit."""
-    found = [] if judged is None else compare_configuration(job, judged.metadata)
-    found = [key for key in found if key != "folds"]  # a validation has more of them
-    if judged is None or not found:
+# ---- results of the same fit
+
+
+class _Known(NamedTuple):
+    """What earlier results give to a prediction: a posterior, a verdict; warnings about what is not used."""
+
+    sampled: Run | None
+    judged: Run | None
+    warnings: list[ResultWarning]
+
+
+def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Known:
+    """Return the results of the fit; those of another one, or of earlier versions, are not used.
+
+    ConfigError if the folder of the posterior holds none, or that of another fit.
+    """
+    target, judged = record.target, settings.inputs.judged
+    if settings.inputs.target is not None:  # a run, from which the job was made
+        return _Known(None, judged, [])
+    sampled, found = None, list[ResultWarning]()
+    if record.posterior is not None:
+        sampled, now = _restore_sampled(record.posterior), describe_configuration(job)
+        if sampled.metadata.identity is None:
+            what = f"the posterior of {sampled.name} is not used"
+            found = _find_changes(sampled, now, what, ("tune", target))
+            sampled = None
+        else:
+            require_same_fit(now, sampled.metadata, record.posterior)
+    if judged is None:
+        return _Known(sampled, sampled, found)
+    command = "validate" if judged.kind == "cross_validation" else "tune"
+    study, what = describe_study(target, job, settings), f"the verdict of {judged.name} is not repeated"
+    changed = _find_changes(judged, study, what, (command, target))
+    return _Known(sampled, None if changed else judged, [*found, *changed])
+
+
+def _restore_sampled(folder: str) -> Run:
+    run = restore_run(Path(folder))
+    if not run.posteriors:
+        raise ConfigError(
+            f"holds no {POSTERIOR_FILE}",
+            where=folder,
+            expected="the folder of a run of one fold that was sampled",
+            fix="name a result of `needlefit tune` without --no-sample",
+        )
+    return run
+
+
+def _find_changes(run: Run, now: RunMetadata, what: str, command: Sequence[str]) -> list[ResultWarning]:
+    """Return a warning, with `what` follows, if a run is of another fit or study than `now`."""
+    if not (changed := describe_change(run.metadata, now)):
         return []
-    what = f"the {found[0]} has changed since {judged.name} was computed"
-    fix = f"run {judged.name} again: what it found is of another fit, and is not repeated"
-    return [ResultWarning("data_changed", what, str(job.dataset.path), fix)]
+    fix = f"renew it: {shlex.join(('needlefit', *command))}"
+    return [ResultWarning("data_changed", f"{what}; changed since: {changed}", fix=fix)]
 
 
 # ---- the run
@@ -378,17 +411,12 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         where = "same"
     into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
-    folder = None if record.posterior is None else Path(record.posterior)
-    sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
-    checkpoint = open_checkpoint(
-        settings.checkpoint, settings.resume, about.metadata.to_json(), settings.note
-    )
     require_fitted_kind(scene, job)
-    judged = settings.inputs.judged or sampled
-    changed = _find_changes(job, judged)
+    sampled, judged, changed = _find_known(record, job, settings)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.metadata.work, settings.note)
     for one in changed:
         settings.note(f"warning: {one} ({one.help_command})")  # before the work, which takes long
-    fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
+    fitted = draw_parameters(job, sampled, settings, checkpoint)
     if fitted is None:
         return replace(about, interrupted=True)
     if shifts := measure_prior(job, job.folds[0], fitted.thetas):
@@ -408,10 +436,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
     warned += extrapolation_warnings(scene.depth, depths, z_unfitted=z_unfitted)
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-    if changed:
-        judged = None  # a verdict on another fit
     stored: Any = about.record
-    named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
+    named = {"scene_name": scene_name, "posterior": record.posterior and Path(record.posterior).name}
     return replace(
         about,
         record=stored.model_copy(update=named),
@@ -426,7 +452,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             specimen="others" if into is None else where,
             fit_verdict=None if judged is None else recall(judged),
             fit_run=None if judged is None else judged.name,
-            fit_changed=changed[0].what if changed else "",
+            fit_changed=changed[-1].what if changed else "",
             fit_advice=None if judged is None else _recall_advice(judged),
             held_out_by_target=settings.inputs.target is None and is_study(record.target),
             failed_solves=found.failed,
