@@ -9,7 +9,7 @@ from typing import Any
 
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.select import list_bevels
+from needlefit.datasets.select import name_holes
 from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.likelihood.observations import OBSERVATIONS
@@ -26,7 +26,6 @@ from needlefit.studies.job import Job
 
 VERSION = 1  #: of what files mean; it is raised when the same files mean another fit
 PART_DIGITS = 16  #: of the digests of parts, which are only looked at where the whole ones differ
-MAX_NAMED = 8  #: insertions that a message names
 
 #: keys of a study of which what follows counts: the contents of files, and the insertions selected
 RESOLVED = frozenset(
@@ -38,19 +37,8 @@ RESOLVED = frozenset(
 #: keys of a study, and of a recipe, that decide only how predictions of held-out insertions are judged
 JUDGING = frozenset(("margin_mm", "same_specimen", "registration_depth_mm", "aiming_width_mm"))
 
-_PART_WORDS = {
-    "study": "options of the fit",
-    "medium": "tissue model",
-    "recipe": "recipe",
-    "folds": "folds",
-    "judging": "how predictions are judged",
-    "analysis": "options of the analysis",
-    "data": "data",
-    "version": "version",
-}
-
 #: the part that an insertion's role in folds changes, the role, and its word
-_ROLES = (("folds", "tune", "fitted"), ("judging", "held_out", "held out"))
+_ROLES = (("folds", "tune", "fitted"), ("judgement of predictions", "held_out", "held out"))
 
 
 def identify(job: Job, analysis: object = None) -> FitIdentity:
@@ -58,33 +46,29 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
 
     That of a study is also of what it holds out, and of how predictions of that are judged.
     """
-    record, inserted = job.record, job.insertions
-    first: dict[tuple[str, int], str] = {}
-    bevels = zip(list_bevels(job.dataset, inserted), inserted, strict=True)
+    record = job.record
+    holes = name_holes(job.dataset)  # insertions of one hole share a bevel
     plugins = plugin_versions(*list_fit_plugins(job.medium, job.dataset))
     parts: dict[str, object] = {
-        "study": {
+        "options": {
             "stated": select_deciding(record, RESOLVED | JUDGING),
             "compared": job.dataset.compared,
             "paper_parameters": job.hand_tuned,
         },
-        "medium": select_deciding(job.medium),
+        "tissue model": select_deciding(job.medium),
         "recipe": select_deciding(job.recipe, JUDGING),
-        "folds": {
-            "tune": {fold.name: [one.id for one in fold.tune] for fold in job.folds},
-            "holes": [first.setdefault(bevel, one.id) for bevel, one in bevels],
-        },
+        "folds": {fold.name: [(one.id, holes[one.id]) for one in fold.tune] for fold in job.folds},
         "version": [VERSION, plugins],
     }
     if isinstance(record, StudyRecord):
-        parts["judging"] = {
+        parts["judgement of predictions"] = {
             "held_out": {fold.name: [one.id for one in fold.validate] for fold in job.folds},
             "stated": [getattr(of, key, None) for of in (record, job.recipe) for key in sorted(JUDGING)],
             "plugins": plugin_versions(*list_judging_plugins()),
         }
     if analysis is not None:
-        parts["analysis"] = analysis
-    return make_identity(parts, {one.id: one.digest for one in inserted})
+        parts["options of the analysis"] = analysis
+    return make_identity(parts, {one.id: one.digest for one in job.insertions})
 
 
 def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitIdentity:
@@ -124,12 +108,12 @@ def describe_change(before: RunMetadata, after: RunMetadata) -> str:
         if part in changed and ids != others:
             changed.remove(part)
             sides = ((ids - others, "removed"), (others - ids, "added"))
-            named = [f"{join_names(sorted(side), MAX_NAMED)} {what}" for side, what in sides if side]
+            named = [f"{join_names(sorted(side))} {what}" for side, what in sides if side]
             roles.setdefault("; ".join(named), []).append(word)
     words = [f"insertions {' and '.join(each)} ({named})" for named, each in roles.items()]
     moved = [name for name, digest in one.insertions.items() if other.insertions.get(name, digest) != digest]
-    words += [f"data of {join_names(sorted(moved), MAX_NAMED)}"] if moved else []
-    return ", ".join([*words, *(_PART_WORDS.get(key, key) for key in sorted(changed))])
+    words += [f"data of {join_names(sorted(moved))}"] if moved else []
+    return ", ".join([*words, *sorted(changed)])
 
 
 def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:

@@ -17,7 +17,7 @@ from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
 from needlefit.schemas.deciding import select_deciding
-from needlefit.schemas.run_metadata import AnalysisMetadata, JobMetadata
+from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.studies.identity import identify
 from needlefit.studies.job import Inputs, Job, Settings
@@ -212,29 +212,13 @@ def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the study that a record names, with what it holds out; of a fit, the fit's."""
-    if settings.inputs.target is None and (found := _find_study(record.target)):
-        study, path = found
-        with add_file_context(path):
-            return _prepare_noted(name, study, replace(settings, file=path))
+    if settings.inputs.target is None and ":" not in record.target and is_study(record.target):
+        _, path = find_study_or_fit(record.target)
+        study = load_study_file(path)
+        if isinstance(study, StudyRecord):
+            with add_file_context(path):
+                return _prepare_noted(name, study, replace(settings, file=path))
     return prepare_target(record, name, settings)
-
-
-def describe_study(target: str, fit: Job, settings: Settings) -> JobMetadata:
-    """Return what decides the study that a target names, whose fit is `fit`; else what decides that fit."""
-    if settings.inputs.target is None and (found := _find_study(target)):
-        study, path = found
-        with add_file_context(path):
-            fit = load_study(fit.name, study, replace(settings, file=path), fit.measured)
-    return describe_configuration(fit)
-
-
-def _find_study(target: str) -> tuple[StudyRecord, Path] | None:
-    """Return the study that a target names as a whole, and its file."""
-    if ":" in Path(target).name or not is_study(target):
-        return None
-    _, path = find_study_or_fit(target)
-    study = load_study_file(path)
-    return (study, path) if isinstance(study, StudyRecord) else None
 
 
 def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:

@@ -127,8 +127,8 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
     stored["rules"] = describe_model_options(medium)
     parts = {
-        "analysis": select_deciding(record, ("datasets", "medium", "recipe")),
-        "medium": select_deciding(medium),
+        "options of the analysis": select_deciding(record, ("datasets", "medium", "recipe")),
+        "tissue model": select_deciding(medium),
         "recipe": select_deciding(recipe),
         "data": sorted(digests.values()),
     }

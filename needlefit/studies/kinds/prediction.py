@@ -38,6 +38,7 @@ from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
+from needlefit.project.progress import no_note
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import find_named
@@ -50,7 +51,7 @@ from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.run_metadata import PredictionMetadata, RunMetadata
+from needlefit.schemas.run_metadata import PredictionMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.advice import NEW_SPECIMENS, advise
@@ -64,7 +65,7 @@ from needlefit.studies.fold_draws import (
     draw_fold_parameters,
     measure_prior,
 )
-from needlefit.studies.identity import describe_change, require_same_fit
+from needlefit.studies.identity import describe_change
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
 from needlefit.studies.provenance import describe_configuration
@@ -72,7 +73,13 @@ from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, restore_run
-from needlefit.studies.study_files import begin_run, describe_study, is_study, prepare_target, target_name
+from needlefit.studies.study_files import (
+    begin_run,
+    is_study,
+    prepare_target,
+    prepare_with_held_out,
+    target_name,
+)
 
 
 class PredictionRecord(TargetRecord):
@@ -348,48 +355,29 @@ class _Known(NamedTuple):
 
 
 def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Known:
-    """Return the results of the fit; those of another one, or of earlier versions, are not used.
-
-    ConfigError if the folder of the posterior holds none, or that of another fit.
-    """
-    target, judged = record.target, settings.inputs.judged
-    if settings.inputs.target is not None:  # a run, from which the job was made
-        return _Known(None, judged, [])
-    sampled, found = None, list[ResultWarning]()
-    if record.posterior is not None:
-        sampled, now = _restore_sampled(record.posterior), describe_configuration(job)
-        if sampled.metadata.identity is None:
-            what = f"the posterior of {sampled.name} is not used"
-            found = _find_changes(sampled, now, what, ("tune", target))
-            sampled = None
-        else:
-            require_same_fit(now, sampled.metadata, record.posterior)
-    if judged is None:
+    """Return the results of the fit; those of another one, or of earlier versions, are not used."""
+    inputs, found = settings.inputs, list[ResultWarning]()
+    if inputs.target is not None:  # a run, from which the job was made
+        return _Known(None, inputs.judged, found)
+    sampled = None if record.posterior is None else restore_run(Path(record.posterior))
+    if sampled is not None and (changed := describe_change(sampled.metadata, describe_configuration(job))):
+        what = f"the posterior of {sampled.name} is not used; changed since: {changed}"
+        found.append(_warn("tune", record.target, what))
+        sampled = None
+    if (judged := inputs.judged) is None:
         return _Known(sampled, sampled, found)
-    command = "validate" if judged.kind == "cross_validation" else "tune"
-    study, what = describe_study(target, job, settings), f"the verdict of {judged.name} is not repeated"
-    changed = _find_changes(judged, study, what, (command, target))
-    return _Known(sampled, None if changed else judged, [*found, *changed])
+    quiet = replace(settings, note=no_note, inputs=Inputs(dataset=job.measured))
+    study = prepare_with_held_out(record, job.name, quiet)
+    if changed := describe_change(judged.metadata, describe_configuration(study)):
+        what = f"the verdict of {judged.name} is not repeated; changed since: {changed}"
+        command = "validate" if judged.kind == "cross_validation" else "tune"
+        found.append(_warn(command, record.target, what))
+        judged = None
+    return _Known(sampled, judged, found)
 
 
-def _restore_sampled(folder: str) -> Run:
-    run = restore_run(Path(folder))
-    if not run.posteriors:
-        raise ConfigError(
-            f"holds no {POSTERIOR_FILE}",
-            where=folder,
-            expected="the folder of a run of one fold that was sampled",
-            fix="name a result of `needlefit tune` without --no-sample",
-        )
-    return run
-
-
-def _find_changes(run: Run, now: RunMetadata, what: str, command: Sequence[str]) -> list[ResultWarning]:
-    """Return a warning, with `what` follows, if a run is of another fit or study than `now`."""
-    if not (changed := describe_change(run.metadata, now)):
-        return []
-    fix = f"renew it: {shlex.join(('needlefit', *command))}"
-    return [ResultWarning("data_changed", f"{what}; changed since: {changed}", fix=fix)]
+def _warn(command: str, target: str, what: str) -> ResultWarning:
+    return ResultWarning("data_changed", what, fix=f"renew it: {shlex.join(('needlefit', command, target))}")
 
 
 # ---- the run
