@@ -14,6 +14,7 @@ UNDECIDING: Mapping[str, str] = {
     "paper_study": "numbers of the paper, printed beside ours",
     "preliminary": "label of verdicts",
     **dict.fromkeys(("truth", "truth_seed"), "true parameters, which no fit knows"),
+    "sha256": "checksum of the table that a prior is from",
     "import_": "how values were found; the values decide",
     "checksums": "compared with the files when they are read",
 }
