@@ -51,6 +51,12 @@ def drop_copy(folder: Path) -> None:
     write_manifest(folder)
 
 
+def change_noise(file: Path) -> None:
+    text = file.read_text()
+    assert "point_sd_mm = 0.05" in text
+    file.write_text(text.replace("point_sd_mm = 0.05", "point_sd_mm = 0.06"))
+
+
 def test_a_run_holds_the_files_of_its_data_with_their_digest(world):
     for kind in ("fit", "cross_validation"):
         folder = world.find(kind)
@@ -148,15 +154,18 @@ def test_a_missing_dataset_is_found_where_the_message_looked_for_it(places):
     assert load_target("../moved/gel").inputs.dataset.digest
     file = places.here / "data/needles/dataset.toml"
     file.write_text(f"# later\n{file.read_text()}")
+    assert load_target("../moved/gel")
+    change_noise(file)
     fault = refusal(DataError, "changed", lambda: load_target("../moved/gel"))
     assert str(file) in fault.expected
 
 
 def test_data_that_changed_since_are_named_and_the_copy_is_used(places, capsys):
-    kinds = [one.kind for one in load_target("../moved/gel").inputs.dataset.warnings]
-    assert "data_changed" not in kinds
     file = places.project / "data/needles/dataset.toml"
     file.write_text(f"# later\n{file.read_text()}")
+    kinds = [one.kind for one in load_target("../moved/gel").inputs.dataset.warnings]
+    assert "data_changed" not in kinds
+    change_noise(file)
     dataset = load_target("../moved/gel").inputs.dataset
     (warning,) = [one for one in dataset.warnings if one.kind == "data_changed"]
     assert warning.where == str(file)

@@ -24,6 +24,7 @@ from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.studies.fold_draws import Specimens, choose_specimen
+from needlefit.studies.identity import require_same_fit
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.kinds import prediction
@@ -33,7 +34,6 @@ from needlefit.studies.kinds.prediction import (
     forecast,
     make_scene,
     require_fitted_kind,
-    require_same_configuration,
     tabulate_forecast,
 )
 from needlefit.studies.load import load_study
@@ -173,7 +173,8 @@ def test_a_change_that_draws_would_replace_is_refused(job):
 
 
 def predict_with(job, monkeypatch, draws, inputs=None, depth=38.06, note=no_note, **options):
-    monkeypatch.setattr(prediction, "prepare_target", lambda *_: job)
+    for prepare in ("prepare_target", "prepare_with_held_out"):
+        monkeypatch.setattr(prediction, prepare, lambda *_: job)
     monkeypatch.setattr(prediction, "draw_parameters", lambda *_: about(draws))
     scene = load(find_file("scene", "study2"), SceneRecord).model_copy(update={"depth_mm": depth})
     record = find_kind("prediction").make_record(target="phantom2", scene=scene, **options)
@@ -205,13 +206,17 @@ def test_a_depth_that_was_not_fitted_is_named(job, monkeypatch, depth, count):
 
 def test_the_verdict_of_a_run_of_the_same_data_stands_first(job, monkeypatch):
     """Of a run of other data, or another fit, nothing is repeated; that is named before the work."""
-    about = describe_configuration(job)
     fitted = replace(predict_with(job, monkeypatch, [theta(job)] * 5), name="known")
-    same = {key: getattr(about, key) for key in ("dataset", "medium", "recipe")}
-    moved = about.dataset.model_copy(update={"sha256": "0" * 64})
-    other = about.medium.model_copy(update={"thickness_mm": 1.0})
-    for changes, named in (({}, ""), ({"dataset": moved}, "dataset"), ({"medium": other}, "medium")):
-        judged, notes = fitted.with_metadata(**(same | changes)), list[str]()
+    first, *others = job.folds[0].tune
+    moved = replace(job.folds[0], tune=(replace(first, digest="0"), *others))
+    other = job.medium.model_copy(update={"thickness_mm": 1.0})
+    for changes, named in (
+        ({}, ""),
+        ({"folds": (moved,)}, f"data of {first.id}"),
+        ({"medium": other}, "tissue"),
+    ):
+        identity, notes = describe_configuration(replace(job, **changes)).identity, list[str]()
+        judged = fitted.with_metadata(identity=identity)
         found = predict_with(job, monkeypatch, [theta(job)] * 5, Inputs(judged=judged), note=notes.append)
         warned = [one for one in found.warnings if one.kind == "data_changed"]
         assert len(warned) == len(notes) == bool(named)
@@ -287,16 +292,13 @@ def test_a_prediction_from_an_unconverged_posterior_is_flagged(monkeypatch):
     assert verdict.status == "fail" and set(verdict.numbers) == {"s_mm"}
 
 
-def test_a_posterior_of_other_data_is_refused(job):
+def test_a_run_of_another_fit_is_refused(job):
     record = describe_configuration(job)
     stored = JobMetadata.model_validate_json(json.dumps(record.to_json()))
-    require_same_configuration(job, stored, "run")
-    other_data = record.dataset.model_copy(update={"sha256": "0"})
-    with pytest.raises(ConfigError, match="another dataset"):
-        require_same_configuration(job, record.state(dataset=other_data), "run")
+    require_same_fit(record, stored, "run")
     other = job.recipe.model_copy(update={"likelihood": LikelihoodRecord(noise="independent")})
-    with pytest.raises(ConfigError, match="another likelihood"):
-        require_same_configuration(replace(job, recipe=other), record, "run")
+    with pytest.raises(ConfigError, match="recipe"):
+        require_same_fit(describe_configuration(replace(job, recipe=other)), stored, "run")
 
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])

@@ -177,8 +177,9 @@ def test_the_band_of_a_new_specimen_is_as_wide_as_the_run_predicted_it(project):
 
 def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
     results = restore_run(project / "reports/small")
-    other = results.metadata.dataset.model_copy(update={"sha256": "0"})
-    put(results.with_metadata(dataset=other), tmp_path)
+    first, *_ = (identity := results.metadata.identity).insertions
+    other = identity.model_copy(update={"insertions": identity.insertions | {first: "0"}})
+    put(results.with_metadata(identity=other), tmp_path)
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
     pack({"kind": "calibration"}, tmp_path)

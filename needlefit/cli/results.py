@@ -71,7 +71,7 @@ def diff(
     from needlefit.project.folders import require_output_files
     from needlefit.project.locate import find_run
     from needlefit.reporting.table_files import to_records
-    from needlefit.studies.run_differences import RUN_JSON, compare_runs
+    from needlefit.studies.run_differences import IDENTITY, RUN_JSON, compare_runs
 
     folders = find_run(run_a), find_run(run_b)
     if csv is not None:
@@ -82,8 +82,12 @@ def diff(
     if context.find_root().obj.json:
         screen.show_json(to_records(found))
         return
+    identity = found["column"] == IDENTITY
+    changes, found = found.loc[identity, "row"], found[~identity]
     tables = found[found["table"] != RUN_JSON]
     keys = len(found) - len(tables)
+    for changed in changes:
+        screen.print_text(f"The runs are of different fits; changed: {changed}.")
     screen.print_text(f"{tables['rows'].sum()} values of tables and {keys} keys of {RUN_JSON} differ.")
     if len(found):
         shown = found.head(MAX_SHOWN_DIFFERENCES)

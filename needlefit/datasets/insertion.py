@@ -179,6 +179,8 @@ class Insertion(InsertionInputs):
         2 where the z of `points` was measured, 1 where they are known along y alone.
     headings : tuple of (N,) arrays
         Directions of the tip, rad, along y, and z, as a tracker reports them; empty where it does not.
+    digest : str
+        SHA-256 of what was read of it and decides a fit (`digests`); empty of one that was made in memory.
     curve_roll : float
         Roll about x of the plane in which curves without mechanics bend, rad; 0 of one compared in its plane.
     """
@@ -208,6 +210,7 @@ class Insertion(InsertionInputs):
     observed_values: Mapping[str, float] = field(default_factory=dict)
     directions: int = 2
     headings: tuple[Floats, ...] = ()
+    digest: str = ""
     curve_roll: float = 0.0
     _curves: dict[Compared, MeasuredCurve] = field(default_factory=dict, init=False, repr=False)
 

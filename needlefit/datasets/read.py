@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from needlefit.datasets.dataset_warnings import (
     find_scatter_warnings,
     find_side_warnings,
 )
+from needlefit.datasets.digests import digest_insertion
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import FORMATS, find_format
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
@@ -43,6 +45,7 @@ from needlefit.datasets.tips import find_tip_faults, name_observed, place_tip
 from needlefit.errors import ConfigError, DataError, refusal
 from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.project import toml
+from needlefit.project.folders import sha256
 from needlefit.project.locate import read_toml
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml import locate_key
@@ -217,6 +220,7 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
         if name is not None and not found:  # of rows with faults ids are missing
             beside = reading.read_table(root / name)
             rows = [] if beside is None else add(rows, beside, found)
+    hashed = cache(sha256)  # insertions share surfaces
     for row in rows:
         where, patient = f"{table.path}:{row.line}", row.patient or scanned
         faults: list[Fault] = []
@@ -236,7 +240,8 @@ def _iterate_insertions(reading: _Reading, shared: SharedSurfaces) -> Iterator[L
             continue
         try:
             reduced = reduce_insertion(row, points, medium, needles[row.needle], patient, sections)
-            yield ListedInsertion(reduced, row, where, points)
+            digest = digest_insertion(row, points, sections, record, lambda name: hashed(root / name))
+            yield ListedInsertion(replace(reduced, digest=digest), row, where, points)
         except DataError as error:
             found.append(error.replace(where=error.where or where, fix=error.fix or BEVEL_FIX))
 

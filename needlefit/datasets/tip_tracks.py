@@ -1,6 +1,7 @@
 """Read tip tracks: a table with a row for each reading of a tip on its way, and the guide that was moved."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from needlefit.arrays import Floats, pad_axis
 from needlefit.datasets.columns import NEEDLE_COLUMN
+from needlefit.datasets.digests import digest_track
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
 from needlefit.datasets.insertion import GuideMotion, Insertion
@@ -129,7 +131,7 @@ def parse_tracks(
         )
         roll = own["bevel_roll_deg"][1:]
         turned = np.flatnonzero(np.diff(roll, prepend=0.0))  # a roll is that on the way to a reading
-        yield make_track(
+        track = make_track(
             id_,
             str(media[rows[0]]),
             medium.specimen or str(media[rows[0]]),
@@ -144,6 +146,7 @@ def parse_tracks(
             (np.array(medium.boundaries_mm), medium.layers),
             tuple((float(depth[n]), float(roll[n])) for n in turned),
         )
+        yield replace(track, digest=digest_track(str(media[rows[0]]), own, record))
 
 
 def _find_run_faults(

@@ -32,6 +32,7 @@ from needlefit.project.folders import (
     take_lock,
 )
 from needlefit.project.input_files import parse_json, read_bytes
+from needlefit.project.json_values import digest_values
 from needlefit.project.progress import Note, no_note
 
 if TYPE_CHECKING:
@@ -145,8 +146,7 @@ def open_checkpoint(
     require_own_checkpoint(folder)
     taken = _lock(folder)
     try:
-        digest = hashlib.sha256(json.dumps(work, sort_keys=True).encode()).hexdigest()
-        _prepare(folder, digest, resume, note)
+        _prepare(folder, digest_values(work), resume, note)
     except BaseException:
         if taken:
             release_checkpoint(folder)

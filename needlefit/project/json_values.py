@@ -1,5 +1,6 @@
-"""Convert values to the types that JSON knows, and read them."""
+"""Convert values to the types that JSON knows, read them, and compute digests of them."""
 
+import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -19,6 +20,12 @@ def to_json_values(value: object) -> object:
     if value is None or isinstance(value, str | int):
         return value
     return [to_json_values(inner) for inner in value] if isinstance(value, Iterable) else str(value)
+
+
+def digest_values(values: object) -> str:
+    """Return the SHA-256 of values as JSON has them; the order of keys does not count."""
+    text = json.dumps(to_json_values(values), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parse_json_text(text: str | bytes) -> Any:  # noqa: ANN401 - JSON

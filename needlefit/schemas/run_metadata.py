@@ -83,6 +83,14 @@ class FoldMetadata(_Metadata):
     held_out: list[str] = Field(alias="validate")
 
 
+class FitIdentity(_Metadata):
+    """What a result was made of, as digests; equal ones are of the same fit, or the same study."""
+
+    sha256: str  #: of all that decides the result; this is what is compared
+    parts: dict[str, str]  #: of each part of that, to name those that differ
+    insertions: dict[str, str]  #: of the data of each insertion, by its id
+
+
 class InsertionMetadata(_Metadata):
     """How an insertion was made: what its simulation needs besides needle and layers, lengths in mm."""
 
@@ -145,6 +153,7 @@ class RunMetadata(_Metadata):
     name: str
     versions: dict[str, str] = {}  #: of Python, needlefit and the packages that decide the result
     study: Table = {}  #: the study file
+    identity: FitIdentity | None = None  #: None of earlier versions, and of what fits nothing
     dataset: DatasetMetadata | None = None
     medium: MediumRecord | None = None
     recipe: RecipeRecord | None = None
@@ -153,6 +162,11 @@ class RunMetadata(_Metadata):
     interrupted: bool = False
     faults: list[str] = []
     source_revision: str = ""  #: of a working copy
+
+    @property
+    def work(self) -> dict[str, Any]:
+        """What decides the rows that a checkpoint keeps: the identity, and the versions that compute."""
+        return {"identity": self.identity and self.identity.sha256, "versions": self.versions}
 
     def state(self, **more: Any) -> Self:  # noqa: ANN401 - as pydantic's
         """Return what also states these keys."""

@@ -5,26 +5,15 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
-from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset, split_boundary_sd
 from needlefit.datasets.needles import summarize_needles
 from needlefit.datasets.sections import describe_measurement
-from needlefit.errors import ConfigError
-from needlefit.inference.baselines import BASELINES
 from needlefit.inference.forward_model import make_options as mesh
-from needlefit.inference.likelihood.observations import OBSERVATIONS
-from needlefit.mechanics.laws import LAWS
 from needlefit.mechanics.native import identify_other_library
-from needlefit.metrics import METRICS
 from needlefit.registry import plugin_versions
 from needlefit.schemas.medium import MediumRecord
-from needlefit.schemas.run_metadata import (
-    DatasetMetadata,
-    FoldMetadata,
-    JobMetadata,
-    RigidityMetadata,
-    RunMetadata,
-)
+from needlefit.schemas.run_metadata import DatasetMetadata, FoldMetadata, JobMetadata, RigidityMetadata
+from needlefit.studies.identity import identify, list_fit_plugins, list_judging_plugins
 from needlefit.studies.job import Job
 
 #: whose versions decide the result of a study
@@ -38,6 +27,7 @@ def describe_configuration(job: Job) -> JobMetadata:
         versions=package_versions(PACKAGES) | plugin_versions_of(job.medium, job.dataset),
         dataset=summarize_dataset(job.dataset),
         study=job.record.model_dump(mode="json", by_alias=True),
+        identity=identify(job),
         medium=job.medium,
         recipe=job.recipe,
         hand_tuned=None if job.hand_tuned is None else dict(job.hand_tuned),
@@ -52,30 +42,6 @@ def describe_configuration(job: Job) -> JobMetadata:
         rules=describe_model_options(job.medium),
         compared=job.dataset.compared,
     )
-
-
-def compare_configuration(job: Job, recorded: RunMetadata) -> list[str]:
-    """Return what of a job is another one than a run recorded: dataset, medium, folds, likelihood."""
-    ours = describe_configuration(job)
-    likelihood = None if recorded.recipe is None else recorded.recipe.likelihood
-    pairs = {
-        "dataset": (recorded.dataset, ours.dataset),
-        "medium": (recorded.medium, ours.medium),
-        "folds": (recorded.folds, ours.folds),
-        "likelihood": (likelihood, job.recipe.likelihood),
-    }
-    return [key for key, (found, wanted) in pairs.items() if found != wanted]
-
-
-def require_same_configuration(job: Job, recorded: RunMetadata, where: str) -> None:
-    """Raise ConfigError if what a run recorded is of other data or another configuration than `job`."""
-    for key in compare_configuration(job, recorded):
-        raise ConfigError(
-            f"its posterior is of another {key}",
-            where=where,
-            expected=f"the {key} that {job.name} names now",
-            fix="tune again, with `needlefit tune`",
-        )
 
 
 def summarize_dataset(dataset: Dataset) -> DatasetMetadata:
@@ -114,10 +80,7 @@ def package_versions(packages: Sequence[str]) -> dict[str, str]:
 
 def plugin_versions_of(medium: MediumRecord, dataset: Dataset) -> dict[str, str]:
     """Return the versions of the plugins that a result with these depends on, if any."""
-    added = [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
-    observed = {(OBSERVATIONS, one.observed) for one in dataset.insertions}
-    formats = (FORMATS, dataset.centerline_format)
-    return plugin_versions((LAWS, medium.law), formats, *observed, *added)
+    return plugin_versions(*list_fit_plugins(medium, dataset), *list_judging_plugins())
 
 
 def describe_model_options(medium: MediumRecord) -> dict[str, Any]:

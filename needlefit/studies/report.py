@@ -374,6 +374,8 @@ def _run_blocks(run: Run) -> list[Block]:
     stated = ("dataset", "datasets", "recipe", "rules", "versions")
     known = run.run_json
     settings = {key: _format_value(known[key]) for key in stated if key in known}
+    if (identity := run.metadata.identity) is not None:
+        settings["identity"] = _format_value(identity.sha256)
     rows = [{"setting": key, "setting_value": line} for key, line in settings.items() if line]
     if not rows:
         return []

@@ -5,7 +5,9 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.errors import DataError
+from needlefit.studies.identity import PART_DIGITS, describe_change
 from needlefit.studies.report import list_run_files
+from needlefit.studies.run import Run
 from needlefit.studies.store import restore_run
 
 #: columns that name a row, in any table
@@ -15,12 +17,13 @@ KEYS = {
     *("parameter", "metric", "quantity", "level", "replicate", "seed"),
     *("start", "curve", "draw", "scan", "marker", "name", "mark"),
 }
-RUN_JSON = "run.json"
+RUN_JSON, IDENTITY = "run.json", "identity"
 
 
 def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     """Return how run `after` differs from `before`: a row for each column of a table, or key of `run.json`.
 
+    Where they are of different fits, the row of the column "identity" states in `row` what changed.
     `row`, `before`, `after` and `change` are those of the greatest change, for each unit in a column; `rows`
     is how many rows differ. What one run alone has is missing (None) in the other.
 
@@ -31,7 +34,8 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
         what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
         raise DataError(what, where=after, expected=expected, fix="compare runs of the same command")
     first, second = ({f"{name}.csv": one for name, one in list_run_files(run).items()} for run in runs)
-    first[RUN_JSON], second[RUN_JSON] = (pd.json_normalize(run.run_json) for run in runs)
+    changed = describe_change(runs[0].metadata, runs[1].metadata)
+    first[RUN_JSON], second[RUN_JSON] = (_tabulate_keys(run) for run in runs)
     joined = []
     for table, one in first.items():
         other = second.get(table)
@@ -46,8 +50,15 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
     both["rows"] = both.groupby(["table", "column", "unit"])["row"].transform("size")
     most = both.sort_values("change", ascending=False, kind="stable")
     most = most.drop_duplicates(["table", "column", "unit"]).sort_index()
+    most.loc[most["column"] == IDENTITY, "row"] = changed
     columns = most[["table", "column", "row", "before", "after", "rows", "change"]].astype(object)
     return columns.where(columns.notna(), None)
+
+
+def _tabulate_keys(run: Run) -> pd.DataFrame:
+    """Return `run.json` as a row, with the digest of the identity alone."""
+    stated = run.metadata.identity
+    return pd.json_normalize(run.run_json | {IDENTITY: stated and stated.sha256[:PART_DIGITS]})
 
 
 def _melt(frame: pd.DataFrame, keys: list[str], value: str) -> pd.DataFrame:

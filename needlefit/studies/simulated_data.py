@@ -1,7 +1,5 @@
 """Simulate measured needles in memory: single ones, or a dataset, with the errors that it states."""
 
-import hashlib
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -31,6 +29,7 @@ from needlefit.inference.planned_layers import with_planned_layers
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.project.json_values import digest_values
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
@@ -170,7 +169,6 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
 
     Raises ConfigError if a needle has no solution.
     """
-    text = json.dumps(record.model_dump(mode="json"), sort_keys=True)
     dataset = Dataset(
         name=name,
         title=record.title,
@@ -181,7 +179,7 @@ def simulate_dataset(name: str, record: SyntheticDataRecord, medium: MediumRecor
         pose="known",
         drop_proximal=0.0,
         path=Path(),
-        digest=hashlib.sha256(text.encode()).hexdigest(),
+        digest=digest_values(record.model_dump()),
     )
     measurements = []
     for number, stated in enumerate(record.insertions, start=1):

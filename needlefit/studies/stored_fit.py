@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.read import read
+from needlefit.datasets.read import inspect, read
 from needlefit.datasets.sources import find_dataset_file
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.input_files import is_file
 from needlefit.project.locate import find_file, is_path
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.schemas.run_metadata import JobMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.identity import has_data, require_same_fit
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.provenance import require_same_configuration
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 
 
@@ -48,7 +48,8 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
     stated = run.metadata
     inputs = Inputs(dataset=read_data(run, where), medium=stated.medium, recipe=stated.recipe)
     job = load_study(run.name, record, Settings(inputs=inputs))
-    require_same_configuration(job, stated, where)
+    if stated.identity is not None:
+        require_same_fit(describe_configuration(job), stated, where)
     one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
     name = run.name
     if isinstance(record, StudyRecord):
@@ -63,15 +64,15 @@ def read_data(run: Run, where: str) -> Dataset:
     A copy that differs from those files has a warning. Raises DataError if there is neither; it names
     `where`, the run.
     """
-    digest, before = run.knows(JobMetadata).dataset.sha256, _find_earlier_file(run)
+    before = _find_earlier_file(run)
     if run.data is not None and is_file(run.data.file):
         dataset = read(run.data.file, root=run.data.root)
-        if dataset.digest == digest:
+        if has_data(run.metadata, dataset):
             return _warn_changed(dataset, run, before)
     changed: Path | None = None
     for file in _list_files(run, before):
         dataset = read(file)
-        if dataset.digest == digest:
+        if has_data(run.metadata, dataset):
             return dataset
         changed = changed or file
     name = run.record.dataset
@@ -111,9 +112,12 @@ def _list_files(run: Run, before: Path) -> Iterator[Path]:
 
 
 def _warn_changed(dataset: Dataset, run: Run, before: Path) -> Dataset:
-    """Return the copy of a run's dataset, with a warning if that has changed since."""
+    """Return the copy of a run's dataset, with a warning if the data of its insertions have changed since."""
     if dataset.files is None or not dataset.files.differ_from(before):
         return dataset
+    now = inspect(before).dataset if is_file(before) else None
+    if now is not None and has_data(run.metadata, now):
+        return dataset  # a comment was changed, or another insertion
     what = f"the dataset has changed since {run.name} was computed, which uses its copy of it"
     fix = f"run {run.name} again to use the data as they are now"
     warning = ResultWarning("data_changed", what, str(before), fix)

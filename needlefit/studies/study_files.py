@@ -16,8 +16,10 @@ from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import add_file_context, add_key_context, check
 from needlefit.schemas.analyses import TargetRecord
 from needlefit.schemas.base import FileRecord
+from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.run_metadata import AnalysisMetadata
 from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.studies.identity import identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import find_kind
 from needlefit.studies.load import load_study, print_notes
@@ -210,9 +212,9 @@ def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
 
 def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
     """Return the work of the study that a record names, with what it holds out; of a fit, the fit's."""
-    if settings.inputs.target is None:
-        kind, path = find_study_or_fit(record.target)
-        study = None if kind == "fit" else load_study_file(path)
+    if settings.inputs.target is None and ":" not in record.target and is_study(record.target):
+        _, path = find_study_or_fit(record.target)
+        study = load_study_file(path)
         if isinstance(study, StudyRecord):
             with add_file_context(path):
                 return _prepare_noted(name, study, replace(settings, file=path))
@@ -239,6 +241,7 @@ def begin_run(name: str, record: TargetRecord, job: Job, title: str) -> Run:
         AnalysisMetadata,
         study=stored.model_dump(mode="json", by_alias=True),
         fit=job.record.model_dump(mode="json", by_alias=True),
+        identity=identify(job, select_deciding(stored, ("target", "scene_name", "posterior"))),
         warnings=to_stored_rows(job.warnings),
     )
     data = job.dataset

@@ -367,7 +367,7 @@ def run(name: str, record: CalibrationRecord, settings: Settings) -> Run:
         task, planned = partial(replicate, job=job, stiff=stiff), {"draws": RANK_DRAWS, "stiff_design": stiff}
     about = begin_run(name, record, job, f"Calibration: {job.record.title or target}")
     work = about.metadata.extend(CalibrationMetadata, **planned)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
     tasks = {f"replicate {number}": partial(task, number) for number in range(record.replicates)}
     parts = run_tasks(tasks, job.name, settings, checkpoint)
     frames = _make_frames(join_rows(parts), synthetic)

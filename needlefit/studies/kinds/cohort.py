@@ -44,12 +44,14 @@ from needlefit.reporting.table import Table
 from needlefit.reporting.table_files import to_records
 from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import CohortMetadata
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
 from needlefit.studies.answer import Answer, FaultKind, RunFault
 from needlefit.studies.fold_draws import find_fit
+from needlefit.studies.identity import make_identity
 from needlefit.studies.job import Job, Settings
 from needlefit.studies.kind import StudyKind
 from needlefit.studies.load import load_study, print_notes
@@ -124,17 +126,24 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
     records = {"medium": medium, "recipe": recipe}
     stored = {key: one.model_dump(mode="json", by_alias=True) for key, one in records.items()}
     stored["rules"] = describe_model_options(medium)
+    parts = {
+        "options of the analysis": select_deciding(record, ("datasets", "medium", "recipe")),
+        "tissue model": select_deciding(medium),
+        "recipe": select_deciding(recipe),
+        "data": sorted(digests.values()),
+    }
     work = CohortMetadata(
         name=name,
+        identity=make_identity(parts, {}),
         # of plugins all that may read a dataset
         versions=package_versions(PACKAGES) | plugin_versions((LAWS, medium.law), *every),
         study=record.model_dump(mode="json", by_alias=True),
         parts=[stored],
         datasets_sha256=digests,
     )
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
-    parts = run_tasks(tasks, name, settings, checkpoint)
-    rows, interrupted = join_rows(parts), len(parts) < len(tasks)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
+    done = run_tasks(tasks, name, settings, checkpoint)
+    rows, interrupted = join_rows(done), len(done) < len(tasks)
     frames: Frames = {
         frame: pd.DataFrame(rows.get(frame, []), columns=list(names)) for frame, names in columns.items()
     }

@@ -12,10 +12,11 @@ import itertools
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -38,6 +39,7 @@ from needlefit.inference.predict import INTERVAL_PROBABILITIES, Draws, estimate_
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.mechanics.scene import Scene
 from needlefit.project.checkpoint import NO_CHECKPOINT, Checkpoint, open_checkpoint
+from needlefit.project.progress import no_note
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning, to_stored_rows
 from needlefit.project.toml import find_named
@@ -65,14 +67,21 @@ from needlefit.studies.fold_draws import (
     draw_fold_parameters,
     measure_prior,
 )
+from needlefit.studies.identity import describe_change
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.provenance import compare_configuration, require_same_configuration
+from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
 from needlefit.studies.store import posterior_file_names, restore_run
-from needlefit.studies.study_files import begin_run, is_study, prepare_target, target_name
+from needlefit.studies.study_files import (
+    begin_run,
+    is_study,
+    prepare_target,
+    prepare_with_held_out,
+    target_name,
+)
 
 
 class PredictionRecord(TargetRecord):
@@ -325,18 +334,16 @@ def require_fitted_kind(scene: Scene, job: Job) -> None:
 
 
 def draw_parameters(
-    job: Job, run: Run | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT, where: str = ""
+    job: Job, run: Run | None, settings: Settings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> Draws | None:
-    """Return draws of the posterior of a run, stored in the folder `where`, or without one about a new fit.
+    """Return draws of the posterior of a run of this fit, or without one about a new fit.
 
     None after a stop.
-
-    Raises ConfigError if the posterior is of other data or another configuration, or the folder holds none.
     """
     if settings.inputs.posterior is not None:
         return _thin_with_mode(job, settings.inputs.posterior)
     if run is not None:
-        return _draw_from_run(job, run, where)
+        return _thin_with_mode(job, run.posterior)
     (fold,) = job.folds
     fit = read_fit(checkpoint, "fitted")
     if fit is None:
@@ -352,18 +359,6 @@ def draw_parameters(
     return None if settings.stop() else found
 
 
-def _draw_from_run(job: Job, run: Run, where: str) -> Draws:
-    if not run.posteriors:
-        raise ConfigError(
-            f"holds no {POSTERIOR_FILE}",
-            where=where,
-            expected="the folder of a run of one fold that was sampled",
-            fix="name a result of `needlefit tune` without --no-sample",
-        )
-    require_same_configuration(job, run.metadata, where)
-    return _thin_with_mode(job, run.posterior)
-
-
 def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
     """Return draws of a sampled posterior, and its mode: the minimum to which its best draw leads."""
     problem = job.problem(job.folds[0]).searched
@@ -373,15 +368,41 @@ def _thin_with_mode(job: Job, posterior: Posterior) -> Draws:
     return replace(thin_posterior(posterior, job.parameters, PREDICTION_DRAWS), mode=mode)
 
 
-def _find_changes(job: Job, judged: Run | None) -> list[ResultWarning]:
-    """Return a warning if the result that judges a fit is of other data, or of another fit."""
-    found = [] if judged is None else compare_configuration(job, judged.metadata)
-    found = [key for key in found if key != "folds"]  # a validation has more of them
-    if judged is None or not found:
-        return []
-    what = f"the {found[0]} has changed since {judged.name} was computed"
-    fix = f"run {judged.name} again: what it found is of another fit, and is not repeated"
-    return [ResultWarning("data_changed", what, str(job.dataset.path), fix)]
+# ---- results of the same fit
+
+
+class _Known(NamedTuple):
+    """What earlier results give to a prediction: a posterior, a verdict; warnings about what is not used."""
+
+    sampled: Run | None
+    judged: Run | None
+    warnings: list[ResultWarning]
+
+
+def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Known:
+    """Return the results of the fit; those of another one, or of earlier versions, are not used."""
+    inputs, found = settings.inputs, list[ResultWarning]()
+    if inputs.target is not None:  # a run, from which the job was made
+        return _Known(None, inputs.judged, found)
+    sampled = None if record.posterior is None else restore_run(Path(record.posterior))
+    if sampled is not None and (changed := describe_change(sampled.metadata, describe_configuration(job))):
+        what = f"the posterior of {sampled.name} is not used; changed since: {changed}"
+        found.append(_warn("tune", record.target, what))
+        sampled = None
+    if (judged := inputs.judged) is None:
+        return _Known(sampled, sampled, found)
+    quiet = replace(settings, note=no_note, inputs=Inputs(dataset=job.measured))
+    study = prepare_with_held_out(record, job.name, quiet)
+    if changed := describe_change(judged.metadata, describe_configuration(study)):
+        what = f"the verdict of {judged.name} is not repeated; changed since: {changed}"
+        command = "validate" if judged.kind == "cross_validation" else "tune"
+        found.append(_warn(command, record.target, what))
+        judged = None
+    return _Known(sampled, judged, found)
+
+
+def _warn(command: str, target: str, what: str) -> ResultWarning:
+    return ResultWarning("data_changed", what, fix=f"renew it: {shlex.join(('needlefit', command, target))}")
 
 
 # ---- the run
@@ -403,17 +424,12 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         where = "same"
     into = choose_specimen(known, where)
     about = begin_run(name, record, job, f"Prediction: {title}")
-    folder = None if record.posterior is None else Path(record.posterior)
-    sampled = None if folder is None or settings.inputs.posterior is not None else restore_run(folder)
-    checkpoint = open_checkpoint(
-        settings.checkpoint, settings.resume, about.metadata.to_json(), settings.note
-    )
     require_fitted_kind(scene, job)
-    judged = settings.inputs.judged or sampled
-    changed = _find_changes(job, judged)
+    sampled, judged, changed = _find_known(record, job, settings)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, about.metadata.work, settings.note)
     for one in changed:
         settings.note(f"warning: {one} ({one.help_command})")  # before the work, which takes long
-    fitted = draw_parameters(job, sampled, settings, checkpoint, str(folder))
+    fitted = draw_parameters(job, sampled, settings, checkpoint)
     if fitted is None:
         return replace(about, interrupted=True)
     if shifts := measure_prior(job, job.folds[0], fitted.thetas):
@@ -436,10 +452,8 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
         warned.append(write_warning("predictive_median", {**chosen, "text": "median_of_scene"}))
     if draws.faults:
         needle.loc[:, needle.columns.str.contains("_low_|_high_")] = np.nan
-    if changed:
-        judged = None  # a verdict on another fit
     stored: Any = about.record
-    named = {"scene_name": scene_name, "posterior": folder.name if folder else None}
+    named = {"scene_name": scene_name, "posterior": record.posterior and Path(record.posterior).name}
     return replace(
         about,
         record=stored.model_copy(update=named),
@@ -454,7 +468,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             specimen="others" if into is None else where,
             fit_verdict=None if judged is None else recall(judged),
             fit_run=None if judged is None else judged.name,
-            fit_changed=changed[0].what if changed else "",
+            fit_changed=changed[-1].what if changed else "",
             fit_advice=None if judged is None else _recall_advice(judged),
             held_out_by_target=settings.inputs.target is None and is_study(record.target),
             failed_solves=found.failed,

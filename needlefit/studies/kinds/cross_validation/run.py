@@ -46,7 +46,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Run:
     job = load_study(name, record, settings)
     print_notes(job, settings)
     work = describe_configuration(job)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.to_json(), settings.note)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work.work, settings.note)
     services = FoldServices(settings, checkpoint, StudyProgress(job, settings.progress))
     results: list[FoldResult] = []
     for fold in job.folds:

@@ -1,0 +1,59 @@
+"""Digests of insertions: of all values in the files of a dataset that decide a fit to one of them.
+
+They are of the values as they were read. What is computed from these differs in its last digit between
+machines, on which a result is to be known again.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import NEEDLE_COLUMN, InsertionRow
+from needlefit.datasets.points import Points
+from needlefit.geometry.smoothing_spline import SplineSections
+from needlefit.project.json_values import digest_values
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
+from needlefit.schemas.deciding import select_deciding
+
+#: keys of a `dataset.toml` of which what was read for an insertion counts
+_READ = ("root", "needle", "needles", "media", "insertions", "centerlines", "tip_tracks", "sections")
+DECIMALS = 6  #: of numbers, mm, to which points and poses are rounded that were turned into the world
+
+
+def digest_insertion(
+    row: InsertionRow,
+    points: Points,
+    sections: SplineSections | None,
+    record: DatasetRecord,
+    digest_file: Callable[[str], str],
+) -> str:
+    """Return the digest of an insertion; `digest_file` returns that of a file, by its name."""
+    medium, patient = record.media[row.medium], row.patient
+    values = {
+        "dataset": select_deciding(record, _READ),
+        "medium": select_deciding(medium, ("file",)),
+        "surfaces": [digest_file(one.file_of(row.id)) for one in medium.surfaces],
+        "needle": select_deciding(record.all_needles[row.needle]),
+        "row": vars(replace(row, line=0, patient=None)),
+        "scan": patient and [_round(patient.origin), _round(patient.rotation)],
+        "points": _round(points.values),
+        "sd": points.sd,
+        "sections": sections and vars(sections),
+    }
+    return digest_values(values)
+
+
+def _round(values: Floats) -> Floats:
+    return values.round(DECIMALS) + 0.0  # no -0
+
+
+def digest_track(medium: str, readings: Mapping[str, Any], record: TrackDatasetRecord) -> str:
+    """Return the digest of a run, by the columns of its readings and the medium that it went into."""
+    values = {
+        "dataset": select_deciding(record, _READ),
+        "medium": (medium, select_deciding(record.media[medium])),
+        "needle": select_deciding(record.all_needles[str(readings[NEEDLE_COLUMN][0])]),
+        "readings": readings,
+    }
+    return digest_values(values)

@@ -1,0 +1,135 @@
+"""The identity of a fit or study: one digest of all that decides it, by which results are compared.
+
+It does not depend on names, titles and folders, nor on the machine. Where two differ, the digests of their
+parts show which part does.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from needlefit.datasets.formats import FORMATS
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.select import name_holes
+from needlefit.errors import ConfigError
+from needlefit.inference.baselines import BASELINES
+from needlefit.inference.likelihood.observations import OBSERVATIONS
+from needlefit.mechanics.laws import LAWS
+from needlefit.metrics import METRICS
+from needlefit.project.json_values import digest_values
+from needlefit.project.locate import join_names
+from needlefit.registry import plugin_versions
+from needlefit.schemas.deciding import select_deciding
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.run_metadata import FitIdentity, RunMetadata
+from needlefit.schemas.study import StudyRecord
+from needlefit.studies.job import Job
+
+VERSION = 1  #: of what files mean; it is raised when the same files mean another fit
+PART_DIGITS = 16  #: of the digests of parts, which are only looked at where the whole ones differ
+
+#: keys of a study of which what follows counts: the contents of files, and the insertions selected
+RESOLVED = frozenset(
+    (
+        *("dataset", "medium", "recipe", "priors", "fix", "paper_parameters", "compared"),
+        *("tune", "validate_", "leave_out", "folds", "layer_count_rule"),
+    )
+)
+#: keys of a study, and of a recipe, that decide only how predictions of held-out insertions are judged
+JUDGING = frozenset(("margin_mm", "same_specimen", "registration_depth_mm", "aiming_width_mm"))
+
+#: the part that an insertion's role in folds changes, the role, and its word
+_ROLES = (("folds", "tune", "fitted"), ("judgement of predictions", "held_out", "held out"))
+
+
+def identify(job: Job, analysis: object = None) -> FitIdentity:
+    """Return the identity of a fit, or of its analysis with these options.
+
+    That of a study is also of what it holds out, and of how predictions of that are judged.
+    """
+    record = job.record
+    holes = name_holes(job.dataset)  # insertions of one hole share a bevel
+    plugins = plugin_versions(*list_fit_plugins(job.medium, job.dataset))
+    parts: dict[str, object] = {
+        "options": {
+            "stated": select_deciding(record, RESOLVED | JUDGING),
+            "compared": job.dataset.compared,
+            "paper_parameters": job.hand_tuned,
+        },
+        "tissue model": select_deciding(job.medium),
+        "recipe": select_deciding(job.recipe, JUDGING),
+        "folds": {fold.name: [(one.id, holes[one.id]) for one in fold.tune] for fold in job.folds},
+        "version": [VERSION, plugins],
+    }
+    if isinstance(record, StudyRecord):
+        parts["judgement of predictions"] = {
+            "held_out": {fold.name: [one.id for one in fold.validate] for fold in job.folds},
+            "stated": [getattr(of, key, None) for of in (record, job.recipe) for key in sorted(JUDGING)],
+            "plugins": plugin_versions(*list_judging_plugins()),
+        }
+    if analysis is not None:
+        parts["options of the analysis"] = analysis
+    return make_identity(parts, {one.id: one.digest for one in job.insertions})
+
+
+def make_identity(parts: Mapping[str, object], data: Mapping[str, str]) -> FitIdentity:
+    """Return the identity of what these parts decide, and data, by insertion, with these digests."""
+    digests = {name: digest_values(part)[:PART_DIGITS] for name, part in parts.items()}
+    data = {name: digest[:PART_DIGITS] for name, digest in data.items()}
+    return FitIdentity(sha256=digest_values([digests, data]), parts=digests, insertions=data)
+
+
+def list_fit_plugins(medium: MediumRecord, dataset: Dataset) -> list[tuple[Any, str]]:
+    """Return what may be a plugin's and decides a fit: its registry, and its name there."""
+    observed = {(OBSERVATIONS, one.observed) for one in dataset.insertions}
+    return [(LAWS, medium.law), (FORMATS, dataset.centerline_format), *observed]
+
+
+def list_judging_plugins() -> list[tuple[Any, str]]:
+    """Return what may be a plugin's and is computed of every prediction."""
+    return [(registry, name) for registry in (METRICS, BASELINES) for name in registry.names()]
+
+
+# ---- comparisons
+
+
+def describe_change(before: RunMetadata, after: RunMetadata) -> str:
+    """Return what changed of a fit or study between two results of it; "" where they are of the same."""
+    one, other = before.identity, after.identity
+    if one is None or other is None:
+        return "unknown, as an earlier version did not record its inputs"
+    if one.sha256 == other.sha256:
+        return ""
+    changed = {key for key in one.parts | other.parts if one.parts.get(key) != other.parts.get(key)}
+    roles: dict[str, list[str]] = {}
+    for part, role, word in _ROLES:
+        ids, others = (
+            {name for fold in run.folds for name in getattr(fold, role)} for run in (before, after)
+        )
+        if part in changed and ids != others:
+            changed.remove(part)
+            sides = ((ids - others, "removed"), (others - ids, "added"))
+            named = [f"{join_names(sorted(side))} {what}" for side, what in sides if side]
+            roles.setdefault("; ".join(named), []).append(word)
+    words = [f"insertions {' and '.join(each)} ({named})" for named, each in roles.items()]
+    moved = [name for name, digest in one.insertions.items() if other.insertions.get(name, digest) != digest]
+    words += [f"data of {join_names(sorted(moved))}"] if moved else []
+    return ", ".join([*words, *sorted(changed)])
+
+
+def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
+    """Return whether a dataset has the data of all insertions of a result; of earlier versions, its files."""
+    if (identity := recorded.identity) is None:
+        return recorded.dataset is not None and dataset.digest == recorded.dataset.sha256
+    digests = {one.id: one.digest[:PART_DIGITS] for one in dataset.insertions}
+    return identity.insertions.items() <= digests.items()
+
+
+def require_same_fit(now: RunMetadata, recorded: RunMetadata, where: str) -> None:
+    """Raise ConfigError if a result is of another fit than the one that is made now."""
+    if changed := describe_change(recorded, now):
+        raise ConfigError(
+            f"is a result of another fit than {now.name} is now; changed since: {changed}",
+            where=where,
+            expected="the same insertions, data, tissue model, recipe and options",
+            fix="tune again, with `needlefit tune`",
+        )
