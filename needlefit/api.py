@@ -14,7 +14,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 import pandas as pd
@@ -81,6 +81,30 @@ _OPTION_TYPES: Mapping[str, tuple[type, str]] = {
     "free": (Sequence, 'a list: ["alpha1"]'),
     "fix": (Mapping, 'a table: {"mu1": 4e3}'),
 }
+
+
+class RunOptions(TypedDict, total=False):
+    """How a run goes; `fit` describes each option."""
+
+    name: str | None
+    seed: int | None
+    jobs: int | None
+    progress: bool | Progress
+    checkpoint: Name | None
+
+
+class FitChanges(TypedDict, total=False):
+    """What a fit is to differ in from its target; `fit` describes each option."""
+
+    tune: Table | None
+    recipe: Recipe | None
+    priors: Mapping[int, Name] | None
+    free: Sequence[str]
+    fix: Mapping[str, float] | None
+
+
+class FitOptions(FitChanges, RunOptions):
+    """The options of `fit` and `sample`."""
 
 
 @dataclass(frozen=True)
@@ -229,17 +253,7 @@ def load_run(folder: Name) -> Run:
 def fit(
     target: Name | Dataset | Run,
     medium: Medium | None = None,
-    *,
-    tune: Table | None = None,
-    recipe: Recipe | None = None,
-    priors: Mapping[int, Name] | None = None,
-    free: Sequence[str] = (),
-    fix: Mapping[str, float] | None = None,
-    name: str | None = None,
-    seed: int | None = None,
-    jobs: int | None = None,
-    progress: bool | Progress = False,
-    checkpoint: Name | None = None,
+    **options: Unpack[FitOptions],
 ) -> Run:
     """Fit the parameters of a tissue model (mu in Pa, alpha, b in mm) to measured insertions.
 
@@ -292,24 +306,13 @@ def fit(
     >>> run.kind, run.name, run.interrupted
     ('fit', 'twin-chicken', False)
     """
-    changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
-    return _run(changed, name, seed, jobs, progress, checkpoint)
+    return _fit(target, medium, **options)
 
 
 def sample(
     target: Name | Dataset | Run,
     medium: Medium | None = None,
-    *,
-    tune: Table | None = None,
-    recipe: Recipe | None = None,
-    priors: Mapping[int, Name] | None = None,
-    free: Sequence[str] = (),
-    fix: Mapping[str, float] | None = None,
-    name: str | None = None,
-    seed: int | None = None,
-    jobs: int | None = None,
-    progress: bool | Progress = False,
-    checkpoint: Name | None = None,
+    **options: Unpack[FitOptions],
 ) -> Run:
     """Fit as `fit`, then sample the posterior by MCMC, as `needlefit tune` does.
 
@@ -328,20 +331,14 @@ def sample(
     ConfigError, DataError, FitError
         As `fit`; also if the data that `target` was fitted to are no longer the same.
     """
-    changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
-    return _run(changed, name, seed, jobs, progress, checkpoint, sample=True)
+    return _fit(target, medium, sample=True, **options)
 
 
 def predict(
     target: Name | Run,
     scene: Name | SceneRecord | Table,
     specimen: str | None = None,
-    *,
-    name: str | None = None,
-    seed: int | None = None,
-    jobs: int | None = None,
-    progress: bool | Progress = False,
-    checkpoint: Name | None = None,
+    **options: Unpack[RunOptions],
 ) -> Run:
     """Predict a planned insertion, with its uncertainty.
 
@@ -395,7 +392,7 @@ def predict(
     )
     stem = Path(scene_name).stem if scene_name != IN_MEMORY else "scene"
     planned_study = _Study(f"predict-{about}-{stem}", record, inputs)
-    return _run(planned_study, name, seed, jobs, progress, checkpoint)
+    return _run(planned_study, **options)
 
 
 def validate(
@@ -404,12 +401,8 @@ def validate(
     dataset: Name | Dataset | None = None,
     medium: Medium | None = None,
     recipe: Recipe | None = None,
-    name: str | None = None,
-    seed: int | None = None,
-    jobs: int | None = None,
     pool: TaskPool = THIS_PROCESS,
-    progress: bool | Progress = False,
-    checkpoint: Name | None = None,
+    **options: Unpack[RunOptions],
 ) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
 
@@ -440,7 +433,7 @@ def validate(
         With Ctrl-C.
     """
     changed = _replace_inputs(_load_study(study), dataset, medium, recipe)
-    return _run(changed, name, seed, jobs, progress, checkpoint, pool)
+    return _run(changed, pool=pool, **options)
 
 
 def score_study(
@@ -567,13 +560,9 @@ def estimate_evidence(
     target: Name | Dataset | Run,
     medium: Medium | None = None,
     *,
-    tune: Table | None = None,
-    recipe: Recipe | None = None,
-    priors: Mapping[int, Name] | None = None,
-    free: Sequence[str] = (),
-    fix: Mapping[str, float] | None = None,
     seed: int | None = None,
     jobs: int | None = None,
+    **changes: Unpack[FitChanges],
 ) -> "pd.Series[float]":
     """Return the evidence of a tissue model: the probability density of the data, over all its parameters.
 
@@ -597,7 +586,7 @@ def estimate_evidence(
     ConfigError, DataError, FitError
         As of `fit`; ConfigError also if no noise of the points is stated.
     """
-    changed = _change_fit(_open_fit(target, medium, stored=False), tune, recipe, priors, free, fix)
+    changed = _change_fit(_open_fit(target, medium, stored=False), **changes)
     job, jobs = _prepare(changed, seed, jobs)
     problem = _require_noise(job).problem(job.folds[0])
     found = _integrate(job, problem, ("evidence",), jobs)
@@ -739,6 +728,22 @@ def _require_noise(job: Job) -> Job:
     )
 
 
+def _fit(
+    target: Name | Dataset | Run,
+    medium: Medium | None,
+    *,
+    sample: bool = False,
+    tune: Table | None = None,
+    recipe: Recipe | None = None,
+    priors: Mapping[int, Name] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float] | None = None,
+    **options: Unpack[RunOptions],
+) -> Run:
+    changed = _change_fit(_open_fit(target, medium), tune, recipe, priors, free, fix)
+    return _run(changed, sample=sample, **options)
+
+
 def _replace_inputs(
     study: _Study,
     dataset: Name | Dataset | None = None,
@@ -774,11 +779,11 @@ def _replace_inputs(
 
 def _change_fit(
     study: _Study,
-    tune: Table | None,
-    recipe: Recipe | None,
-    priors: Mapping[int, Name] | None,
-    free: Sequence[str],
-    fix: Mapping[str, float] | None,
+    tune: Table | None = None,
+    recipe: Recipe | None = None,
+    priors: Mapping[int, Name] | None = None,
+    free: Sequence[str] = (),
+    fix: Mapping[str, float] | None = None,
 ) -> _Study:
     """Return a fit with the changes that were asked for."""
     _check_types(tune=tune, priors=priors, free=free, fix=fix)
@@ -849,14 +854,14 @@ def _is_same(one: Insertion, other: Insertion) -> bool:
 
 def _run(
     study: _Study,
-    name: str | None,
-    seed: int | None,
-    jobs: int | None,
-    progress: bool | Progress,
-    checkpoint: Name | None,
-    pool: TaskPool = THIS_PROCESS,
     *,
+    pool: TaskPool = THIS_PROCESS,
     sample: bool = False,
+    name: str | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    progress: bool | Progress = False,
+    checkpoint: Name | None = None,
 ) -> Run:
     _check_types(name=name, seed=seed, jobs=jobs)
     name, record = name or study.name, study.record

@@ -10,19 +10,15 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
 
 import pandas as pd
 import pytest
-import typer
-from typer.testing import CliRunner
 
 from needlefit.cli import main, screen
 from needlefit.cli.exit_codes import Invocation, report_error
-from needlefit.cli.options import fill_records, name_changes
+from needlefit.cli.options import name_changes
 from needlefit.cli.progress import report_lines, show_progress
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
@@ -326,29 +322,3 @@ def test_a_table_that_is_too_wide_breaks_no_word_and_loses_no_column_in_silence(
             assert named and (words[cell] == count or "Not shown" in out)
         widest = {1: 33, 2: 54, 6: 72}[count]  # turned, turned, as it is
         assert ("Not shown" in out) == (width < widest)
-
-
-@dataclass(frozen=True)
-class Files:
-    names: tuple[str, ...] = ()
-    count: int = 1
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ([], Files()),
-        (["--names", "a b"], Files(("a b",))),
-        (["--names", "a", "--count", "2", "--names", "b"], Files(("a", "b"), 2)),
-    ],
-)
-def test_options_fill_a_record_and_those_of_a_tuple_are_repeated(words, expected):
-    found = []
-
-    def command(files: Annotated[Files, {"names": typer.Option(), "count": typer.Option()}]) -> None:
-        found.append(files)
-
-    application = typer.Typer()
-    application.command()(fill_records(command))
-    result = CliRunner().invoke(application, words)
-    assert (result.exit_code, found) == (0, [expected])

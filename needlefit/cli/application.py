@@ -8,7 +8,7 @@ import typer
 from needlefit.cli import data, exit_codes, plan, reconstruct, results, simulate, studies, view
 from needlefit.cli.options import option
 
-_COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
+COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("import", data.import_data, "curves.xlsx --out ./mydata"),
     ("check", data.check, "./mydata"),
     ("tune", studies.tune, "phantom1"),
@@ -45,7 +45,7 @@ def build() -> typer.Typer:
     app = typer.Typer(pretty_exceptions_enable=False, epilog=_EPILOG, **_STYLE)
     app.callback()(_needlefit)
     groups = {name: typer.Typer(name=name, help=text, **_STYLE) for name, text in _GROUPS.items()}
-    for name, function, example in _COMMANDS:
+    for name, function, example in COMMANDS:
         *group, word = name.split()
         holder = groups[group[0]] if group else app
         holder.command(word, epilog=f"Example: needlefit {name} {example}".rstrip())(function)

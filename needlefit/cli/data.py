@@ -4,17 +4,16 @@ import math
 import shlex
 import shutil
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from needlefit.cli import screen
+from needlefit.cli import options, screen
 from needlefit.cli.execution import show_next_steps
 from needlefit.cli.exit_codes import Invocation
-from needlefit.cli.options import CheckOptions, Out, argument, fill_records, option, split_pair
+from needlefit.cli.options import argument, option, split_pair
 from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
@@ -69,42 +68,6 @@ def _ask_by_option(what: str) -> Any:  # noqa: ANN401 - typer's
     return option(f"{QUESTIONS[what].text}.")
 
 
-@dataclass(frozen=True)
-class ImportOptions:
-    """What is stated of files beforehand: of each question in `OPTIONS` the answer, others by `setup`."""
-
-    columns: Annotated[
-        str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
-    ] = ""
-    observable: Annotated[str, _ask_by_option("observable")] = ""
-    units: Annotated[str, _ask_by_option("units")] = ""
-    entry: Annotated[str, _ask_by_option("entry")] = ""
-    pose: Annotated[str, _ask_by_option("pose")] = ""
-    entry_point: Annotated[str, _ask_by_option("entry point")] = ""
-    bevel: Annotated[str, _ask_by_option("bevel")] = ""
-    bevel_side: Annotated[str, _ask_by_option("bevel side")] = ""
-    boundaries: Annotated[str, _ask_by_option("boundaries")] = ""
-    point_sd: Annotated[str, _ask_by_option("point sd")] = ""
-    setup: Annotated[
-        tuple[str, ...],
-        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
-    ] = ()
-    yes: Annotated[
-        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
-    ] = False
-
-    def list_answers(self) -> dict[str, str]:
-        """Return what is stated by names of questions; BadParameter for a name that is none."""
-        stated = dict(split_pair(text, "--setup") for text in self.setup)
-        if unknown := [name for name in stated if name not in QUESTIONS]:
-            raise typer.BadParameter(
-                f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup"
-            )
-        answers = {what: getattr(self, what.replace(" ", "_")) for what in OPTIONS} | stated
-        return {what: text for what, text in answers.items() if text}
-
-
-@fill_records
 def import_data(
     context: typer.Context,
     files: Annotated[
@@ -115,10 +78,29 @@ def import_data(
             "(.mrk.json .fcsv), surfaces (.stl .ply .obj).",
         ),
     ],
-    out: Out = None,
-    *,
-    stated: ImportOptions,
-    common: CheckOptions,  # read where they are needed
+    out: options.Out = None,
+    columns: Annotated[
+        str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
+    ] = "",
+    observable: Annotated[str, _ask_by_option("observable")] = "",
+    units: Annotated[str, _ask_by_option("units")] = "",
+    entry: Annotated[str, _ask_by_option("entry")] = "",
+    pose: Annotated[str, _ask_by_option("pose")] = "",
+    entry_point: Annotated[str, _ask_by_option("entry point")] = "",
+    bevel: Annotated[str, _ask_by_option("bevel")] = "",
+    bevel_side: Annotated[str, _ask_by_option("bevel side")] = "",
+    boundaries: Annotated[str, _ask_by_option("boundaries")] = "",
+    point_sd: Annotated[str, _ask_by_option("point sd")] = "",
+    setup: Annotated[
+        list[str] | None,
+        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
+    ] = None,
+    yes: Annotated[
+        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
+    ] = False,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Make a dataset from files of other programs.
 
@@ -146,9 +128,9 @@ def import_data(
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
-    given = stated.list_answers()
-    asks = not stated.yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
-    content = read_asking(files, stated.columns, given.get("layout", ""), _ask if asks else None)
+    given = _list_answers(context.params, setup or [])
+    asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
+    content = read_asking(files, columns, given.get("layout", ""), _ask if asks else None)
     answers = Answers(given, _ask if asks else None)
     plan = Planner(content, answers).make_plan()
     dataset = write_import(out, content, plan, answers)
@@ -170,6 +152,15 @@ def import_data(
     show_next_steps(dataset, out, SCENE_FILE)
 
 
+def _list_answers(parameters: Mapping[str, Any], setup: Sequence[str]) -> dict[str, str]:
+    """Return what is stated beforehand by names of questions: by options of their own, others by --setup."""
+    stated = dict(split_pair(text, "--setup") for text in setup)
+    if unknown := [name for name in stated if name not in QUESTIONS]:
+        raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup")
+    answers = {name: parameters[name.replace(" ", "_")] for name in OPTIONS} | stated
+    return {name: text for name, text in answers.items() if text}
+
+
 def _ask(what: str, guess: str, reason: str) -> str:
     """Ask on the terminal; an empty answer takes the guess."""
     if reason:
@@ -183,7 +174,6 @@ def _ask(what: str, guess: str, reason: str) -> str:
 # ---- check
 
 
-@fill_records
 def check(
     context: typer.Context,
     name: Annotated[
@@ -193,8 +183,9 @@ def check(
             "data/<name>/dataset.toml, studies/<name>.toml, configs/fits/<name>.toml, or a path.",
         ),
     ],
-    *,
-    common: CheckOptions,  # read where they are needed
+    strict: options.Strict = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Check a dataset or study: list faults, fixes and warnings.
 

@@ -1,15 +1,11 @@
 """Options and arguments that several commands share: each has one name and one sentence everywhere."""
 
 import hashlib
-import inspect
 import re
 import shlex
-import types
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from functools import wraps
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -30,49 +26,7 @@ def argument(metavar: str, text: str, **more: Any) -> Any:  # noqa: ANN401 - typ
     return typer.Argument(metavar=metavar, help=text, **more)
 
 
-def fill_records(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose options fill the records among the parameters of a function: one for each field.
-
-    Such a parameter is `Annotated[Record, {field: option}]`, or a dataclass whose fields are annotated so.
-    """
-    parameters, records = list[inspect.Parameter](), dict[str, Any]()
-    hints = get_type_hints(command, include_extras=True)
-    for name, parameter in inspect.signature(command).parameters.items():
-        kind, *more = get_args(hints[name]) or (hints[name],)
-        if not is_dataclass(kind):
-            parameters.append(parameter.replace(annotation=hints[name], kind=parameter.KEYWORD_ONLY))
-            continue
-        records[name], own = kind, get_type_hints(kind, include_extras=True)
-        for one in fields(kind):
-            annotation = _repeat(own[one.name])
-            annotation = Annotated[annotation, more[0][one.name]] if more else annotation
-            default = list(one.default) or None if isinstance(one.default, tuple) else one.default
-            parameters.append(
-                inspect.Parameter(one.name, parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            )
-
-    @wraps(command)
-    def fill(**given: Any) -> None:  # noqa: ANN401 - of any command
-        for name, kind in records.items():
-            values = {one.name: given.pop(one.name) for one in fields(kind)}
-            lists = {key: tuple(value) for key, value in values.items() if isinstance(value, list)}
-            given[name] = kind(**{key: one for key, one in (values | lists).items() if one is not None})
-        command(**given)
-
-    fill.__annotations__ = {one.name: one.annotation for one in parameters}
-    fill.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    return fill
-
-
-def _repeat(annotation: Any) -> Any:  # noqa: ANN401 - of any field
-    """Return the annotation of an option for that of a field: one that may be repeated for a tuple."""
-    kind, *more = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
-    if get_origin(kind) is tuple:
-        kind = types.GenericAlias(list, get_args(kind)[:1])
-    return Annotated.__class_getitem__((kind, *more)) if more else kind  # type: ignore[attr-defined]
-
-
-# ---- options whose values the invocation keeps
+# ---- options whose values the invocation keeps: commands have them as parameters, but read them from it
 
 
 def _keep(context: typer.Context, parameter: typer.CallbackParam, value: Any) -> Any:  # noqa: ANN401
@@ -136,62 +90,6 @@ Plugins = Annotated[
         is_eager=True,
     ),
 ]
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """How a long command runs, and what it prints."""
-
-    jobs: Jobs = None
-    scheduler: Scheduler = None
-    insecure: Insecure = False
-    resume: Resume = False
-    strict: Strict = False
-    json: Json = False
-    quiet: Quiet = False
-    plugins: Plugins = None
-
-
-@dataclass(frozen=True)
-class StudyOptions:
-    """How studies run, and what they print and write."""
-
-    seed: Seed = None
-    jobs: Jobs = None
-    scheduler: Scheduler = None
-    insecure: Insecure = False
-    out: Out = None
-    reference: Reference = False
-    resume: Resume = False
-    strict: Strict = False
-    explain: Explain = False
-    json: Json = False
-    quiet: Quiet = False
-    plugins: Plugins = None
-
-
-@dataclass(frozen=True)
-class FitOptions:
-    """How a fit, or a prediction with one, runs on this machine, and what it prints."""
-
-    seed: Seed = None
-    jobs: Jobs = None
-    out: Out = None
-    resume: Resume = False
-    strict: Strict = False
-    explain: Explain = False
-    json: Json = False
-    quiet: Quiet = False
-    plugins: Plugins = None
-
-
-@dataclass(frozen=True)
-class CheckOptions:
-    """What a command that makes or checks data prints, and when it fails."""
-
-    strict: Strict = False
-    json: Json = False
-    plugins: Plugins = None
 
 
 # ---- other parameters of several commands

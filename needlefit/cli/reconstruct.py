@@ -15,7 +15,7 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
-from needlefit.schemas.scan_files import ScanFiles
+from needlefit.schemas.scan_files import NO_FILES, ScanFiles, SurfaceFrame
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import ReconstructionFailure
@@ -31,19 +31,6 @@ CHECKPOINT_WORK = {"reconstruct": "each row states what it is of"}
 """Of the checkpoint: each reconstruction in it has a digest of what decided it."""
 
 
-_FILE_OPTIONS = {
-    "markers": option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE"),
-    "fiducials": option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE"),
-    "layers": option("STL, PLY, OBJ from the entry inwards, each with --layers; or a segmentation.", "FILE"),
-    "layers_in": option("Frame of the surfaces."),
-    "mask": option("The needle's voxels, segmented elsewhere.", "FILE"),
-    "series": option("Which DICOM series, where a folder holds several.", "NUMBER|UID"),
-    "acquisition": option("Which acquisition, where a DICOM series holds several.", "NUMBER"),
-    "medium": option("Name of what was punctured."),
-}
-
-
-@options.fill_records
 def reconstruct(
     context: typer.Context,
     scans: Annotated[
@@ -54,8 +41,25 @@ def reconstruct(
         ),
     ],
     out: options.Out = None,
-    *,
-    files: Annotated[ScanFiles, _FILE_OPTIONS],
+    markers: Annotated[
+        Path | None, option("Known places of the markers in the world: .csv, .fcsv, .mrk.json.", "FILE")
+    ] = None,
+    fiducials: Annotated[
+        Path | None, option("The markers as placed in the scan by hand (.fcsv, .mrk.json).", "FILE")
+    ] = None,
+    layers: Annotated[
+        list[str] | None,
+        option("STL, PLY, OBJ from the entry inwards, each with --layers; or a segmentation.", "FILE"),
+    ] = None,
+    layers_in: Annotated[SurfaceFrame, option("Frame of the surfaces.")] = NO_FILES.layers_in,
+    mask: Annotated[Path | None, option("The needle's voxels, segmented elsewhere.", "FILE")] = None,
+    series: Annotated[
+        str | None, option("Which DICOM series, where a folder holds several.", "NUMBER|UID")
+    ] = None,
+    acquisition: Annotated[
+        str | None, option("Which acquisition, where a DICOM series holds several.", "NUMBER")
+    ] = None,
+    medium: Annotated[str, option("Name of what was punctured.")] = NO_FILES.medium,
     every: Annotated[
         bool,
         option(
@@ -76,7 +80,14 @@ def reconstruct(
         ),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
-    common: options.RunOptions,  # read where they are needed
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Reconstruct the needles in SCANs into a dataset.
 
@@ -107,6 +118,16 @@ def reconstruct(
         from needlefit.studies.result_sources import name_source, require_same_sources
 
         moved = corrections or []
+        files = ScanFiles(
+            markers=markers,
+            fiducials=fiducials,
+            layers=tuple(layers or ()),
+            layers_in=layers_in,
+            mask=mask,
+            series=series,
+            acquisition=acquisition,
+            medium=medium,
+        )
         wanted = correct_scans(_scans(scans, files), moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
@@ -177,7 +198,7 @@ def _scans(scans: list[Path], files: ScanFiles) -> "tuple[Scan, ...]":
         scans = [find_file("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
         return make_scans(scans, files)
-    if len(scans) > 1 or files != ScanFiles():
+    if len(scans) > 1 or files != NO_FILES:
         raise typer.BadParameter(
             "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
         )

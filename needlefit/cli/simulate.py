@@ -41,7 +41,6 @@ class SimulationOutcome:
     placement: "Placement | None" = None
 
 
-@options.fill_records
 def simulate(
     context: typer.Context,
     scene: Annotated[
@@ -66,8 +65,9 @@ def simulate(
     html: Annotated[
         Path | None, option("With --recording: an HTML file that computes the needle offline.", "FILE")
     ] = None,
-    *,
-    common: options.CheckOptions,  # read where they are needed
+    strict: options.Strict = False,
+    json: options.Json = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Simulate a SCENE, or replay a recording of one.
 

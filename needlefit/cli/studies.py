@@ -21,7 +21,6 @@ from needlefit.cli.options import (
 from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
-@options.fill_records
 def tune(
     context: typer.Context,
     target: options.Target,
@@ -35,8 +34,15 @@ def tune(
     ] = False,
     free: options.Free = None,
     fix: options.Fix = None,
-    *,
-    common: options.FitOptions,  # read where they are needed
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = None,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Fit the parameters of a TARGET (mu, alpha, b).
 
@@ -90,7 +96,6 @@ def tune(
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
-@options.fill_records
 def calibrate(
     context: typer.Context,
     target: options.Target,
@@ -104,8 +109,18 @@ def calibrate(
             "fitted one)."
         ),
     ] = "prior",
-    *,
-    common: options.StudyOptions,  # read where they are needed
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    out: options.Out = None,
+    reference: options.Reference = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Test whether the intervals of a TARGET are right.
 
@@ -142,7 +157,6 @@ def calibrate(
         raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
-@options.fill_records
 def validate(
     context: typer.Context,
     study: Annotated[
@@ -152,8 +166,18 @@ def validate(
             "study1 ... study5, all (those five), another, or a path.",
         ),
     ],
-    *,
-    common: options.StudyOptions,  # read where they are needed
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    scheduler: options.Scheduler = None,
+    insecure: options.Insecure = False,
+    out: options.Out = None,
+    reference: options.Reference = False,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Run a STUDY, such as: fit some insertions, predict others.
 
@@ -200,7 +224,6 @@ def validate(
     require_no_faults(f"{run.name}: {fault}" for run in runs for fault in run.faults)
 
 
-@options.fill_records
 def predict(
     context: typer.Context,
     target: options.Target,
@@ -211,8 +234,15 @@ def predict(
     specimen: options.Specimen = None,
     depth: options.Depth = None,
     set_: options.Changes = None,
-    *,
-    common: options.FitOptions,  # read where they are needed
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = None,
+    resume: options.Resume = False,
+    strict: options.Strict = False,
+    explain: options.Explain = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    plugins: options.Plugins = None,
 ) -> None:
     """Predict a planned insertion with what was fitted to a TARGET.
 

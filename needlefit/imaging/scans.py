@@ -25,7 +25,7 @@ from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-from needlefit.schemas.scan_files import ScanFiles
+from needlefit.schemas.scan_files import NO_FILES, ScanFiles
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,6 @@ def _number_checks(row: ScanRow) -> Iterator[tuple[bool, str, str, str]]:
     yield distance < 0, what, expected, "leave it empty: held at its base"
 
 
-NO_FILES = ScanFiles()
 SCAN_TABLE_FIX = "write a table of scans, with a column for it"
 
 

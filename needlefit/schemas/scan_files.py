@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+SurfaceFrame = Literal["world", "scan"]
+
 
 @dataclass(frozen=True)
 class ScanFiles:
@@ -13,8 +15,11 @@ class ScanFiles:
     fiducials: Path | None = None  # the markers as placed in the scan by hand
     # Each as in a table of scans: FILE, FILE=sheet:2, FILE=solid:3 or FILE=segments:NAME,NAME.
     layers: tuple[str, ...] = ()
-    layers_in: Literal["world", "scan"] = "world"  # frame of meshes
+    layers_in: SurfaceFrame = "world"  # frame of meshes
     mask: Path | None = None  # the needle's voxels, segmented elsewhere
     series: str | None = None  # number or UID of a DICOM series
     acquisition: str | None = None  # its number in the series
     medium: str = "medium"  # name of what was punctured
+
+
+NO_FILES = ScanFiles()
