@@ -152,9 +152,9 @@ def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
     spread = viewed_scene.spread if banded else None
     found = compute_band(continue_insertion(outcome.steering, spread))
     if found is None:
-        return SceneOverlays(points, synthetic=viewed_scene.synthetic)
+        return SceneOverlays(points, origin_mark=viewed_scene.origin_mark)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
-    return SceneOverlays(points, low, high, viewed_scene.synthetic)
+    return SceneOverlays(points, low, high, viewed_scene.origin_mark)
 
 
 def compose_share(recording: Recording) -> str:
