@@ -254,6 +254,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
     from needlefit.datasets.select import find_hole_source, name_holes
+    from needlefit.schemas.origin import ORIGIN_MARKS
 
     found = inspect(path)
     faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()
@@ -282,7 +283,7 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
             screen.print_line(str(fault))
     screen.print_warnings(invocation, found.warnings, in_full=True)
     if dataset is not None and not invocation.json:
-        origin = "SYNTHETIC data" if dataset.origin == "synthetic" else "Measured data"
+        origin = ORIGIN_MARKS[dataset.origin] or "Measured data"
         screen.print_text(f"{origin}: {dataset.title}. Measurement: {measured}.")
         screen.print_text(describe_needles(needles))
         table = dataset.to_frame().assign(hole=list(holes.values()))

@@ -238,7 +238,7 @@ def show_run(invocation: Invocation, run: "Run", folder: Path, named: bool = Fal
 
     answer, checks = run.answer, lay_out_checks(run.answer)
     screen.print_text(f"{f'{run.name}: ' if named else ''}{subtitle(run)}")
-    marked = "SYNTHETIC data. " if run.synthetic else ""  # which a reader cannot miss
+    marked = f"{run.origin_mark}. " if run.origin_mark else ""  # which a reader cannot miss
     for verdict in answer.verdicts[:1]:
         screen.print_text(f"{marked}{verdict.sentence}.")
     show_warnings(invocation, run)

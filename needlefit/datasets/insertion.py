@@ -20,6 +20,7 @@ from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.dataset import MeasurementRecord
+from needlefit.schemas.origin import Origin
 from needlefit.schemas.study import DIRECTIONS, Compared
 
 if TYPE_CHECKING:
@@ -247,7 +248,7 @@ class Dataset:
     Attributes
     ----------
     origin : str
-        "measured" or "synthetic"; a synthetic dataset is called so wherever it appears.
+        "measured", "example" or "synthetic"; data that were not measured are called so wherever they appear.
     media : tuple of str
         Names of the media described; every insertion went into one of them.
     pose : str
@@ -277,7 +278,7 @@ class Dataset:
 
     name: str
     title: str
-    origin: Literal["measured", "synthetic"]
+    origin: Origin
     insertions: tuple[Insertion, ...] = field(repr=False)
     media: tuple[str, ...]
     noise: Noise

@@ -27,6 +27,7 @@ from needlefit.schemas.dataset import (
     NoiseRecord,
     SurfaceRecord,
 )
+from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.scene import NeedleRecord
 
@@ -111,7 +112,6 @@ def _dataset_record(
     media: dict[str, DatasetMediumRecord],
 ) -> DatasetRecord:
     needle = recipe.needle
-    synthetic = any(one.scan.origin == "synthetic" for one in reconstructions)
     drawn = all(one.sections is not None for one in reconstructions)
     sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
     registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
@@ -119,7 +119,7 @@ def _dataset_record(
         schema_=1,
         name=description.name,
         title=description.title or description.name,
-        origin="synthetic" if synthetic else "measured",
+        origin=combine_origins(one.scan.origin for one in reconstructions),
         license=description.license,
         source=description.source,
         truth_seed=description.truth_seed,

@@ -36,7 +36,7 @@ class Document:
 
     title: str
     subtitle: str
-    synthetic: bool  # whether the foot of every page says so
+    origin_mark: str  # at the foot of every page: that data were not measured; else empty
     # Made by `heading`, `subheading`, `verdict`, `text`, `note`, `bullets`, `warning`, `table` and `figure`
     blocks: tuple[Block, ...]
     # The needles that the HTML page computes
@@ -125,7 +125,7 @@ def compile_pdf(document: Document) -> bytes:
         if "path" in block:
             block["file"] = f"{block['id']}.pdf"
             pictures[block["file"]] = block.pop("path")
-    head = {key: _bind_words(getattr(document, key)) for key in ("title", "subtitle", "synthetic")}
+    head = {key: _bind_words(getattr(document, key)) for key in ("title", "subtitle", "origin_mark")}
     payload = head | {"version": find_version(), "blocks": blocks}
     return compile_template("report.typ", payload, pictures)
 
@@ -194,13 +194,13 @@ def find_version() -> str:
 _LABEL_TEMPLATE = """#set document(date: none)
 #set page(width: auto, height: auto, margin: 0pt)
 #set text(font: "Libertinus Serif", size: 8pt, fill: rgb("#B23A00"))
-#stack(spacing: 2pt, pad(top: 2pt, left: 3pt)[Synthetic data], image("{name}"))
+#stack(spacing: 2pt, pad(top: 2pt, left: 3pt)[{mark}], image("{name}"))
 """
 
 
-def label_figure(path: Path) -> bytes:
-    """Return a figure with "Synthetic data" above it, as PDF."""
-    return compile_sheet(path.read_bytes(), ".pdf", _LABEL_TEMPLATE)
+def label_figure(path: Path, origin_mark: str) -> bytes:
+    """Return a figure with the mark of its data above it, as PDF."""
+    return compile_sheet(path.read_bytes(), ".pdf", _LABEL_TEMPLATE.replace("{mark}", origin_mark))
 
 
 SVG_SCALE = 1.7
@@ -246,7 +246,7 @@ def _render_html(template: str, document: Document) -> str:
     return environment.get_template(template).render(
         title=document.title,
         subtitle=_bind_words(document.subtitle),
-        synthetic=document.synthetic,
+        origin_mark=document.origin_mark,
         version=find_version(),
         first=first,
         blocks=rest,

@@ -5,7 +5,7 @@ from needlefit.inference.baselines import BASELINES
 INK = "#1a1a1a"
 GREY = "#8a8a8a"
 PAPER_COLOUR = "#D55E00"
-SYNTHETIC_COLOUR = "#B23A00"
+ALARM_COLOUR = "#B23A00"
 GREEN = "#009E73"
 SKY_BLUE = "#56B4E9"
 
@@ -47,11 +47,6 @@ def rgb(colour: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-SYNTHETIC_NOTE = (
-    "Synthetic data: they show that the program is consistent, and are no evidence for the model."
-)
-
-
 def medium_name(name: str) -> str:
     """Return the printed name of a medium: `phantom2` becomes "phantom 2"."""
     stem = name.rstrip("0123456789")
@@ -69,9 +64,9 @@ def method_colour(method: str) -> str:
 
 
 def method_name(method: str, origin: str = "measured") -> str:
-    """Return the printed name of a method; on synthetic data the paper's parameters were not tuned on these
-    data.
+    """Return the printed name of a method; the paper's parameters were not tuned on data that were not
+    measured.
     """
     name = BASELINES[method].label if method in BASELINES else METHOD_NAMES.get(method, method)
-    foreign = method == "hand_tuned" and origin == "synthetic"
+    foreign = method == "hand_tuned" and origin != "measured"
     return f"{name} (not tuned on this data)" if foreign else name

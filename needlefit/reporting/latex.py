@@ -40,8 +40,8 @@ _RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _LOWERED = str.maketrans("₀₁₂₃₄₅₆₇₈₉", "0123456789")
 
 
-def format_latex(table: TableLayout, synthetic: bool) -> str:
-    """Return the table as a LaTeX float; every special character is escaped, and synthetic data are named."""
+def format_latex(table: TableLayout, origin_mark: str) -> str:
+    """Return the table as a LaTeX float; special characters are escaped, and the mark begins the caption."""
     environment = Environment(  # with marks that LaTeX does not use
         block_start_string="<%",
         block_end_string="%>",
@@ -60,7 +60,7 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
     aligns = ("p{5cm}" if one.wide else "l" if one.align == "left" else "r" for one in table.columns)
     return environment.from_string(template).render(
         environment="table" if _count_letters(table) <= MAX_COLUMN_LETTERS else "table*",
-        caption=escape_latex(("SYNTHETIC DATA. " if synthetic else "") + bind_numbers(table.caption)),
+        caption=escape_latex((f"{origin_mark}. " if origin_mark else "") + bind_numbers(table.caption)),
         label=table.name.replace("_", "-"),
         aligns="".join(aligns),
         heads=[escape_latex(column.label) for column in table.columns],

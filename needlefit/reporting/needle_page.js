@@ -1204,13 +1204,13 @@ kernel,data.needles[number]);if(Number(part("needle-choice").value)!==number)ret
 found];let{scene}=needle;replay=needle.recording?new Replay(steered,needle.recording):null,take({...scene,kind:"\
 scene"}),buildFields(needle,change2),listMethods();let specimen=needle.new_specimen?" of a specimen that was n\
 ot fitted":"",draws=counted(scene.draws?.sets??0,"posterior draw");write("band-note",scene.draws?`Band: holds \
-95 % of the needles of ${draws}${specimen} wholly, without noise and model error.`:""),part("synthetic")?.toggleAttribute(
-"hidden",!scene.synthetic),goBack()}function goBack(){if(write(refusal,""),write("link-note",""),part("save-re\
-cording").hidden=!0,replay)return showStep(replay.steps.length);steered.rewind(),insert(steered),part("back").
-disabled=!0,update()}function listMethods(){let{methods}=needle;if(part("methods").hidden=!methods,!methods)return;
-let heads=["method",...needle.scene.measured.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];part("metho\
-d-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element("\
-tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
+95 % of the needles of ${draws}${specimen} wholly, without noise and model error.`:""),part("origin-mark")&&write(
+"origin-mark",scene.origin_mark),goBack()}function goBack(){if(write(refusal,""),write("link-note",""),part("s\
+ave-recording").hidden=!0,replay)return showStep(replay.steps.length);steered.rewind(),insert(steered),part("b\
+ack").disabled=!0,update()}function listMethods(){let{methods}=needle;if(part("methods").hidden=!methods,!methods)
+return;let heads=["method",...needle.scene.measured.metrics.map(([,label2,unit])=>`${label2} (${unit})`)];part(
+"method-heads").replaceChildren(...heads.map(one=>element("th",{scope:"col"},one)));let row=(name,values)=>element(
+"tr",{},element("th",{scope:"row"},name),values.map(one=>element("td",{},one))),first=row("",errorsOf(null));present=
 [...first.cells];let rows=methods.toSorted((one,other)=>JUDGED.indexOf(other.key)-JUDGED.indexOf(one.key)).map(
 method=>{if(!method.x)return row(method.name,errorsOf(method.errors));let swatch=element("i",{className:"swatc\
 h line",ariaHidden:"true"});swatch.style.background=`light-dark(${method.colour}, ${lighten(method.colour)})`;

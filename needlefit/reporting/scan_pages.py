@@ -28,6 +28,7 @@ from needlefit.reporting.figures.scan_views import (
 )
 from needlefit.reporting.figures.style import add_panel_mm, draw, draw_grid, make_figure_mm, spread_labels
 from needlefit.reporting.labels import GREY, INK, medium_name
+from needlefit.schemas.origin import ORIGIN_MARKS
 
 Fact = tuple[str, str]
 
@@ -98,8 +99,7 @@ def _write_page(
     payload: document.Block = {
         "title": title,
         "subtitle": " · ".join(word for word in summary if word),
-        "synthetic": scan.origin == "synthetic",
-        "mark": "SYNTHETIC DATA",
+        "origin_mark": ORIGIN_MARKS[scan.origin],
         "version": document.find_version(),
         "facts": facts,
         "warnings": [warning.replace("+-", "±") for warning in warnings],

@@ -18,6 +18,7 @@ from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.folders import require_folder
 from needlefit.reporting.labels import GREEN, GREY, METHOD_COLOURS, PAPER_COLOUR, SKY_BLUE, rgb
 from needlefit.reporting.needles_in_scan import NeedleInScan, read_needles_in_scan
+from needlefit.schemas.origin import ORIGIN_MARKS
 
 if TYPE_CHECKING:
     from needlefit.imaging.reconstruction import Reconstruction
@@ -28,7 +29,7 @@ POINTS_BEFORE_ENTRY, POINTS_INSERTED = 25, 51
 _MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (PAPER_COLOUR, METHOD_COLOURS["fitted"], SKY_BLUE)
 
 
-def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
+def write_needles(needles: pd.DataFrame, origin_mark: str, folder: Path) -> None:
     """Write every needle of the table "needles" of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), the edges of the
@@ -36,7 +37,7 @@ def write_needles(needles: pd.DataFrame, synthetic: bool, folder: Path) -> None:
     measurement, that of a fitted needle the one of the parameters.
     """
     folder.mkdir(exist_ok=True)
-    summary = " (synthetic)" if synthetic else ""
+    summary = f" ({origin_mark})" if origin_mark else ""
     for needle in read_needles_in_scan(needles).values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _needle_curves(needle, summary))
 
@@ -120,7 +121,8 @@ def write_scan(reconstruction: "Reconstruction", folder: Path) -> None:
 
 def _scan_markups(reconstruction: "Reconstruction") -> Iterator[tuple[Markups, CurveStyle]]:
     """Yield the curves and points of a reconstruction, LPS, and how each is drawn."""
-    summary = " (synthetic)" if reconstruction.scan.origin == "synthetic" else ""
+    origin_mark = ORIGIN_MARKS[reconstruction.scan.origin]
+    summary = f" ({origin_mark})" if origin_mark else ""
     whole, inserted = reconstruction.needle_axis.points, _inserted_needle(reconstruction)
     depth = reconstruction.depth
     half = NORMAL_95_HALF_WIDTH_SD * reconstruction.sd[:, None] * _band_direction(reconstruction)

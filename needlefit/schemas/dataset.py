@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from needlefit.schemas.base import FileRecord, Name, Record, RigidRows
 from needlefit.schemas.limits import MAX_LAYERS, MAX_SEED
+from needlefit.schemas.origin import Origin
 from needlefit.schemas.scene import NeedleRecord
 
 Scalar = str | float | int
@@ -275,8 +276,9 @@ class SourceRecord(FileRecord):
     """Name of the dataset."""
     title: str = ""
     """Heading in reports."""
-    origin: Literal["measured", "synthetic"]
-    """Whether the needles were measured or simulated; reports state it."""
+    origin: Origin
+    """Whether all needles were measured, or some are the `example` of the workbook, or otherwise simulated;
+    reports state it."""
     license: str
     """Terms of use."""
     source: str

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from needlefit.schemas.base import FileName
+from needlefit.schemas.origin import Origin
 
 ColumnType = Annotated[
     str, StringConstraints(pattern=r"^(u?int(8|16|32|64)|float(32|64)|bool|str|string|object)$")
@@ -64,7 +65,7 @@ class StoredRunTable(_StoredTable):
     kind: str
     name: FileName
     record: dict[str, Any]
-    origin: Literal["measured", "synthetic"]
+    origin: Origin
     dataset_title: str
     interrupted: bool
     faults: list[FaultTable]

@@ -10,6 +10,7 @@ from needlefit.reporting.latex import format_latex
 from needlefit.reporting.table import TableLayout
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.reporting.text import KindText
+from needlefit.schemas.origin import ORIGIN_MARKS, combine_origins
 from needlefit.studies import fit_tables
 from needlefit.studies.explorer import collect_explorers
 from needlefit.studies.report import compose_warnings, state_blocks, write_report
@@ -35,14 +36,14 @@ def write_combined(runs: Sequence[Run], folder: Path) -> list[Path]:
         fit_tables.lay_out_validation(*studies),
         fit_tables.lay_out_tuning(*tunings),
     ]
-    synthetic = any(run.synthetic for run in studies)
+    origin_mark = ORIGIN_MARKS[combine_origins(run.origin for run in studies)]
     with replace_folder(folder) as new:
         for name, frame in frames.items():
             if len(frame):
                 write_csv(frame, new / f"{name}.csv")
         for table in layouts:
             if table.rows:
-                (new / f"{table.name}.tex").write_text(format_latex(table, synthetic), encoding="utf-8")
+                (new / f"{table.name}.tex").write_text(format_latex(table, origin_mark), encoding="utf-8")
         write_report(compose_overview(runs, layouts), new)
         write_json(new / "run.json", {run.name: run.run_json for run in runs})
         write_json(new / "timing.json", {run.name: run.timing for run in runs})
@@ -72,11 +73,11 @@ def compose_overview(runs: Sequence[Run], tables: Sequence[TableLayout]) -> Docu
     body = TEXT.compose("report", {"questions": questions}, tables, {}, blocks)
     states = [block for run in studies for block in state_blocks(run)]
     states = [block for n, block in enumerate(states) if block not in states[:n]]
-    data = "; ".join(dict.fromkeys(run.name if run.synthetic else run.dataset_title for run in studies))
+    data = "; ".join(dict.fromkeys(run.name if run.origin_mark else run.dataset_title for run in studies))
     return Document(
         "Validation studies",
         data,
-        any(run.synthetic for run in studies),
+        ORIGIN_MARKS[combine_origins(run.origin for run in studies)],
         (*states, *body),
         collect_explorers(studies),
     )

@@ -235,7 +235,7 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     encoded = encode_scene(scene, lattice.first_cell, guides) | {
         "title": title,
         "target": run.name,
-        "synthetic": run.synthetic,
+        "origin_mark": run.origin_mark,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": None,
         "draws": _encode_draws(data, table, medium, layers, 1.0, scene.tissue),
@@ -277,7 +277,7 @@ def _encode_needle(data: PageData, run: Run, row: Row, curve: Floats) -> dict[st
     encoded = encode_scene(scene, lattice.first_cell, guides) | {
         "title": title,
         "target": name,
-        "synthetic": run.synthetic,
+        "origin_mark": run.origin_mark,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,
         "measured": measured,
         "draws": None,

@@ -92,7 +92,7 @@ RULES: Mapping[str, Callable[[Any], object]] = {
     "section_predictive": lambda v: len(v.frames.predictive),
     "notes_of_fit": lambda v: v.role == "tune",
     "section_insertions": lambda v: len(v.frames.errors),
-    "measured_data": lambda v: not v.run.synthetic,
+    "measured_data": lambda v: not v.run.origin_mark,
     "no_noise": lambda v: not v.floors,
     "noise_floor": lambda v: v.floors,
     "starts_agree": lambda v: v.starts,

@@ -19,12 +19,12 @@ from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_ro
 from needlefit.reporting import document
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.figures import Drawing
-from needlefit.reporting.labels import SYNTHETIC_NOTE
 from needlefit.reporting.latex import format_latex
 from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import to_records, to_tidy, write_csv, write_json
 from needlefit.reporting.text import KindText
+from needlefit.schemas.origin import ORIGIN_NOTES
 from needlefit.studies.advice import name_doubt
 from needlefit.studies.answer import (
     MAX_NAMED_NEEDLES,
@@ -145,7 +145,7 @@ class StudyReport:
         if not run.interrupted:  # of an interrupted one only what is finished is laid out
             blocks += [document.table(one) for one in self.lay_out(run) if one.name not in shown]
         blocks += compose_warnings(run.warnings, linked=False)
-        return document.format_html_part(Document(run.title, subtitle(run), run.synthetic, tuple(blocks)))
+        return document.format_html_part(Document(run.title, subtitle(run), run.origin_mark, tuple(blocks)))
 
 
 def answer_in_words(run: Run, status: Status, **numbers: float | str | None) -> Answer:
@@ -285,22 +285,22 @@ def write_files(run: Run, folder: Path) -> None:
             write_csv(rows, folder / f"{name}.csv")
     for table in page.lay_out(run):
         path = folder / f"{table.name}.tex"
-        path.write_text(format_latex(table, run.synthetic), encoding="utf-8")
+        path.write_text(format_latex(table, run.origin_mark), encoding="utf-8")
     if "needles" in run.frames and len(run.frames["needles"]):
-        write_needles(run.frames["needles"], run.synthetic, folder / "slicer")
+        write_needles(run.frames["needles"], run.origin_mark, folder / "slicer")
     store_run(run, folder)
     report = compose_run_report(run, figures)
     write_report(report, folder)
-    label_figures(figures, run.synthetic)
+    label_figures(figures, run.origin_mark)
     write_json(folder / "run.json", run.run_json)
     write_json(folder / "timing.json", run.timing)
 
 
-def label_figures(figures: Mapping[str, Path], synthetic: bool) -> None:
-    """Write "Synthetic data" above figures that stand alone; within a report the page says it."""
-    if synthetic:
+def label_figures(figures: Mapping[str, Path], origin_mark: str) -> None:
+    """Write the mark of data that were not measured above figures that stand alone; a report has it once."""
+    if origin_mark:
         for path in figures.values():
-            path.write_bytes(document.label_figure(path))
+            path.write_bytes(document.label_figure(path, origin_mark))
 
 
 def write_report(report: Document, folder: Path) -> None:
@@ -330,7 +330,7 @@ def compose_run_report(run: Run, figures: Mapping[str, Path]) -> Document:
     return Document(
         run.title,
         subtitle(run),
-        run.synthetic,
+        run.origin_mark,
         tuple(blocks),
         collect_explorer(run),
     )
@@ -361,8 +361,8 @@ def _help_blocks(blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def state_blocks(run: Run) -> list[Block]:
-    """Return what must be read before any number: synthetic, interrupted."""
-    blocks = [document.origin(SYNTHETIC_NOTE)] if run.synthetic else []
+    """Return what must be read before any number: not measured, interrupted."""
+    blocks = [document.origin(note)] if (note := ORIGIN_NOTES[run.origin]) else []
     if run.interrupted:
         part = "Some of the work was left undone; what is here is part."
         blocks.append(document.warning(f"INTERRUPTED. {part}"))

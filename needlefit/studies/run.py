@@ -4,7 +4,7 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import pandas as pd
 
@@ -12,6 +12,7 @@ from needlefit.datasets.sources import DatasetFiles
 from needlefit.errors import ConfigError
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.origin import ORIGIN_MARKS, Origin
 from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.answer import Answer, RunFault, Verdict, worst_status
 from needlefit.studies.kind import find_kind
@@ -50,8 +51,8 @@ class Run:
         Of the run.
     record : FileRecord
         The study file, or the options that stand for one.
-    origin : "measured" or "synthetic"
-        Synthetic as soon as anything in it is.
+    origin : "measured", "example" or "synthetic"
+        Not measured as soon as anything in it is not.
     dataset_title : str
         The data, in words.
     frames : mapping of DataFrame
@@ -73,7 +74,7 @@ class Run:
     kind: str
     name: str
     record: Any = field(repr=False)
-    origin: Literal["measured", "synthetic"]
+    origin: Origin
     dataset_title: str
     frames: Mapping[str, pd.DataFrame] = field(repr=False)
     metadata: RunMetadata = field(repr=False)
@@ -122,8 +123,9 @@ class Run:
         return str(getattr(self.record, "note", ""))
 
     @property
-    def synthetic(self) -> bool:
-        return self.origin == "synthetic"
+    def origin_mark(self) -> str:
+        """What stands beside every result that is not of measured data."""
+        return ORIGIN_MARKS[self.origin]
 
     @property
     def reliable(self) -> bool:

@@ -140,9 +140,9 @@ def _find_overlays(outcome: RecordingOutcome) -> "SceneOverlays":
     points = None if viewed_scene.measured is None else viewed_scene.measured.points[:, :2]
     found = compute_band(continue_insertion(outcome.steering, viewed_scene.spread))
     if found is None:
-        return SceneOverlays(points, synthetic=viewed_scene.synthetic)
+        return SceneOverlays(points, origin_mark=viewed_scene.origin_mark)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
-    return SceneOverlays(points, low, high, viewed_scene.synthetic)
+    return SceneOverlays(points, low, high, viewed_scene.origin_mark)
 
 
 def compose_share(recording: Recording) -> str:

@@ -25,6 +25,7 @@ from needlefit.project.random_streams import random_stream
 from needlefit.project.toml import load
 from needlefit.reporting.table_files import select_rows
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.origin import ORIGIN_MARKS
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import FitMetadata
 from needlefit.schemas.study import DIRECTIONS
@@ -139,7 +140,7 @@ def _show_insertion(
         record=record,
         first_cell=scene.lattice.first_cell,
         placement=Placement(frame, insertion.patient).to_record() if placed else None,
-        synthetic=dataset.origin == "synthetic",
+        origin_mark=ORIGIN_MARKS[dataset.origin],
         measured=make_measured_overlay(dataset, insertion, floor["te_mm"], shape),
         choices=choices,
         warnings=dataset.warnings,

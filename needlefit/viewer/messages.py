@@ -34,7 +34,7 @@ def encode_scene(viewed_scene: ViewedScene, steering: SteeredNeedle) -> dict[str
         "title": viewed_scene.title,
         "note": viewed_scene.note,
         "target": viewed_scene.name,
-        "synthetic": viewed_scene.synthetic,
+        "origin_mark": viewed_scene.origin_mark,
         "diameter_mm": viewed_scene.diameter,
         "measured": measured and {
             "id": measured.id,

@@ -28,7 +28,7 @@ class ViewedScene:
     first_cell: float
     #: the position of a measured needle; None for a scene, which contains its own
     placement: PlacementRecord | None = None
-    synthetic: bool = False  #: whether it is about synthetic data
+    origin_mark: str = ""  #: that its data were not measured
     measured: "MeasuredOverlay | None" = None
     spread: "ParameterDraws | None" = None  #: draws of the parameters, for the band of a fit and for plans
     #: what they are for: a specimen that was not fitted, with the spread between specimens, or one that was

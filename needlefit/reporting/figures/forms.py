@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.looks import Look, Panel
 from needlefit.reporting.figures.style import GAP_IN, TEXT_WIDTH_IN, add_legend, draw_grid, set_margins
-from needlefit.reporting.labels import GREY, INK, SERIES_COLOURS, SYNTHETIC_COLOUR
+from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK, SERIES_COLOURS
 from needlefit.reporting.number_format import choose_printed_unit
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
@@ -84,8 +84,8 @@ def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int 
         axes.axhline(0, color=GREY, lw=0.5)
         axes.step(rows["x"], rows["y"], where="post", color=SERIES_COLOURS[0], lw=1.0)
         outside = rows[~rows["inside"]]
-        axes.plot(outside["x"], outside["y"], ".", color=SYNTHETIC_COLOUR, ms=2.5)
-        axes.set_title(title, loc="left", color=INK if rows["passes"].all() else SYNTHETIC_COLOUR)
+        axes.plot(outside["x"], outside["y"], ".", color=ALARM_COLOUR, ms=2.5)
+        axes.set_title(title, loc="left", color=INK if rows["passes"].all() else ALARM_COLOUR)
         axes.set_xlim(0, 1)
         axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
         if n + across >= len(panels):

@@ -245,7 +245,7 @@ _AXES_IN = 0.6  # inches beside the panel
 _TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
 _LEGEND_COLUMN_WIDTH_IN = 1.35  # inches, on an average
 _ONE_LINE = 10_000  # letters: no text is broken
-_ORIGIN_LETTERS = 22  # of what states that data are synthetic
+_ORIGIN_GAP_LETTERS = 8  # before the mark of data that were not measured
 PRINT_WIDTH_IN = 174 / 25.4  # inches, of both columns of a paper
 
 
@@ -257,7 +257,7 @@ class SceneOverlays:
     # `low`, `high` (K, 2): the edges of the simultaneous 95 % band of fitted ones
     low: Floats | None = None
     high: Floats | None = None
-    synthetic: bool = False  # whether the data are synthetic; the figure is then labelled
+    origin_mark: str = ""  # of data that were not measured
 
 
 NO_OVERLAYS = SceneOverlays()
@@ -314,9 +314,10 @@ class StateFigure:
             self.axes = self.figure.add_subplot(xlabel=x_name)
         short = len(y_name) * _LETTER_WIDTH_IN > height
         self.axes.set(xlim=x, ylim=y, aspect=factor, ylabel=y_name.replace(", ", ",\n") if short else y_name)
-        letters = int(width / _LETTER_WIDTH_IN) - _ORIGIN_LETTERS * overlays.synthetic
+        mark_letters = _ORIGIN_GAP_LETTERS + len(overlays.origin_mark) if overlays.origin_mark else 0
+        letters = int(width / _LETTER_WIDTH_IN) - mark_letters
         _draw_legend(self.figure, textwrap.fill(title, letters), supports, more_handles, columns)
-        label_origin(self.figure, overlays.synthetic)
+        label_origin(self.figure, overlays.origin_mark)
 
     def paint(self, state: NeedleState) -> None:
         """Draw one state, in place of an earlier one."""

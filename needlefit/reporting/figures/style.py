@@ -23,7 +23,7 @@ from scipy.optimize import isotonic_regression
 
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_folder
-from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
+from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK
 from needlefit.reporting.sheet import PLAIN_SHEET, compile_sheet
 from needlefit.reporting.table_files import write_csv
 
@@ -217,10 +217,10 @@ def describe_scale(factor: int) -> str:
     return "drawn to scale" if factor == 1 else f"exaggerated × {factor}"
 
 
-def label_origin(figure: Figure, synthetic: bool) -> None:
-    """Write SYNTHETIC DATA across the top of a figure of synthetic data."""
-    if synthetic:
-        figure.suptitle("SYNTHETIC DATA", x=0.995, ha="right", weight="bold", color=SYNTHETIC_COLOUR)
+def label_origin(figure: Figure, origin_mark: str) -> None:
+    """Write the mark of data that were not measured across the top of a figure."""
+    if origin_mark:
+        figure.suptitle(origin_mark, x=0.995, ha="right", weight="bold", color=ALARM_COLOUR)
 
 
 def draw_grid(axes: Axes, axis: str) -> None:

@@ -46,6 +46,7 @@ from needlefit.reporting.text import KindText
 from needlefit.schemas.analyses import AnalysisRecord
 from needlefit.schemas.deciding import select_deciding
 from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.run_metadata import CohortMetadata
 from needlefit.schemas.study import FitRecord, LayerCountRule, SelectionRecord
@@ -151,7 +152,7 @@ def run(name: str, record: CohortRecord, settings: Settings) -> Run:
         kind=str(record.kind),
         name=name,
         record=record,
-        origin="synthetic" if (frames["errors"]["origin"] == "synthetic").any() else "measured",
+        origin=combine_origins(frames["errors"]["origin"]),
         dataset_title=f"{len(files)} dataset{'s' * (len(files) > 1)}",
         frames=frames,
         metadata=work.state(warnings=to_stored_rows(warnings)),

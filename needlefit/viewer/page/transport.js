@@ -82,7 +82,7 @@ listen("go to", act.goTo);
 listen("scene", (scene) => {
   part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
-  part("synthetic").hidden = !scene.synthetic;
+  write("origin-mark", scene.origin_mark);
   part("choice").hidden = scene.choices.length < 2;
   part("choices").replaceChildren(...scene.choices.map(([name, title]) => new Option(title, name)));
   if (!scene.measured) part("choices").prepend(new Option("none", ""));

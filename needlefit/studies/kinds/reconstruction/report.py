@@ -30,6 +30,7 @@ from needlefit.reporting.slicer import POINT_SIZE_MM, write_scan
 from needlefit.reporting.table import Table, TableLayout
 from needlefit.reporting.table_files import Row, to_records, write_csv
 from needlefit.reporting.text import KindText
+from needlefit.schemas.origin import combine_origins
 from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.schemas.run_metadata import RunMetadata
 from needlefit.studies.advice import advise
@@ -103,7 +104,7 @@ def tabulate_batch(
         kind=record.kind,
         name=name,
         record=record,
-        origin="synthetic" if any(one.scan.origin == "synthetic" for one in ones) else "measured",
+        origin=combine_origins(one.scan.origin for one in ones),
         dataset_title=record.title.removeprefix("Reconstruction: "),
         frames={
             "reconstruction": pd.DataFrame(map(describe_scan, ones), columns=list(_SCAN_COLUMNS)),
@@ -250,7 +251,7 @@ def describe_batch(run: Run) -> dict[str, Any]:
         "remarks": remarks,
         "poor": [one for one in poor if one["sd_mm"] > POOR_DEPTH_SD_MM],
         "named": MAX_NAMED_SCANS,
-        "synthetic": run.synthetic,
+        "origin_mark": run.origin_mark,
     }
 
 

@@ -137,7 +137,7 @@ async function choose(number) {
   const specimen = needle.new_specimen ? " of a specimen that was not fitted" : "";
   const draws = counted(scene.draws?.sets ?? 0, "posterior draw");
   write("band-note", scene.draws ? `Band: holds 95 % of the needles of ${draws}${specimen} wholly, without noise and model error.` : "");
-  part("synthetic")?.toggleAttribute("hidden", !scene.synthetic);
+  if (part("origin-mark")) write("origin-mark", scene.origin_mark);
   goBack();
 }
 
