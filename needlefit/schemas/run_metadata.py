@@ -253,7 +253,7 @@ class PredictionMetadata(AnalysisMetadata):
     mode: dict[str, float] | None = None  #: parameters of the posterior mode
     mode_fault: str = "none"  #: why the predictive median is reported in its place (`choose_point`)
     at_bound: dict[str, str] = {}  #: as of `MedianMetadata`
-    #: where the median is reported, parameters of the draw whose needle is nearest to it
+    #: where the median is reported, parameters of the draw whose tip is nearest to it
     nearest: dict[str, float] | None = None
     drawn: dict[str, list[float]] | None = None  #: parameters of certified draws, evenly chosen, for its page
 

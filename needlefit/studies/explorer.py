@@ -208,8 +208,6 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     metadata = run.knows(PredictionMetadata)
     if metadata.drawn is None or (values := metadata.nearest or metadata.mode) is None:
         return None
-    title = f"{run.title} (of all draws the needle nearest to the predictive median)"
-    title = run.title if metadata.nearest is None else title
     medium, record = metadata.medium, run.record.scene
     record = record.model_copy(
         update={
@@ -233,7 +231,7 @@ def _collect_prediction(run: Run, data: PageData | None) -> PageData | None:
     data = data or PageData({"needlefit": metadata.versions["needlefit"], "title": run.title})
     table, layers = pd.DataFrame(metadata.drawn), range(1, scene.tissue.layers + 1)
     encoded = encode_scene(scene, lattice.first_cell, guides) | {
-        "title": title,
+        "title": run.title,
         "target": run.name,
         "origin_mark": run.origin_mark,
         "diameter_mm": scene.needle.outer_diameter or DEFAULT_DIAMETER_MM,

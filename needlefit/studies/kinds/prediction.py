@@ -108,6 +108,7 @@ KIND = StudyKind("prediction", PredictionRecord, __name__, PredictionMetadata)
 MAY_BE_USED = ("predictable", "parameters_undetermined")
 
 FORECAST_POINTS = 101  #: points of a predicted needle, from entry to tip
+NEAR_DRAWS = 20  #: draws of which the one nearest to the median is chosen
 PRINTED_DEPTHS = (0.25, 0.5, 0.75, 1.0)  #: of the length to the tip, whose intervals are printed
 BAND_COLOURS = {"95": "#BFDBEC", "50": "#7FB8D8"}  #: by level, the widest first
 RIGIDITY_TOLERANCE = 0.02  #: relative difference of two needles' rigidity from which on they are two needles
@@ -226,7 +227,7 @@ class Forecast:
     outside: int  #: draws whose needle is outside what the model assumes; they are kept
     point: PointPrediction  #: which needle is predicted
     mode: Mapping[str, float]  #: the parameters of the posterior mode
-    nearest: Mapping[str, float]  #: those of the draw whose needle is nearest to the predicted one
+    nearest: Mapping[str, float] | None  #: of the draw whose tip is nearest to a median
     sets: Sequence[Mapping[str, float]]  #: parameters of all draws, each with a bevel of its own
 
 
@@ -274,13 +275,13 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     found = simulate_scene_draws(sets, job.medium, scene, s, deep, wrong, held)
     points = found.points[found.solved]  # (B, K, 3)
 
-    def simulate(theta: Floats) -> Floats:
+    def simulate(values: Mapping[str, float]) -> Floats:
+        """Return the needle (K, 3) of one set of values at the depths as they are stated."""
         exact = np.zeros((1, scene.tissue.layers))
-        values = [job.parameters.values(theta)]
-        (simulated,) = simulate_scene_draws(values, job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
+        (simulated,) = simulate_scene_draws([values], job.medium, scene, s, exact[:, 0], exact[:, 1:]).points
         return simulated
 
-    needle = simulate(mode)
+    needle = simulate(job.parameters.values(mode))
     if not (len(points) and np.isfinite(needle).all()):
         raise ModelError(
             f"{len(points)} of {len(thetas)} draws of the parameters can be solved for this scene, and "
@@ -295,9 +296,16 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
     compared, point = slice(1, 1 + directions), PointPrediction()
     if not draws.faults:
         problem = job.problem(known.fold)
-        point = choose_point(problem, mode, points[..., compared], lambda theta: simulate(theta)[:, compared])
-    needle = point.take(needle, points)
-    nearest = np.flatnonzero(found.solved)[np.argmin(((points - needle) ** 2).sum(axis=(1, 2)))]
+        point = choose_point(
+            problem, mode, points[..., compared], lambda theta: simulate(problem.values(theta))[:, compared]
+        )
+    needle, nearest = point.take(needle, points), None
+    if point.is_median:
+        away = np.linalg.norm(points[:, -1] - needle[-1], axis=1)
+        near = np.flatnonzero(found.solved)[np.argsort(away)[:NEAR_DRAWS]]
+        nearest = min(
+            (sets[n] for n in near), key=lambda values: np.linalg.norm(simulate(values)[-1] - needle[-1])
+        )
     return Forecast(
         s,
         needle,
@@ -306,7 +314,7 @@ def forecast(scene: Scene, known: Specimens, into: Insertion | None) -> Forecast
         outside=outside,
         point=point,
         mode=job.parameters.values(mode),
-        nearest=sets[nearest],
+        nearest=nearest,
         sets=sets,
     )
 
@@ -475,7 +483,7 @@ def run(name: str, record: PredictionRecord, settings: Settings) -> Run:
             outside_validity=found.outside,
             not_converged=list(draws.faults),
             mode=dict(found.mode),
-            nearest=dict(found.nearest) if found.point.is_median else None,
+            nearest=found.nearest and dict(found.nearest),
             **chosen,
             drawn=None if draws.faults else choose_drawn(found.sets),
             warnings=to_stored_rows(warned),
