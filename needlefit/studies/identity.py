@@ -10,7 +10,6 @@ from typing import Any
 from needlefit.datasets.formats import FORMATS
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.select import name_holes
-from needlefit.errors import ConfigError
 from needlefit.inference.baselines import BASELINES
 from needlefit.inference.likelihood.observations import OBSERVATIONS
 from needlefit.mechanics.laws import LAWS
@@ -37,9 +36,6 @@ RESOLVED = frozenset(
 #: keys of a study, and of a recipe, that decide only how predictions of held-out insertions are judged
 JUDGING = frozenset(("margin_mm", "same_specimen", "registration_depth_mm", "aiming_width_mm"))
 
-#: the part that an insertion's role in folds changes, the role, and its word
-_ROLES = (("folds", "tune", "fitted"), ("judgement of predictions", "held_out", "held out"))
-
 
 def identify(job: Job, analysis: object = None) -> FitIdentity:
     """Return the identity of a fit, or of its analysis with these options.
@@ -57,12 +53,14 @@ def identify(job: Job, analysis: object = None) -> FitIdentity:
         },
         "tissue model": select_deciding(job.medium),
         "recipe": select_deciding(job.recipe, JUDGING),
-        "folds": {fold.name: [(one.id, holes[one.id]) for one in fold.tune] for fold in job.folds},
+        "folds": {
+            fold.name: [[(one.id, holes[one.id]) for one in side] for side in (fold.tune, fold.validate)]
+            for fold in job.folds
+        },
         "version": [VERSION, plugins],
     }
     if isinstance(record, StudyRecord):
         parts["judgement of predictions"] = {
-            "held_out": {fold.name: [one.id for one in fold.validate] for fold in job.folds},
             "stated": [getattr(of, key, None) for of in (record, job.recipe) for key in sorted(JUDGING)],
             "plugins": plugin_versions(*list_judging_plugins()),
         }
@@ -92,28 +90,23 @@ def list_judging_plugins() -> list[tuple[Any, str]]:
 # ---- comparisons
 
 
-def describe_change(before: RunMetadata, after: RunMetadata) -> str:
+def describe_change(before: FitIdentity | None, after: FitIdentity | None) -> str:
     """Return what changed of a fit or study between two results of it; "" where they are of the same."""
-    one, other = before.identity, after.identity
-    if one is None or other is None:
+    if before is None or after is None:
         return "unknown, as an earlier version did not record its inputs"
-    if one.sha256 == other.sha256:
+    if before.sha256 == after.sha256:
         return ""
-    changed = {key for key in one.parts | other.parts if one.parts.get(key) != other.parts.get(key)}
-    roles: dict[str, list[str]] = {}
-    for part, role, word in _ROLES:
-        ids, others = (
-            {name for fold in run.folds for name in getattr(fold, role)} for run in (before, after)
-        )
-        if part in changed and ids != others:
-            changed.remove(part)
-            sides = ((ids - others, "removed"), (others - ids, "added"))
-            named = [f"{join_names(sorted(side))} {what}" for side, what in sides if side]
-            roles.setdefault("; ".join(named), []).append(word)
-    words = [f"insertions {' and '.join(each)} ({named})" for named, each in roles.items()]
-    moved = [name for name, digest in one.insertions.items() if other.insertions.get(name, digest) != digest]
-    words += [f"data of {join_names(sorted(moved))}"] if moved else []
-    return ", ".join([*words, *sorted(changed)])
+    old, new, parts = before.insertions, after.insertions, before.parts | after.parts
+    ids = {
+        "removed": old.keys() - new.keys(),
+        "added": new.keys() - old.keys(),
+        "with other data": {name for name in old.keys() & new.keys() if old[name] != new[name]},
+    }
+    changed = {key for key in parts if before.parts.get(key) != after.parts.get(key)}
+    if old.keys() != new.keys():
+        changed.discard("folds")  # which follow
+    named = "; ".join(f"{join_names(sorted(names))} {what}" for what, names in ids.items() if names)
+    return ", ".join([*([f"insertions ({named})"] if named else []), *sorted(changed)])
 
 
 def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
@@ -122,14 +115,3 @@ def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
         return recorded.dataset is not None and dataset.digest == recorded.dataset.sha256
     digests = {one.id: one.digest[:PART_DIGITS] for one in dataset.insertions}
     return identity.insertions.items() <= digests.items()
-
-
-def require_same_fit(now: RunMetadata, recorded: RunMetadata, where: str) -> None:
-    """Raise ConfigError if a result is of another fit than the one that is made now."""
-    if changed := describe_change(recorded, now):
-        raise ConfigError(
-            f"is a result of another fit than {now.name} is now; changed since: {changed}",
-            where=where,
-            expected="the same insertions, data, tissue model, recipe and options",
-            fix="tune again, with `needlefit tune`",
-        )

@@ -34,7 +34,7 @@ def compare_runs(before: Path, after: Path) -> pd.DataFrame:
         what, expected = f"is of kind {runs[1].kind}, and {before} of kind {runs[0].kind}", "one kind"
         raise DataError(what, where=after, expected=expected, fix="compare runs of the same command")
     first, second = ({f"{name}.csv": one for name, one in list_run_files(run).items()} for run in runs)
-    changed = describe_change(runs[0].metadata, runs[1].metadata)
+    changed = describe_change(runs[0].metadata.identity, runs[1].metadata.identity)
     first[RUN_JSON], second[RUN_JSON] = (_tabulate_keys(run) for run in runs)
     joined = []
     for table, one in first.items():

@@ -17,10 +17,9 @@ from needlefit.project.input_files import is_file
 from needlefit.project.locate import find_file, is_path
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.schemas.study import FitRecord, StudyRecord
-from needlefit.studies.identity import has_data, require_same_fit
+from needlefit.studies.identity import describe_change, has_data, identify
 from needlefit.studies.job import Inputs, Settings
 from needlefit.studies.load import load_study
-from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.run import Run
 
 
@@ -48,8 +47,13 @@ def reopen_fit(run: Run, where: str) -> StoredFit:
     stated = run.metadata
     inputs = Inputs(dataset=read_data(run, where), medium=stated.medium, recipe=stated.recipe)
     job = load_study(run.name, record, Settings(inputs=inputs))
-    if stated.identity is not None:
-        require_same_fit(describe_configuration(job), stated, where)
+    if stated.identity is not None and (changed := describe_change(stated.identity, identify(job))):
+        raise ConfigError(
+            f"this version makes another fit of it; changed since: {changed}",
+            where=where,
+            expected="the same insertions, data, tissue model, recipe and options",
+            fix=f"run {run.name} again",
+        )
     one_fit = len(run.posteriors) == 1 and len(job.folds) == 1
     name = run.name
     if isinstance(record, StudyRecord):

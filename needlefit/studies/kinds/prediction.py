@@ -67,10 +67,9 @@ from needlefit.studies.fold_draws import (
     draw_fold_parameters,
     measure_prior,
 )
-from needlefit.studies.identity import describe_change
+from needlefit.studies.identity import describe_change, identify
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.kind import StudyKind, find_kind
-from needlefit.studies.provenance import describe_configuration
 from needlefit.studies.report import StudyReport, recall
 from needlefit.studies.run import Run
 from needlefit.studies.score import Row
@@ -393,7 +392,7 @@ def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Know
     if inputs.target is not None:  # a run, from which the job was made
         return _Known(None, inputs.judged, found)
     sampled = None if record.posterior is None else restore_run(Path(record.posterior))
-    if sampled is not None and (changed := describe_change(sampled.metadata, describe_configuration(job))):
+    if sampled is not None and (changed := describe_change(sampled.metadata.identity, identify(job))):
         what = f"the posterior of {sampled.name} is not used; changed since: {changed}"
         found.append(_warn("tune", record.target, what))
         sampled = None
@@ -401,7 +400,7 @@ def _find_known(record: PredictionRecord, job: Job, settings: Settings) -> _Know
         return _Known(sampled, sampled, found)
     quiet = replace(settings, note=no_note, inputs=Inputs(dataset=job.measured))
     study = prepare_with_held_out(record, job.name, quiet)
-    if changed := describe_change(judged.metadata, describe_configuration(study)):
+    if changed := describe_change(judged.metadata.identity, identify(study)):
         what = f"the verdict of {judged.name} is not repeated; changed since: {changed}"
         command = "validate" if judged.kind == "cross_validation" else "tune"
         found.append(_warn(command, record.target, what))
