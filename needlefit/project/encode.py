@@ -48,6 +48,8 @@ def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any
         hook = hooks[kind]
         return hook.from_plain(decode(hook.kind, value, hooks, arrays))
     origin, inside = get_origin(kind), get_args(kind)
+    if hasattr(origin, "__value__"):  # an alias with a parameter, as NDArray is from NumPy 2.5 on
+        return decode(origin.__value__[inside], value, hooks, arrays)
     if origin in (Union, UnionType) and value is None:
         return None
     if origin in (Union, UnionType):  # what is optional: of other unions there are none
