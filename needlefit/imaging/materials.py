@@ -122,11 +122,11 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) ->
         lengths = [len(list(part)) for _, part in groupby(kinds.tolist())]
         starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
         between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
-        least = [
-            (MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step
+        least = [  # to the nearest station: those of a curve are not exactly as far apart as stated
+            round((MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step)
             for at, inner in zip(starts, between, strict=True)
         ]
-        short = [n for n, length in enumerate(lengths) if length < least[n] - 1e-6]
+        short = [n for n, length in enumerate(lengths) if length < least[n]]
         if not short or len(lengths) == 1:
             return kinds
         n = min(short, key=lambda one: lengths[one])
@@ -162,6 +162,9 @@ def _fit_edge(
     high = min([stop, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= stop)])
     low = max(start, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
     high = min(stop, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
+    # nor is a change of soft material an edge: what lies behind it is left out, as of a plate on the tissue
+    changes = [one.at - STEP_MARGIN_MM for one in find_steps(profile) if one.at > runs[near[-1]].begin]
+    high = min([high, *changes])
     s, median, ring = _known_stations(profile)
     inside = (s >= low) & (s <= high)
     s, median, ring = s[inside], median[inside], ring[inside]
@@ -187,11 +190,12 @@ def _fit_edge(
         values = ring.mean(axis=1)
     parts = [values[np.searchsorted(at, s) == n] for n in range(len(at) + 1)]
     levels = np.array([np.median(part) if len(part) else AIR_HU for part in parts])
+    beside = runs[near[0] - 1 : near[-1] + 1]
+    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
+    levels[gaps] = AIR_HU
     this = near.index(target)
     if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
         return None
-    beside = runs[near[0] - 1 : near[-1] + 1]
-    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
     # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
     # error functions of one width, with a slope behind the last edge for a hardened beam and further layers
@@ -206,7 +210,6 @@ def _fit_edge(
         return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
 
     first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
-    first[count + 1 + gaps] = AIR_HU
     scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
     best = least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
     # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
