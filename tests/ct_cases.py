@@ -37,13 +37,13 @@ def grid(**changes):
     return VoxelGrid(**(plain | changes))
 
 
-def scan(points, seed=1, scene=None, bevel_deg=30.0, hu=9000.0, **scanner):
+def scan(points, seed=1, scene=None, bevel_deg=30.0, hu=9000.0, layers_hu=(40.0, 90.0), **scanner):
     """A scan of the needle `points`; noise 30 HU, no artefacts unless asked for."""
     plain = {"grid": grid(), "noise_hu": 30.0, "streaks": 0.0, "bloom": 0.0, "cupping_hu": 0.0}
     extra = scene or {}
     needles = extra.pop("needles", ()) if scene else ()
     bevelled = Needle3D(points, bevel_deg=bevel_deg, bevel_toward=np.array([0.0, 1, 0]), hu=hu)
-    whole = Scene3D((bevelled, *needles), Phantom((14.0,)), (40.0, 90.0), box(), **extra)
+    whole = Scene3D((bevelled, *needles), Phantom((14.0,)), layers_hu, box(), **extra)
     return render_scan(whole, Scanner(**(plain | scanner)), np.random.default_rng(seed))
 
 

@@ -1,7 +1,11 @@
 """Corrections of scans: control points as written, moved as 3D Slicer moves them, and taken back."""
 
 import json
+import shlex
+import shutil
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import ct_cases as cases
 import numpy as np
@@ -65,7 +69,7 @@ def test_control_points_can_be_moved_and_say_where_they_were_found(file):
     axis = [f"axis {n}" for n in range(1, AXIS_POINTS + 1)]
     assert labels == [*axis, "tip", "entry", *(f"ball {n}" for n in range(1, 5))]
     assert make_control_points("s1", None, None, np.empty((0, 3))) is None
-    assert "was moved" in refusal(DataError, "", read_corrections, file).what
+    assert not any(places is not None for places in vars(read_corrections(file)["s1"]).values())
 
 
 def test_what_was_moved_or_added_is_a_correction_and_nothing_else(file):
@@ -151,6 +155,8 @@ def test_lists_that_are_no_corrections_are_refused(file, edit, word):
 def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
     (scan,) = make_scans([VOLUME], ScanFiles(markers=MARKERS))
     (stage,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
+    unmoved = refusal(DataError, "", correct_scans, [replace(scan, id="s1")], [file])
+    assert "was moved" in unmoved.what
     change(file, shift("ball 1"))
     assert "s1" in refusal(DataError, "", correct_scans, [scan], [file]).what
     one = replace(scan, id="s1")
@@ -162,6 +168,38 @@ def test_corrections_belong_to_a_scan_that_can_take_them(file, tmp_path):
     assert "stage" in refusal(DataError, "", correct_scans, [replace(stage, id="s1")], [file]).what
     change(file, lambda one, _: one.update(controlPoints=one["controlPoints"][:-2]))
     assert "2 of at least 3" in refusal(DataError, "", correct_scans, [one], [file]).what
+
+
+def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken(
+    tmp_path, monkeypatch, capsys
+):
+    """A plate of 14 mm on the gel, 28 mm before the tip: confirmed as tissue, or stated as a guide."""
+    monkeypatch.chdir(tmp_path)
+    grid = cases.grid(size=(48, 48, 121), origin=np.array([0.0, 0.0, -5.0]))
+    write_volume(cases.scan(cases.axis(), layers_hu=(360.0, 40.0), grid=grid), Path("plate.nrrd"))
+    words = ["reconstruct", "plate.nrrd", "-q", "--out"]
+    assert run(*words, "asked") == 3
+    lines = capsys.readouterr().err.splitlines()
+    (command,) = (
+        line[line.index("needlefit reconstruct") :] for line in lines if line.endswith("--confirm entry")
+    )
+    points = shutil.copy("asked.refused/slicer/plate.corrections.mrk.json", "plate.mrk.json")
+    (one,) = json.loads(Path(points).read_text())["markups"]
+    (entry,) = (point["position"] for point in one["controlPoints"] if point["label"] == "entry")
+    np.testing.assert_allclose(entry, cases.ENTRY, atol=0.1)
+    assert run(*shlex.split(command)[1:]) == 0  # as it is printed
+    offered = pd.read_csv("asked/reconstruction.csv").iloc[0]
+    assert offered["depth_mm"] == pytest.approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
+    (decision,) = tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["decisions"]
+    assert (decision["what"], decision["source"]) == ("entry of plate", "confirmed")
+    assert run(*words, "unmoved", "--corrections", points) == 3
+    assert run(*words, "unmoved", "--corrections", points, "--confirm", "entry") == 0
+    assert pd.read_csv("unmoved/reconstruction.csv").iloc[0]["depth_mm"] == offered["depth_mm"]
+    Path("guided.toml").write_text('schema = 2\ntitle = "Guided"\n[guide]\nthickness_mm = 14.0\n')
+    assert run(*words, "guided", "--recipe", "./guided.toml") == 0
+    stated = pd.read_csv("guided/reconstruction.csv").iloc[0]
+    assert stated["depth_mm"] == pytest.approx(14.0, abs=0.2) and "confirmed" not in stated["warnings"]
+    assert run(*words, "other", "--confirm", "axis") == 2
 
 
 @pytest.mark.sweep

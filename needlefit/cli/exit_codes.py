@@ -47,10 +47,13 @@ class Invocation:
     warned: bool = False
     noted: list[str] = field(default_factory=list)
 
+    def repeat(self, *more: str) -> str:
+        """Return this command line with further words."""
+        return shlex.join(("needlefit", *self.words, *more))
+
     def resuming(self) -> str:
         """Return the command line that goes on where this one stopped."""
-        words = self.words if "--resume" in self.words else (*self.words, "--resume")
-        return shlex.join(("needlefit", *words))
+        return self.repeat(*() if "--resume" in self.words else ("--resume",))
 
     def interrupt_message(self) -> str:
         """Return the line with the command that goes on."""

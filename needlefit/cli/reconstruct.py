@@ -1,6 +1,7 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,9 +16,10 @@ from needlefit.errors import DataError
 from needlefit.project.input_files import path_exists
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
-from needlefit.schemas.scan_files import NO_FILES, ScanFiles, SurfaceFrame
+from needlefit.schemas.scan_files import NO_FILES, Confirmable, ScanFiles, SurfaceFrame
 
 if TYPE_CHECKING:
+    from needlefit.cli.exit_codes import Invocation
     from needlefit.imaging.batch import ReconstructionFailure
     from needlefit.imaging.scans import Scan
     from needlefit.project.result_warnings import ResultWarning
@@ -79,6 +81,10 @@ def reconstruct(
             "FILE",
         ),
     ] = None,
+    confirm: Annotated[
+        list[Confirmable] | None,
+        option("Take as it is offered what only a person can decide. May be repeated."),
+    ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     jobs: options.Jobs = None,
     scheduler: options.Scheduler = None,
@@ -128,7 +134,8 @@ def reconstruct(
             acquisition=acquisition,
             medium=medium,
         )
-        wanted = correct_scans(_scans(scans, files), moved)
+        answered = tuple(confirm or ())
+        wanted = correct_scans([replace(one, confirmed=answered) for one in _scans(scans, files)], moved)
         named_by = scan_id(scans[0]) if len(wanted) == 1 or scans[0].suffix == ".csv" else "scans"
         out = out or Path(f"{named_by}-dataset")
         place = out.resolve()
@@ -174,7 +181,7 @@ def reconstruct(
     warnings = inspected.warnings if inspected else ()
     if written and not invocation.json:
         screen.print_text(f"{written.verdicts[0].sentence}.")
-    _print_failures(written, failed, out if written else refused)
+    _print_failures(invocation, written, failed, out if written else refused)
     print_warnings(invocation, warnings)
     _show(out, written, failed, warnings if invocation.json else None)
     if inspected and inspected.dataset and not invocation.json:
@@ -233,7 +240,9 @@ def _show(
         screen.print_written(out, f" (pictures: {pictures})")
 
 
-def _print_failures(run: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path) -> None:
+def _print_failures(
+    invocation: "Invocation", run: "Run | None", failed: "Sequence[ReconstructionFailure]", out: Path
+) -> None:
     """Print the error of each scan, and what to do about it."""
     from needlefit.imaging.scans import scan_id
 
@@ -247,6 +256,9 @@ def _print_failures(run: "Run | None", failed: "Sequence[ReconstructionFailure]"
     if any(one.points for one in failed):
         seen = f"needlefit: what was found is drawn in {out}/quality/"
         screen.print_note(f"{seen}; move it in 3D Slicer: {out}/slicer/, then --corrections")
+    for asked in sorted({one.asked for one in failed if one.asked}):
+        right = f"needlefit: if the {asked} drawn there is right: "
+        screen.print_note(f"{right}{invocation.repeat('--confirm', asked)}")
     if failed and not run:
         screen.print_note(f"needlefit: no scan was reconstructed; the reasons as a table: {out}/refused.csv")
     elif failed and run:

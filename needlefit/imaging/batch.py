@@ -22,7 +22,7 @@ from needlefit.errors import DataError, NeedlefitError
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.corrections import make_control_points
-from needlefit.imaging.entry import list_candidates
+from needlefit.imaging.entry import choose_entry
 from needlefit.imaging.needle.centerline import fit_rough_axis
 from needlefit.imaging.needle.segmentation import MIN_DIVIDED_NEEDLE_RATIO, list_needles
 from needlefit.imaging.reconstruct import VolumeSearch, add_views, examine, picture_curve
@@ -36,6 +36,7 @@ from needlefit.project.processes import one_thread
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.tasks import THIS_PROCESS, TaskPool
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scan_files import Confirmable
 
 T = TypeVar("T")
 
@@ -91,7 +92,10 @@ def _move(scan: Scan, moved: Callable[[Path], Path]) -> Scan:
     return replace(scan, surfaces=surfaces, **elsewhere)
 
 
-_HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
+_HOOKS: Hooks = {
+    Surface: Hook(to_triangles, from_triangles, Triangles),
+    Confirmable: Hook(str, Confirmable, str),
+}
 VERSIONED_PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
 
@@ -104,6 +108,7 @@ class ReconstructionFailure:
     points: Markups | None = None  # control points of what was found in it, LPS, mm
     warnings: tuple[str, ...] = ()  # what a person should know of the scan's files
     picture: CurvePicture | None = None  # of what was taken for the needle
+    asked: Confirmable | None = None  # what a person may confirm instead
 
 
 @dataclass(frozen=True)
@@ -221,12 +226,12 @@ def _reconstruct_needle(search: VolumeSearch, scan: Scan) -> Result:
     balls = np.empty((0, 3)) if found.markers is None else found.markers.centers
     entry, profile = None, found.profile
     if needle is not None and profile is not None:
-        length = float(arc_length(needle)[-1])
-        for rise in list_candidates(profile, length):
-            (entry,) = interpolate_at_arc(needle, [rise.at])  # of the last, as tissue holds the tip
+        thickness, length = search.recipe.guide.thickness_mm, float(arc_length(needle)[-1])
+        if offered := choose_entry(profile, length, thickness, scan.guide_distance):
+            (entry,) = interpolate_at_arc(needle, [offered.at])
     points = make_control_points(scan.id, needle, entry, balls)
-    picture = None if needle is None else picture_curve(search.volume, needle)
-    return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture)
+    picture = None if needle is None else picture_curve(search.volume, needle, entry)
+    return ReconstructionFailure(scan, failed, points, search.volume.warnings, picture, found.asked)
 
 
 def _try_step(scan: Scan, work: Callable[[], T]) -> T | ReconstructionFailure:

@@ -74,7 +74,7 @@ def read_corrections(path: Path) -> dict[str, Corrections]:
     A point that stands where it was found is none; one that was added is. Moved points of the axis count
     alone; if one ball was moved, added or removed, all balls of the list are the markers.
 
-    DataError if the file is none of 3D Slicer, a list or a point in it has another name, or none was moved.
+    DataError if the file is none of 3D Slicer, or a list or a point in it has another name.
     """
     found: dict[str, Corrections] = {}
     for one in read_markups(path):
@@ -111,10 +111,6 @@ def _parse_corrections(markups: Markups) -> Corrections:
     own = {name: np.array([kind is not None and kind[1].lower() == name for kind in kinds]) for name in KINDS}
     counts = [int(one[1]) for one in map(_BALLS.search, markups.descriptions) if one]
     removed = max(counts, default=0) > np.count_nonzero(own["ball"] & np.isfinite(before).all(axis=1))
-    if here.all() and not removed:
-        raise refusal(f"""none of its {len(moved)} control points was moved
-            expected: {", ".join(KINDS)} somewhere else than where they were found
-            fix: move those that are wrong in 3D Slicer, or remove balls that are none, and save it again""")
     axis = markups.points[own["axis"] & moved]
     if 0 < len(axis) < MIN_POINTS:
         raise refusal(f"""{len(axis)} points of the axis were moved
@@ -135,8 +131,9 @@ def _parse_corrections(markups: Markups) -> Corrections:
 def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, ...]:
     """Return the scans with the corrections that files hold for them.
 
-    DataError as `read_corrections`; if a scan has none of that id, corrections in two files, balls but no
-    known places of markers, too few balls, or an entry beside that of the stage.
+    DataError as `read_corrections`; if no point of a list was moved, and nothing was confirmed; if a scan has
+    none of that id, corrections in two files, balls but no known places of markers, too few balls, or an
+    entry beside that of the stage.
     """
     corrected = {scan.id: scan for scan in scans}
     for path in files:
@@ -153,6 +150,11 @@ def correct_scans(scans: Sequence[Scan], files: Sequence[Path]) -> tuple[Scan, .
                     raise refusal(f"""it corrects the scan `{id_}` a second time
                         expected: one list for each scan
                         fix: move all points in one list""")
+                if all(places is None for places in vars(found).values()) and not scan.confirmed:
+                    raise refusal(f"""none of the control points of `{id_}` was moved
+                        expected: {", ".join(KINDS)} somewhere else than where they were found
+                        fix: move those that are wrong in 3D Slicer, or remove balls that are none, and save
+                            it again; or confirm the entry as it is (--confirm entry)""")
                 if found.balls is not None and scan.markers is None:
                     raise refusal("""balls were moved, but the scan has no known places to lay them on
                         expected: the markers' known places in the world

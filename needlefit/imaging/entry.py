@@ -15,12 +15,12 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.layers import MAX_START_DISTANCE_MM
-from needlefit.errors import refusal
+from needlefit.errors import DataError, refusal
 from needlefit.geometry.crossings import find_surface_hits
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, STEP_MARGIN_MM, find_rises, find_runs, find_steps
+from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, find_rises, find_runs, list_materials
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
 from needlefit.imaging.registration.register import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
@@ -159,13 +159,18 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     return at
 
 
-GUIDE_SD_MM = 0.1  # deviation of the stated thickness of a guide, mm
+# Medians of soft tissue and of gels, HU: fat has -120 or more, connective tissue 100 (Schneider et al., 2000,
+# doi:10.1088/0031-9155/45/2/314); near metal both are darker. Acrylic, of which guides are made, has 120.
+SOFT_TISSUE_HU = (-150.0, 100.0)
+# Deviation of the stated thickness of a guide, with a film of air behind it that is too thin to show, mm.
+GUIDE_SD_MM = 0.2
 MATCH_MM = 1.5  # what is solid along the needle for a guide's thickness, missed by no more, is the guide, mm
-# On the tissue a guide ends within so many mm of the place that its thickness states.
-STEP_MATCH_MM = 0.6
-# And is brighter or darker than soft tissue, HU: else a layer that ends there would be taken for it.
-MIN_TISSUE_HU = -50.0
-MAX_TISSUE_HU = 80.0
+STEP_MATCH_MM = 0.6  # distance, mm, of the end of a guide on the tissue from a change of brightness there
+
+
+def is_soft_tissue(level: float) -> bool:
+    """Whether a median brightness, HU, may be that of tissue or of a gel."""
+    return SOFT_TISSUE_HU[0] <= level <= SOFT_TISSUE_HU[1]
 
 
 @dataclass(frozen=True)
@@ -175,21 +180,8 @@ class EntryCandidate:
     # Along the needle and its deviation, mm.
     at: float
     sd: float
-    depth: float  # length from there to the tip, mm
-    run: MaterialRun  # the soft material that it begins
     guide: tuple[float, float] | None = None  # where the guide before it begins and ends, mm along the needle
-
-
-def list_candidates(
-    profile: IntensityProfile, tip: float, guide: float = np.inf
-) -> tuple[EntryCandidate, ...]:
-    """Return every place where the tissue may begin, from the base on; `tip`: where it is, mm along.
-
-    `guide`: thickness of one that is looked for, mm.
-    """
-    least = min(MIN_SIDE_LENGTH_MM, guide / 2)
-    runs = find_runs(profile, least)
-    return tuple(EntryCandidate(at, sd, tip - at, runs[n]) for n, at, sd in find_rises(profile, least))
+    doubt: DataError | None = None  # why only a person can decide whether it is the entry
 
 
 def choose_entry(
@@ -197,70 +189,83 @@ def choose_entry(
 ) -> EntryCandidate | None:
     """Return where the needle enters the tissue; None if nothing shows it.
 
-    `guide_thickness`: along the needle, mm; 0: no guide. `guide_distance`: from the guide to the entry, mm.
+    It has a doubt if what is stated does not decide between several places, or the scan does not show it.
 
-    DataError if what is stated does not decide between several candidates, or the scan does not show it.
+    `tip`: where it is, mm along the needle. `guide_thickness`: along the needle, mm; 0: no guide.
+    `guide_distance`: from the guide to the entry, mm.
     """
-    candidates = list_candidates(profile, tip, guide_thickness or np.inf)
-    if not candidates:
-        return None
-    listed = " or ".join(f"{one.depth:.1f} mm before the tip" for one in candidates)
-    if guide_thickness is None and len(candidates) > 1:
-        raise refusal(f"""the needle meets soft material {len(candidates)} times, of which one may be a guide:
-                the tissue may begin {listed}
-            expected: the thickness of the guide along the needle
-            fix: state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the
-                tissue), or place the entry by hand (--corrections)
-            where: guide.thickness_mm""")
-    if not guide_thickness:
-        return candidates[0]
-    whole, cut = _list_behind_guide(profile, candidates, guide_thickness)
-    found = whole or _list_on_guide(profile, candidates, guide_thickness, guide_distance or 0.0) or cut
-    if len(found) == 1:
-        return found[0]
-    raise refusal(f"""{len(found) or "no"} guide{"s" * bool(found)} of {guide_thickness:g} mm
-            show{"s" * (not found)} along the needle: the tissue may begin {listed}
-        expected: one solid of that length before the tissue, followed by air or another material
-        fix: correct guide.thickness_mm (0: the scan shows no guide), or place the entry by hand
-            (--corrections)
+    least = min(MIN_SIDE_LENGTH_MM, (guide_thickness or np.inf) / 2)
+    rises = find_rises(profile, least)
+    faces = [EntryCandidate(at, sd) for _, at, sd in rises]
+    if not faces or guide_thickness == 0:
+        return faces[0] if faces else None
+    soft = [run for run in list_materials(profile, tip) if run.kind == "soft"]
+    if guide_thickness is None:
+        offered, doubt = _choose_face(faces, soft)
+        if not doubt:
+            return offered
+        expected = "soft tissue ({:g} to {:g} HU) behind air".format(*SOFT_TISSUE_HU)
+        fix = "state guide.thickness_mm in the recipe (mm; 0: there is no guide, and the first is the tissue)"
+    else:
+        whole, cut = _list_behind_guide(find_runs(profile, least), rises, guide_thickness)
+        flush = [_pass_guide(face, guide_thickness, guide_distance or 0.0) for face in faces]
+        found = whole or [one for one in flush if _shows_guide(one, soft)] or cut
+        if len(found) == 1:
+            return found[0]
+        offered = (found or (flush if len(faces) == 1 else faces))[-1]
+        show = f"{len(found)} guides of {guide_thickness:g} mm show" if found else ""
+        doubt = f"{show or f'no guide of {guide_thickness:g} mm shows'} along the needle"
+        expected = "one solid of that length before the tissue, followed by air or another material"
+        fix = "correct guide.thickness_mm (0: the scan shows no guide)"
+    listed = " or ".join(f"{tip - face.at:.1f} mm before the tip" for face in faces)
+    error = refusal(f"""{doubt}: the tissue may begin {listed}
+        expected: {expected}
+        fix: {fix}; or place the entry (--corrections), or confirm that the tissue begins
+            {tip - offered.at:.1f} mm before the tip (--confirm entry)
         where: guide.thickness_mm""")
+    return replace(offered, doubt=error)
+
+
+def _choose_face(faces: Sequence[EntryCandidate], soft: Sequence[MaterialRun]) -> tuple[EntryCandidate, str]:
+    """Return the entry where no guide is stated, and why it is not certain."""
+    if len(faces) > 1:
+        return faces[-1], f"the needle enters soft material {len(faces)} times, of which one may be a guide"
+    first = next((run for run in soft if run.end > faces[0].at), None)
+    if first is None or is_soft_tissue(first.level):
+        return faces[0], ""
+    material = f"{first.length:.1f} mm of {first.level:.0f} HU"
+    return faces[0], f"the needle first enters {material}, which may be a guide"
+
+
+def _pass_guide(face: EntryCandidate, thickness: float, distance: float) -> EntryCandidate:
+    """Return the place behind a guide that begins at `face`."""
+    end = face.at + thickness
+    return EntryCandidate(end + distance, float(np.hypot(face.sd, GUIDE_SD_MM)), (face.at, end))
+
+
+def _shows_guide(entry: EntryCandidate, soft: Sequence[MaterialRun]) -> bool:
+    """Whether what begins with the guide before an entry is no tissue, and changes where that ends."""
+    assert entry.guide is not None
+    begin, end = entry.guide
+    behind = [run for run in soft if run.end > begin]
+    changes = any(end - STEP_MATCH_MM <= run.end <= entry.at + STEP_MATCH_MM for run in behind)
+    return changes and not is_soft_tissue(behind[0].level)
 
 
 def _list_behind_guide(
-    profile: IntensityProfile, candidates: Sequence[EntryCandidate], thickness: float
+    runs: Sequence[MaterialRun], rises: Sequence[tuple[int, float, float]], thickness: float
 ) -> tuple[list[EntryCandidate], list[EntryCandidate]]:
-    """Return the candidates with a guide and air before them, and those with one that the scan cuts."""
-    runs, whole, cut = find_runs(profile, min(MIN_SIDE_LENGTH_MM, thickness / 2)), [], []
-    for one in candidates:
-        before = runs[: max(0, runs.index(one.run) - 1)]
+    """Return the entries with a guide and air before them, and those with one that the scan cuts."""
+    whole, cut = list[EntryCandidate](), list[EntryCandidate]()
+    for n, at, sd in rises:
+        before = runs[: n - 1]
         solid = [*takewhile(lambda run: run.kind != "air", before[::-1])]
         if not solid:
             continue
         length = solid[0].end - solid[-1].begin
-        passed = replace(one, guide=(solid[-1].begin, solid[0].end))
+        passed = EntryCandidate(at, sd, (solid[-1].begin, solid[0].end))
         if abs(length - thickness) <= MATCH_MM:
             whole.append(passed)
         elif len(solid) == len(before) == 1 and solid[0].kind == "soft" and length < thickness:
             cut.append(passed)
     return whole, cut
-
-
-def _list_on_guide(
-    profile: IntensityProfile, candidates: Sequence[EntryCandidate], thickness: float, distance: float
-) -> list[EntryCandidate]:
-    """Return the places behind a guide that lies on the tissue: where soft material changes as stated."""
-    steps, found = find_steps(profile), []
-    for face in candidates:
-        behind = face.at + thickness + distance
-        near = [step for step in steps if abs(step.at - behind) <= STEP_MATCH_MM]
-        inside = (profile.s > face.at + STEP_MARGIN_MM) & (profile.s < behind - STEP_MATCH_MM)
-        level = np.nanmedian(profile.around[inside]) if near and inside.any() else 0.0
-        if not MIN_TISSUE_HU <= level <= MAX_TISSUE_HU:
-            step = min(near, key=lambda one: abs(one.at - behind))
-            stated_sd = float(np.hypot(face.sd, GUIDE_SD_MM))
-            weight = stated_sd**2 / (stated_sd**2 + step.sd**2)
-            at = behind + weight * (step.at - behind)
-            sd = max(stated_sd, abs(step.at - behind) / 2)
-            guide = face.at, at - distance
-            found.append(EntryCandidate(at, sd, face.depth - at + face.at, face.run, guide))
-    return found

@@ -4,7 +4,6 @@ Soft is what lies between air and metal: tissue, a gel, the plastic of a guide o
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import groupby, pairwise
 
 import numpy as np
@@ -122,11 +121,11 @@ def _absorb_short_runs(kinds: NDArray[np.int_], step: float, shortest: float) ->
         lengths = [len(list(part)) for _, part in groupby(kinds.tolist())]
         starts = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
         between = [0 < n < len(lengths) - 1 for n in range(len(lengths))]
-        least = [
-            (MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step
+        least = [  # to the nearest station: those of a curve are not exactly as far apart as stated
+            round((MIN_GAP_LENGTH_MM if inner and kinds[at] == 0 else shortest) / step)
             for at, inner in zip(starts, between, strict=True)
         ]
-        short = [n for n, length in enumerate(lengths) if length < least[n] - 1e-6]
+        short = [n for n, length in enumerate(lengths) if length < least[n]]
         if not short or len(lengths) == 1:
             return kinds
         n = min(short, key=lambda one: lengths[one])
@@ -162,6 +161,9 @@ def _fit_edge(
     high = min([stop, *(run.begin - EDGE_MARGIN_MM for run in runs[1:] if run.begin >= stop)])
     low = max(start, min(low, runs[near[0]].begin - EDGE_MARGIN_MM))
     high = min(stop, max(high, runs[near[-1]].begin + EDGE_MARGIN_MM))
+    # nor is a change of soft material an edge: what lies behind it is left out, as of a plate on the tissue
+    changes = [at - STEP_MARGIN_MM for at in find_steps(profile) if at > runs[near[-1]].begin]
+    high = min([high, *changes])
     s, median, ring = _known_stations(profile)
     inside = (s >= low) & (s <= high)
     s, median, ring = s[inside], median[inside], ring[inside]
@@ -187,11 +189,12 @@ def _fit_edge(
         values = ring.mean(axis=1)
     parts = [values[np.searchsorted(at, s) == n] for n in range(len(at) + 1)]
     levels = np.array([np.median(part) if len(part) else AIR_HU for part in parts])
+    beside = runs[near[0] - 1 : near[-1] + 1]
+    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
+    levels[gaps] = AIR_HU
     this = near.index(target)
     if levels[this + 1] - levels[this] < MIN_EDGE_STEP_HU:
         return None
-    beside = runs[near[0] - 1 : near[-1] + 1]
-    gaps = np.flatnonzero([run.kind == "air" and run.length < NARROW_GAP_MM for run in beside])
     # median of |difference of neighbours|: 1.05 = 1 / (0.6745 sqrt 2), so a slope hardly counts as noise
     noise = max(2.0, *(1.05 * float(np.median(np.abs(np.diff(part)))) for part in parts if len(part) > 1))
     # error functions of one width, with a slope behind the last edge for a hardened beam and further layers
@@ -206,7 +209,6 @@ def _fit_edge(
         return np.concatenate([(shown - values) / noise, known, [theta[count] - np.log(WIDTH_MM)]])
 
     first = np.concatenate([at, [np.log(WIDTH_MM)], levels, [0.0]])
-    first[count + 1 + gaps] = AIR_HU
     scale = np.concatenate([np.full(count, 0.2), [0.3], np.full(count + 1, 50.0), [10.0]])
     best = least_squares(residuals, first, loss="soft_l1", f_scale=SOFT_LOSS_SD, x_scale=scale)
     # misfit per degree of freedom; neighbouring stations are correlated, which widens it again
@@ -232,43 +234,31 @@ MIN_STEP_SD = 5.0  # deviations of its own noise that a step exceeds
 MIN_STEP_STATIONS = 3  # stations on either side of a step
 
 
-@dataclass(frozen=True)
-class MaterialStep:
-    """A place where soft material turns into another one."""
-
-    # Along the needle and its deviation, mm.
-    at: float
-    sd: float
-    change: float  # of the brightness, HU
-
-
-def find_steps(profile: IntensityProfile) -> tuple[MaterialStep, ...]:
-    """Return the places inside soft material where its brightness changes, from the base on."""
+def find_steps(profile: IntensityProfile) -> list[float]:
+    """Return the places inside soft material where its brightness changes, mm, from the base on."""
     s, values, _ = _known_stations(profile)
-    runs, found = find_runs(profile), list[MaterialStep]()
+    runs, found = find_runs(profile), list[float]()
     for n, run in enumerate(runs):
         low = run.begin + STEP_MARGIN_MM * (n > 0)
         high = run.end - STEP_MARGIN_MM * (n < len(runs) - 1)
         inside = (s >= low) & (s <= high)
         if run.kind == "soft" and inside.sum() > 2 * MIN_STEP_STATIONS:
             found += _find_steps_within(s[inside], values[inside])
-    return tuple(found)
+    return found
 
 
-def _find_steps_within(s: Floats, values: Floats) -> list[MaterialStep]:
+def _find_steps_within(s: Floats, values: Floats) -> list[float]:
     """Return the steps of soft material at stations `s` (n,), the most significant of neighbours."""
     places = np.arange(s[MIN_STEP_STATIONS - 1], s[-MIN_STEP_STATIONS], np.median(np.diff(s)) / 2)
     changes, sds, alike = np.array([_fit_step(s, values, place) for place in places]).reshape(-1, 3).T
-    clear, found = np.abs(changes) / np.maximum(sds, 1e-9), list[MaterialStep]()
+    clear, found = np.abs(changes) / np.maximum(sds, 1e-9), list[float]()
     sure = clear / np.sqrt(alike)  # the scatter of a sum of correlated stations, where it is clearest
     left = (np.abs(changes) >= MIN_STEP_HU) & (sure >= MIN_STEP_SD)
     while left.any():
         best = int(np.argmax(np.where(left, clear, 0.0)))
         left &= np.abs(places - places[best]) > STEP_REACH_MM / 2
-        # the noise of the level over the slope of a blurred step
-        sd = np.hypot(WIDTH_MM * np.sqrt(2 * np.pi) / sure[best], MEDIAN_SD_MM)
-        found.append(MaterialStep(float(places[best]), float(sd), float(changes[best])))
-    return sorted(found, key=lambda one: one.at)
+        found.append(float(places[best]))
+    return sorted(found)
 
 
 def _fit_step(s: Floats, values: Floats, place: float) -> tuple[float, float, float]:
@@ -287,7 +277,7 @@ def list_materials(profile: IntensityProfile, tip: float) -> Iterator[MaterialRu
     s, values, _ = _known_stations(profile)
     runs, rises = find_runs(profile), {n: at for n, at, _ in find_rises(profile)}
     begins = [rises.get(n, run.begin) for n, run in enumerate(runs)]
-    steps = [step.at for step in find_steps(profile)]
+    steps = find_steps(profile)
     for run, begin, end in zip(runs, begins, [*begins[1:], tip][: len(runs)], strict=True):
         for low, high in pairwise([begin, *(at for at in steps if begin < at < end), end]):
             part = values[(s >= low) & (s <= high)]

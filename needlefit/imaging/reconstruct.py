@@ -8,7 +8,7 @@ be right, and list warnings for the user.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Literal
@@ -26,11 +26,13 @@ from needlefit.geometry.surfaces import Surface, find_nearest
 from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.entry import (
     MIN_SHAFT_LENGTH_MM,
+    SOFT_TISSUE_HU,
     SURFACE_REACH_MM,
     OutsideShaft,
     choose_entry,
     compare_poses,
     find_entry_arc_length,
+    is_soft_tissue,
     move_to_surface,
     pose_from_shaft,
     pose_from_stage,
@@ -86,6 +88,7 @@ from needlefit.imaging.volume import (
 from needlefit.project.processes import one_thread
 from needlefit.project.unit_warnings import MIN_DEPTH_MM
 from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scan_files import Confirmable
 
 MIN_P_VALUE = 0.01  # residuals of markers that the stated noise leaves less often are spoken of
 MAX_DISAGREEMENT_SD = 3.0  # deviations from which on two ways to the same quantity disagree
@@ -167,6 +170,15 @@ def _entry_warnings(one: Reconstruction) -> Iterator[str]:
         worst, sentence = compare_poses(one.pose, one.shaft)
         if worst > MAX_DISAGREEMENT_SD:
             yield sentence
+    for name, doubt in one.confirmed:
+        yield f"{name} confirmed by a person: {doubt}"
+    first = next((run for run in one.passed if one.name_part(run) == "tissue"), None)
+    placed = one.confirmed or (one.scan.corrections and one.scan.corrections.entry is not None)
+    if not placed and first is not None and not is_soft_tissue(first.level):
+        yield (
+            f"the tissue begins with {first.length:.1f} mm of {first.level:.0f} HU, which is no soft tissue "
+            "({:g} to {:g} HU): it may be a guide".format(*SOFT_TISSUE_HU)
+        )
     # nothing else says where the tissue begins where that is the brightness of the scan itself
     own = any(surface.into == 1 for surface in one.layers.surfaces)
     source = "its own surface (into = 1)" if own else ""
@@ -282,6 +294,10 @@ class Examination:
     registration: Registration | None = None
     profile: IntensityProfile | None = None  # along the whole needle, s from its first point
     guide: tuple[float, float] | None = None  # where a guide before the tissue begins and ends, likewise
+    asked: Confirmable | None = None  # what a person must confirm or correct
+    confirmed: dict[Confirmable, str] = field(
+        default_factory=dict
+    )  # what was confirmed, and what was in doubt
     reconstruction: Reconstruction | None = None
     error: NeedlefitError | None = None  # why the scan is refused: of the first step that failed
 
@@ -292,6 +308,15 @@ class Examination:
             yield
         except NeedlefitError as error:
             self.error = self.error or error
+
+    def confirm(self, name: Confirmable, doubt: DataError | None) -> None:
+        """Raise a doubt about a part of the scan, unless a person confirmed that part."""
+        if doubt is None:
+            return
+        if name not in self.scan.confirmed:
+            self.asked = name
+            raise doubt
+        self.confirmed[name] = doubt.what
 
     @property
     def axis(self) -> Centerline:
@@ -423,6 +448,7 @@ def _locate_tissue(
             fix: place the entry in 3D Slicer (point `entry` of --corrections); or state the stage (entry_x_mm
                 ... pose_angle_sd_deg), or add the tissue's own surface to the layers, as FILE=sheet:1 or
                 FILE=solid:1""")
+    found.confirm(Confirmable.ENTRY, entry.doubt)
     found.guide = entry.guide
     return entry.at, entry.sd
 
@@ -502,6 +528,7 @@ def derive_reconstruction(
         profile=replace(found.brightness, s=found.brightness.s - begin),
         passed=passed,
         guide=found.guide and (found.guide[0] - begin, found.guide[1] - begin),
+        confirmed=tuple(found.confirmed.items()),
         views=(),
         warnings=(),
     )
@@ -515,12 +542,13 @@ def add_views(one: Reconstruction, volume: Volume) -> Reconstruction:
     return replace(one, views=render_views(volume, one.patient, one.frame, one.needle_axis.points))
 
 
-def picture_curve(volume: Volume, curve: Floats) -> CurvePicture:
-    """Return pictures of the scan along a curve (N, 3), LPS, mm, that was refused."""
+def picture_curve(volume: Volume, curve: Floats, entry: Floats | None = None) -> CurvePicture:
+    """Return pictures of the scan along a curve (N, 3), LPS, mm, that was refused; `entry`: as offered."""
     center, axes = principal_axes(curve)
     forward = axes[0] * np.sign(axes[0] @ (curve[-1] - curve[0]) or 1.0)
     frame = Frame(center, np.stack([forward, axes[1], np.cross(forward, axes[1])], axis=1))
-    return CurvePicture(render_views(volume, IDENTITY_FRAME, frame, curve), frame.to_local(curve))
+    at = None if entry is None else float(frame.to_local(entry[None])[0, 0])
+    return CurvePicture(render_views(volume, IDENTITY_FRAME, frame, curve), frame.to_local(curve), at)
 
 
 @one_thread

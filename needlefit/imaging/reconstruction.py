@@ -16,6 +16,7 @@ from needlefit.imaging.point_spread import PointSpread
 from needlefit.imaging.registration.register import Registration
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, to_index
+from needlefit.schemas.scan_files import Confirmable
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class CurvePicture:
 
     views: tuple[ScanView, ...]
     curve: Floats  # (N, 3); what was taken for the needle, in the frame of the views, mm
+    entry: float | None = None  # x of the entry that is offered, mm
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class Reconstruction:
     profile: IntensityProfile
     passed: tuple[MaterialRun, ...]  # what the needle passes, from first contact; before it negative
     guide: tuple[float, float] | None  # where the guide that was subtracted begins and ends, likewise
+    confirmed: tuple[tuple[Confirmable, str], ...]  # what a person confirmed, and what was in doubt
     views: tuple[ScanView, ...]
     warnings: tuple[str, ...]  # what a person should know
     # What the centreline was drawn through, world, arc lengths from first contact, the shaft outside

@@ -25,7 +25,7 @@ from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
-from needlefit.schemas.scan_files import NO_FILES, ScanFiles
+from needlefit.schemas.scan_files import NO_FILES, Confirmable, ScanFiles
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,9 @@ class Scan:
     needle_at: Floats | None = None  # (3,) or None; a point on the needle that is meant, LPS of the scan, mm
     divided: int = 0  # needles into which the program divided the scan, and set `needle_at`; 0: it did not
     origin: Literal["measured", "synthetic"] = "measured"
-    corrections: Corrections | None = None  # as moved in 3D Slicer; no column of a table states them
+    # As moved in 3D Slicer, and what a person confirmed; no column of a table states them.
+    corrections: Corrections | None = None
+    confirmed: tuple[Confirmable, ...] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -37,7 +37,9 @@ _CAPTION = (
     "The scan in slabs that follow the needle (strip: what it passes; crosses: markers nearby); below, its "
     "deflection and the brightness around it. Lines: entry, layers, tip. Bands: pointwise 95 %."
 )
-_REFUSED_CAPTION = "The scan in slabs that follow what was taken for the needle (line)."
+_REFUSED_CAPTION = (
+    "The scan in slabs that follow what was taken for the needle (line); across it: the entry offered."
+)
 
 
 def write_quality(one: Reconstruction, facts: list[Fact], path: Path) -> Path:
@@ -80,6 +82,8 @@ def paint_refusal(picture: CurvePicture) -> Figure:
         show_slab(axes, view, picture.views, span)
         up = "xyz".index(view.axes[1])
         axes.plot(picture.curve[:, 0], picture.curve[:, up], color=NEEDLE_COLOUR, lw=0.6)
+        if picture.entry is not None:
+            axes.axvline(picture.entry, color=ENTRY_COLOUR, lw=0.8)
         axes.set_ylabel("across (mm)")
         axes.tick_params(labelbottom=view is picture.views[-1])
         top -= height + _PANEL_GAP_MM

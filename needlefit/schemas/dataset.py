@@ -246,7 +246,7 @@ ImportSource = Literal["file", "option", "answer", "guess", "assumption", "confi
 
 
 class ImportDecisionRecord(Record):
-    """One decision of an import."""
+    """One decision of an import, or of a person about a scan."""
 
     what: str
     """What was decided: the name of the option of `needlefit import` that states it, or a column."""
@@ -261,7 +261,7 @@ class ImportDecisionRecord(Record):
 
 
 class ImportRecord(Record):
-    """What `needlefit import` made a dataset from."""
+    """What a dataset was made from."""
 
     files: dict[str, str] = {}
     """SHA-256 of the imported files, by name."""
@@ -331,7 +331,7 @@ class DatasetRecord(SourceRecord):
     media: dict[Name, DatasetMediumRecord] = {}
     """Layers of each medium, by the name in column `medium`."""
     import_: ImportRecord | None = Field(default=None, alias="import")
-    """Decisions of `needlefit import`."""
+    """Decisions of `needlefit import`, and what a person confirmed at `needlefit reconstruct`."""
     checksums: dict[str, str] = {}
     """SHA-256 of files, by path; `needlefit check` compares them."""
 

@@ -106,8 +106,8 @@ class GuidePlateRecord(Record):
     """A plate, template or wall of any material through which the needle is guided to the tissue."""
 
     thickness_mm: float | None = Field(default=None, ge=0)
-    """Its thickness along the needle; 0: there is none. Asked for where soft material begins twice; a scan
-    that does not show it is refused."""
+    """Its thickness along the needle; 0: there is none. Asked for where soft material begins twice, or begins
+    with what is no soft tissue; a scan that does not show it is refused."""
 
 
 class LayersRecord(Record):
