@@ -54,11 +54,12 @@ def measure_needles(truth: dict[str, float], gauge: int, rng: np.random.Generato
 
 def fit_needles(file: Path, gauge: int, entry: str) -> pd.DataFrame:
     """Return the parameters that a fit to an imported table of points finds."""
-    options = ["--pose", "1,0,0", "--bevel", "0,1,0", "--point-sd", f"{POINT_SD_MM}", "--yes"]
-    for answer in (f"diameter={gauge}G", f"needle length={LENGTH_MM}", f"pose angle sd={ANGLE_SD_DEG}"):
-        options += ["--setup", answer]
+    stated = {"pose": "1,0,0", "bevel": "0,1,0", "point_sd": POINT_SD_MM, "diameter": f"{gauge}G"}
+    stated |= {"needle_length": LENGTH_MM, "pose_angle_sd": ANGLE_SD_DEG, "entry_point": entry}
     folder = file.parent / f"data-{entry.replace(',', '-')}"
-    options += ["--entry-point", entry, "--out", str(folder)]
+    options = ["--yes", "--out", str(folder)]
+    for key, value in stated.items():
+        options += ["--set", f"{key}={value}"]
     command = [sys.executable, "-m", "needlefit", "import", str(file), *options]
     subprocess.run(command, check=True, capture_output=True)
     run = needlefit.fit(str(folder), str(folder / "tissue.toml"))

@@ -42,9 +42,9 @@ PATH_CURVATURE = 0.034  # 1/mm^2; of a path, over the bevel's offset, at a found
 SPECIMEN_SD, BEVEL_SD = 0.15, 0.03  # of ln mu and ln b between specimens
 POINT_SD, SHIFT_SD, ANGLE_SD = 0.05, 0.05, 0.1  # mm, mm, degrees
 SETUP = {
-    "units": "mm", "entry": "first", "pose": "1,0,0", "entry point": "0,0,0", "bevel": "0,1,0",
-    "boundaries": "20", "boundary sd": "0.2", "point sd": "0.05", "pose shift sd": "0.05",
-    "pose angle sd": "0.1", "needle length": "150", "diameter": "0.908", "inner diameter": "0",
+    "unit": "mm", "entry": "first", "pose": "1,0,0", "entry_point": "0,0,0", "bevel": "0,1,0",
+    "boundaries": "20", "boundary_sd": "0.2", "point_sd": "0.05", "pose_shift_sd": "0.05",
+    "pose_angle_sd": "0.1", "needle_length": "150", "diameter": "0.908", "inner_diameter": "0",
     "modulus": "60",
 }  # fmt: skip
 OF_IMPORT = ("placeholder", "assumed")  # kinds of warnings that every such import has
@@ -117,7 +117,7 @@ def measure_needles(rng, design, model=bend_beam):
         needles.points[name] = np.round(points / design.step) * design.step
         needles.side[name], needles.depth[name] = side, float(depth)
         needles.block[name] = "n1" if design.is_one_block else name
-    needles.setup["point sd"] = f"{math.hypot(design.noise, design.step / math.sqrt(12)):.2g}"
+    needles.setup["point_sd"] = f"{math.hypot(design.noise, design.step / math.sqrt(12)):.2g}"
     return needles
 
 
@@ -135,7 +135,7 @@ def write_tables(needles, folder):
     (folder / "needles.csv").write_text("\n".join(table) + "\n")
     words = ["import", str(folder / "points.csv"), str(folder / "needles.csv"), "--yes"]
     for pair in needles.setup.items():
-        words += ["--setup", "=".join(pair)]
+        words += ["--set", "=".join(pair)]
     return [*words, "--out", str(folder / "made")]
 
 
@@ -256,8 +256,8 @@ KINDS = {
     "the bevel stated along z": Mistake("setup", {"bevel": "0,0,1"}, "bevel"),
     "the pose the other way": Mistake("setup", {"pose": "-1,0,0"}, "direction"),
     "the boundary in centimetres": Mistake("setup", {"boundaries": "2"}, "boundaries"),
-    "the noise ten times too large": Mistake("setup", {"point sd": "0.5"}, "noise"),
-    "the noise ten times too small": Mistake("setup", {"point sd": "0.005"}, "noise"),
+    "the noise ten times too large": Mistake("setup", {"point_sd": "0.5"}, "noise"),
+    "the noise ten times too small": Mistake("setup", {"point_sd": "0.005"}, "noise"),
     "the diameter in metres": Mistake("setup", {"diameter": "0.000908"}, "diameter"),
     "the radius for the diameter": Mistake("setup", {"diameter": "0.454"}, "diameter"),
 }  # fmt: skip

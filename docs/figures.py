@@ -21,8 +21,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Rectangle
 
-from needlefit.datasets.importing.files import WORKBOOK_FILE
-from needlefit.datasets.importing.questions import QUESTIONS
+from needlefit.datasets.importing.examples import WORKBOOK_FILE
+from needlefit.datasets.importing.meanings import VALUES
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
@@ -268,8 +268,11 @@ DEPTHS_MM = (35, 40, 45, 50, 55, 60, 65, 70)
 NOISE_MM, DIRECTION_SD_DEG, SPECIMEN_SD = 0.05, 0.1, 0.03
 """Standard deviations: of a coordinate, of an entry direction, of the logarithm of the moduli of a block."""
 
+ORIGIN_TEXT = (
+    "Where the needles come from: measured, example (of this workbook), or synthetic: otherwise simulated"
+)
 SETUP: dict[str, str | float] = {
-    "title": "Eight needles in gel", "source": "simulated", "license": "CC0",
+    "origin": "example", "title": "Eight needles in gel", "source": "simulated", "license": "CC0",
     "needle length": 150, "diameter": "20G", "inner diameter": 0, "modulus": "nitinol",
     "boundaries": "20", "boundary sd": 0.2, "point sd": NOISE_MM,
     "entry": "first", "entry point": "0,0,0", "pose shift sd": 0.05,
@@ -283,8 +286,9 @@ def fill_workbook() -> None:
     for name in ("example points", "example needles", "setup", "example setup"):
         book[name].delete_rows(2, book[name].max_row)
     for what, value in SETUP.items():
-        text = QUESTIONS[what].unit or None, QUESTIONS[what].text
-        for name, shown in (("setup", None), ("example setup", value)):
+        key = what.replace(" ", "_")
+        text = (VALUES[key].unit or None, VALUES[key].text) if key in VALUES else (None, ORIGIN_TEXT)
+        for name, shown in (("setup", value if what == "origin" else None), ("example setup", value)):
             book[name].append([what, shown, *text])
             if what in (
                 "pose",

@@ -7,8 +7,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from needlefit.datasets.importing.files import read_content
-from needlefit.datasets.importing.planning import Planner
+from needlefit.datasets.importing.prepare import complete_draft, prepare_import
+from needlefit.datasets.importing.read import read_mapped
+from needlefit.reporting.dataset_import import write_import
 
 
 def needle(n=0, points=16, depth=60.0):
@@ -98,6 +99,62 @@ def write_markups(path: Path, name, points, kind="Curve", system="LPS"):
     path.write_text(json.dumps({"@schema": schema, "markups": [markups(name, points, kind, system)]}))
 
 
-def plan_import(paths, answers, columns=""):
-    content = read_content(paths, columns)
-    return content, Planner(content, answers).make_plan()
+def write_sheets(path, **sheets):
+    from openpyxl import Workbook
+
+    book = Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+def prepare(paths, **stated):
+    """Prepare an import of which keys are stated: `y__column` is y.column."""
+    return prepare_import(paths, [(key.replace("__", "."), value) for key, value in stated.items()])
+
+
+def placed(paths, **stated):
+    """Return what was read, the plan, and what holds of all needles by key: value, and assumed or stated."""
+    prepared = prepare(paths, **stated)
+    mapping = prepared.mapping
+    made = {key: (mapping.values.get(key, ""), "assumed") for key in mapping.assumed}
+    made |= {key: (value, "stated") for key, value in mapping.values.items() if key not in mapping.assumed}
+    return prepared.content, prepared.plan, made | {what: (text, "files") for what, text in prepared.notes}
+
+
+def planned(paths, **stated):
+    """Return the plan, and what holds of all needles by key."""
+    return placed(paths, **stated)[1:]
+
+
+def write_placed(folder, paths, **stated):
+    """Import files; return the folder."""
+    write_import(folder, prepare(paths, **stated))
+    return folder
+
+
+def curves_of(paths, **stated):
+    """Return the needles that files hold, by name, before they are placed."""
+    assignments = [(key.replace("__", "."), value) for key, value in stated.items()]
+    draft, files = complete_draft([*paths], assignments, None)
+    content = read_mapped(draft.to_record("draft"), files, "draft")
+    return {one.name: one for one in content.curves}, draft
+
+
+def write_long(folder, curves, name="points.csv", head=(), cells=()):
+    """Write curves `n1`, `n2`, ... to a long table, mm, with more columns before the coordinates."""
+    rows = [["needle", *head, "x [mm]", "y [mm]", "z [mm]"]]
+    for n, curve in enumerate(curves):
+        own = cells[n] if cells else ()
+        rows += [[f"n{n + 1}", *own, *(f"{value:.8g}" for value in point)] for point in curve]
+    (folder / name).write_text("\n".join(",".join(map(str, row)) for row in rows))
+    return folder / name
+
+
+def write_rows(path, rows):
+    path.write_text("\n".join(",".join(map(str, row)) for row in rows), encoding="utf-8")
+    return path

@@ -190,8 +190,9 @@ def test_a_plate_on_the_tissue_is_asked_about_and_what_a_person_answers_is_taken
     assert run(*shlex.split(command)[1:]) == 0  # as it is printed
     offered = pd.read_csv("asked/reconstruction.csv").iloc[0]
     assert offered["depth_mm"] == pytest.approx(28.0, abs=0.2) and "confirmed" in offered["warnings"]
-    (decision,) = tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["decisions"]
-    assert (decision["what"], decision["source"]) == ("entry of plate", "confirmed")
+    assert [*tomllib.loads(Path("asked/dataset.toml").read_text())["import"]["confirmed"]] == [
+        "entry of plate"
+    ]
     assert run(*words, "unmoved", "--corrections", points) == 3
     assert run(*words, "unmoved", "--corrections", points, "--confirm", "entry") == 0
     assert pd.read_csv("unmoved/reconstruction.csv").iloc[0]["depth_mm"] == offered["depth_mm"]

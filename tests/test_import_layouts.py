@@ -4,12 +4,11 @@ import csv
 
 import numpy as np
 import pytest
-from import_cases import plan_import
+from import_cases import write_sheets as write_workbook
 from scipy.io import savemat
-from test_import import write_sheets as write_workbook
 
-from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.files import WORKBOOK_FILE
+from needlefit.datasets.importing.examples import WORKBOOK_FILE
+from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import read
 from needlefit.project.locate import read_toml
@@ -109,9 +108,7 @@ def write_blocks(folder):
 
 
 def import_folder(paths, out, **stated):
-    answers = Answers(stated)
-    content, plan = plan_import(paths, answers)
-    write_import(out, content, plan, answers)
+    write_import(out, prepare_import(paths, [*stated.items()]))
     return out
 
 
@@ -136,14 +133,17 @@ def test_the_needles_of_the_workbook_in_another_layout_are_the_same_dataset(tmp_
     source = tmp_path / "source"
     source.mkdir()
     write(source)
-    found = import_folder([source], tmp_path / "gel", **REST | {"units": "mm"})
+    stated = {name.replace(" ", "_"): value for name, value in REST.items()}
+    found = import_folder([source], tmp_path / "gel", **stated, unit="mm", origin="example")
     names = sorted(path.relative_to(wanted) for path in wanted.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(found) for path in found.rglob("*") if path.is_file())
-    for name in (one for one in names if one.name not in ("dataset.toml", "import.png")):
+    for name in (one for one in names if one.name not in ("dataset.toml", "mapping.toml", "import.png")):
         assert (found / name).read_bytes() == (wanted / name).read_bytes(), name
+    assert not read_toml(found / "mapping.toml").get("assumed")
     records = [read_toml(folder / "dataset.toml") for folder in (found, wanted)]
-    for record in records:
-        made = record.pop("import")["decisions"]
-        assumed = {one["what"] for one in made if one["source"] == "assumption"}
-        assert assumed <= {"axes"}  # of an array N x 3 without names
+    assert all(record.pop("import")["mapping"] == "mapping.toml" for record in records)
     assert records[0] == records[1] and len(read(found).insertions) == len(NEEDLES)
+    again = tmp_path / "again" / "gel"
+    again.parent.mkdir()
+    write_import(again, prepare_import([source], mapping=found / "mapping.toml"))
+    assert all((again / name).read_bytes() == (found / name).read_bytes() for name in names)

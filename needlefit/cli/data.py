@@ -4,9 +4,9 @@ import math
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,10 +14,10 @@ from needlefit.cli import options, screen
 from needlefit.cli.execution import show_next_steps
 from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.options import argument, option, split_pair
-from needlefit.datasets.importing.questions import OPTIONS, QUESTIONS
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import PROJECT_FOLDERS, format_path, join_names, shipped_folder
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
+from needlefit.schemas.origin import ORIGIN_MARKS
 
 
 def new_project(
@@ -45,7 +45,7 @@ def new_workbook(
 
     `needlefit import` reads it; while it is not filled in, the examples.
     """
-    from needlefit.datasets.importing.files import WORKBOOK_FILE
+    from needlefit.datasets.importing.examples import WORKBOOK_FILE
     from needlefit.project.folders import replace_file
 
     if file.suffix.lower() != ".xlsx" or file.exists():
@@ -64,10 +64,6 @@ def new_workbook(
 # ---- import
 
 
-def _ask_by_option(what: str) -> Any:  # noqa: ANN401 - typer's
-    return option(f"{QUESTIONS[what].text}.")
-
-
 def import_data(
     context: typer.Context,
     files: Annotated[
@@ -79,24 +75,20 @@ def import_data(
         ),
     ],
     out: options.Out = None,
-    columns: Annotated[
-        str, option("Columns of tables by header or number: X,Y,Z, or MEANING=HEADER,...", "X,Y,Z")
-    ] = "",
-    observable: Annotated[str, _ask_by_option("observable")] = "",
-    units: Annotated[str, _ask_by_option("units")] = "",
-    entry: Annotated[str, _ask_by_option("entry")] = "",
-    pose: Annotated[str, _ask_by_option("pose")] = "",
-    entry_point: Annotated[str, _ask_by_option("entry point")] = "",
-    bevel: Annotated[str, _ask_by_option("bevel")] = "",
-    bevel_side: Annotated[str, _ask_by_option("bevel side")] = "",
-    boundaries: Annotated[str, _ask_by_option("boundaries")] = "",
-    point_sd: Annotated[str, _ask_by_option("point sd")] = "",
-    setup: Annotated[
+    mapping: Annotated[
+        Path | None, option("Read the files by this mapping.toml, of an earlier import.", "FILE")
+    ] = None,
+    set_: Annotated[
         list[str] | None,
-        option("A value of the sheet `setup`: modulus=steel. May be repeated.", "NAME=VALUE"),
+        option(
+            "State a key of the mapping: pose=1,0,0; y.column=lateral; unit=cm. May be repeated "
+            "(needlefit explain mapping).",
+            "KEY=VALUE",
+            "--set",
+        ),
     ] = None,
     yes: Annotated[
-        bool, option("Ask nothing: take defaults, and stop where there is none.", None, "--yes")
+        bool, option("Ask nothing: take what is proposed, and stop where nothing is.", None, "--yes")
     ] = False,
     strict: options.Strict = False,
     json: options.Json = False,
@@ -104,21 +96,19 @@ def import_data(
 ) -> None:
     """Make a dataset from files of other programs.
 
-    Columns are known by their names in five languages; others are named with --columns. In a terminal it asks
-    for whatever the files do not state, one question at a time; options answer beforehand. OUT/dataset.toml
-    lists every decision under [import], with all columns, rows, fields and sheets that are not used. OUT also
-    gets a picture, a first study and a scene. It must not exist yet; the default is ./FILE-dataset.
+    It proposes what each column means, in a mapping, and reads only by that: OUT/mapping.toml. In a terminal
+    it shows the mapping and asks for what is open; --yes takes what is proposed. OUT also gets a picture, a
+    first study and a scene. It must not exist yet; the default is ./FILE-dataset.
     """
     from needlefit.datasets.first_study import SCENE_FILE
-    from needlefit.datasets.importing.answers import Answers
-    from needlefit.datasets.importing.files import read_asking
-    from needlefit.datasets.importing.planning import Planner
-    from needlefit.datasets.read import inspect
+    from needlefit.datasets.importing.prepare import prepare_import
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
-        tabulate_decisions,
+        describe_unused,
+        tabulate_columns,
         tabulate_needles,
+        tabulate_values,
         write_import,
     )
     from needlefit.schemas.names import require_file_name
@@ -128,47 +118,41 @@ def import_data(
     require_file_name(out.resolve().name, str(out))
     require_no_inputs_within(out, files)
     invocation = context.find_root().obj
-    given = _list_answers(context.params, setup or [])
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
-    content = read_asking(files, columns, given.get("layout", ""), _ask if asks else None)
-    answers = Answers(given, _ask if asks else None)
-    plan = Planner(content, answers).make_plan()
-    dataset = write_import(out, content, plan, answers)
-    decisions, needles = tabulate_decisions(answers), tabulate_needles(dataset)
+    assignments = [split_pair(text) for text in set_ or []]
+    prepared = prepare_import(files, assignments, mapping, _ask if asks else None)
+    dataset = write_import(out, prepared)
+    needles = tabulate_needles(dataset)
     if invocation.json:
-        made, rows = [one.model_dump() for one in answers.made], needles.to_dict(orient="records")
-        screen.show_json({"dataset": str(out / "dataset.toml"), "insertions": rows, "decisions": made})
+        rows, record = needles.to_dict(orient="records"), prepared.mapping.model_dump(mode="json")
+        shown = {"dataset": str(out / "dataset.toml"), "origin": dataset.origin}
+        screen.show_json(shown | {"insertions": rows, "mapping": record})
     else:
-        count, assumed = len(dataset.insertions), sum(one.source == "assumption" for one in answers.made)
+        count, assumed = len(dataset.insertions), len(prepared.mapping.assumed)
         imported = f"{count} insertion{'s' * (count > 1)} imported; "
         imported += f"{assumed} value{'s are assumptions' if assumed != 1 else ' is an assumption'}"
-        screen.print_line(f"{out}: {imported}\n")
+        marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
+        screen.print_line(f"{marked}{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
-        screen.show_frame(decisions, "Decisions")
-    screen.print_warnings(invocation, inspect(out).warnings)
+        screen.show_frame(tabulate_columns(prepared), "Columns")
+        screen.show_frame(tabulate_values(prepared), "Values of all needles")
+        screen.print_text(describe_unused(prepared))
+    screen.print_warnings(invocation, dataset.warnings)
     path = format_path(out)
     look = "" if dataset.pose == "tracker" else f"look at {out / PICTURE_FILE}, "
     screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
     show_next_steps(dataset, out, SCENE_FILE)
 
 
-def _list_answers(parameters: Mapping[str, Any], setup: Sequence[str]) -> dict[str, str]:
-    """Return what is stated beforehand by names of questions: by options of their own, others by --setup."""
-    stated = dict(split_pair(text, "--setup") for text in setup)
-    if unknown := [name for name in stated if name not in QUESTIONS]:
-        raise typer.BadParameter(f"`{unknown[0]}` is none of {', '.join(QUESTIONS)}", param_hint="--setup")
-    answers = {name: parameters[name.replace(" ", "_")] for name in OPTIONS} | stated
-    return {name: text for name, text in answers.items() if text}
+def _ask(key: str, proposal: str, reason: str) -> str:
+    """Ask on the terminal; an empty answer takes the proposal."""
+    from needlefit.datasets.importing.meanings import VALUES
 
-
-def _ask(what: str, guess: str, reason: str) -> str:
-    """Ask on the terminal; an empty answer takes the guess."""
     if reason:
         screen.print_note(f"  ({reason})")
-    columns = "Headers or numbers of x, y and z, or MEANING=HEADER,..."
-    text = QUESTIONS[what].text if what in QUESTIONS else columns if what == "columns" else what
-    answer: str = typer.prompt(text, default=guess, err=True)
-    return "" if answer == guess else answer
+    text = f"{key}: {VALUES[key].text}" if key in VALUES else key
+    answer: str = typer.prompt(text, default=proposal, err=True)
+    return "" if answer == proposal else answer
 
 
 # ---- check
@@ -254,7 +238,6 @@ def _check_dataset(invocation: Invocation, path: Path) -> None:
     from needlefit.datasets.read import inspect
     from needlefit.datasets.sections import describe_measurement
     from needlefit.datasets.select import find_hole_source, name_holes
-    from needlefit.schemas.origin import ORIGIN_MARKS
 
     found = inspect(path)
     faults, dataset, planes, measured, holes = found.faults, found.dataset, [], "", dict[str, str]()

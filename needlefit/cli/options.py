@@ -214,7 +214,7 @@ def name_changes(depth: float | None, assignments: Sequence[str], specimen: str 
 
 
 def split_pair(text: str, words: str = "--set") -> tuple[str, str]:
-    """Return key and value of a word of --set or --setup; an empty value removes the key."""
+    """Return key and value of a word of --set; an empty value removes the key."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
         raise typer.BadParameter(f"`{text}` is not KEY=VALUE", param_hint=words)

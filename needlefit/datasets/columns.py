@@ -9,6 +9,7 @@ from typing import Literal, get_args
 
 from needlefit.arrays import Floats
 from needlefit.geometry.frames import Frame
+from needlefit.schemas.names import MAX_NAME_BYTES
 
 # Where an entry pose comes from. "first_point": its direction from stage or shaft, its place from the first
 # point of the inserted needle, which has moved with the needle. "none": of free shapes and tip tracks.
@@ -75,8 +76,12 @@ NUMBER_COLUMNS: dict[str, tuple[str, float | None]] = {
 }
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
-# An id names a file: at most 100 letters, digits, point, underline, hyphen.
-ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+MAX_ID_CHARS = 100
+EXPECTED_ID = (
+    f"at most {MAX_ID_CHARS} letters of any script, digits, `.`, `_`, `-`, a letter or digit first: it "
+    "names a file"
+)
+_ID_CATEGORIES = "LMN"  # of Unicode: letters, marks that are part of them, digits
 
 
 def describe_column(theirs: Mapping[str, str], column: str) -> str:
@@ -86,12 +91,22 @@ def describe_column(theirs: Mapping[str, str], column: str) -> str:
 
 
 def make_id(text: str, default: str) -> str:
-    """Return `text` reduced to the characters that `ID_PATTERN` allows; `default` if none is left.
+    """Return `text` reduced to the characters of an id; `default` if none is left.
 
-    Letters lose their accents, so that a name is the same id however its file system writes them.
+    It is the same id however its file system composes letters and accents.
     """
-    plain = "".join(one for one in unicodedata.normalize("NFKD", text) if not unicodedata.combining(one))
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", plain).lstrip("._-") or default
+    letters = unicodedata.normalize("NFC", text)
+    kept = "".join(
+        one if one in "._-" or unicodedata.category(one)[0] in _ID_CATEGORIES else " " for one in letters
+    )
+    start = next((n for n, one in enumerate(kept) if one.isalnum()), len(kept))
+    return re.sub(" +", "_", kept[start:]) or default
+
+
+def is_id(text: str) -> bool:
+    """Whether a text can name an insertion and its files."""
+    is_short = len(text) <= MAX_ID_CHARS and len(text.encode("utf-8")) <= MAX_NAME_BYTES
+    return is_short and bool(text) and text == make_id(text, "")
 
 
 @dataclass(frozen=True)

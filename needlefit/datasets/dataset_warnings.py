@@ -1,7 +1,7 @@
 """Warn about a dataset that can be fitted all the same: placeholders, units, copies, bevel sides."""
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -32,6 +32,7 @@ from needlefit.datasets.planes import (
 from needlefit.datasets.points import find_rounding
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml import load
 from needlefit.project.unit_warnings import (
     ANGLE_SD_DEG,
     ANGLE_UNITS,
@@ -44,6 +45,7 @@ from needlefit.project.unit_warnings import (
     warn,
 )
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, needle_key
+from needlefit.schemas.mapping import MappingRecord
 
 PLACEHOLDER = "TO FILL IN"  # marks values that a template cannot know
 
@@ -78,8 +80,26 @@ MAX_LEVEL_PART = 0.1  # of that, most spread of the last ones
 # ---- the record
 
 
-def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> Iterator[ResultWarning]:
-    """Yield the warnings about a `dataset.toml`, without regard to its tables."""
+MAPPING_FILE = "mapping.toml"  # beside dataset.toml: how an import read its files
+
+
+def read_assumed(record: DatasetRecord | TrackDatasetRecord, file: Path) -> dict[str, str]:
+    """Return what the import of a dataset assumed, by key, with its value and the reason."""
+    path = file.parent / MAPPING_FILE
+    if record.import_ is None or record.import_.mapping is None or not path.is_file():
+        return {}
+    mapping = load(path, MappingRecord)
+    return {key: f"{mapping.values[key]}: {why}" if key in mapping.values else why
+            for key, why in mapping.assumed.items()}  # fmt: skip
+
+
+def find_record_warnings(
+    record: DatasetRecord | TrackDatasetRecord, file: Path, assumed: Mapping[str, str]
+) -> Iterator[ResultWarning]:
+    """Yield the warnings about a `dataset.toml`, without regard to its tables.
+
+    `assumed`: what its import assumed, by key.
+    """
     where = format_place(file)
     texts = {key: getattr(record, key) for key in ("title", "license", "source", "notes")}
     if keys := [key for key, text in texts.items() if PLACEHOLDER in text]:
@@ -91,11 +111,11 @@ def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path)
     needles = record.all_needles
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
-    decisions = () if record.import_ is None else record.import_.decisions
-    if assumed := [f"{one.what} = {one.value}" for one in decisions if one.source == "assumption"]:
-        yield ResultWarning.of(f"""the import assumed {"; ".join(assumed)}
-            fix: correct what is wrong, and write source = "confirmed" in its line of [import]
-            where: {where("import.decisions")}
+    if assumed:
+        listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
+        yield ResultWarning.of(f"""the import assumed {listed}
+            fix: correct what is wrong, or import again with --set; then remove its line from [assumed]
+            where: {MAPPING_FILE}
             kind: assumed""")
     pose_sd, noise = (MIN_POSE_SD_MM, MAX_POSE_SD_MM), record.noise
     larger = "point" if noise.point_sd_mm >= noise.correlated_sd_mm else "correlated"
@@ -387,7 +407,7 @@ def _find_reversed_warnings(listed: Sequence[ListedInsertion], noise: Noise) -> 
     if (is_turned := begin > max(2 * end, SIGNIFICANT_SD * sd, MIN_BEND_SLOPE)) or is_level:
         why = "begin off the entry direction, and end along it" if is_turned else "end in a plane across them"
         yield ResultWarning.of(f"""curves seem to run from the tip to the entry: they {why}
-            fix: check the order of the points; at an import --entry last states this one
+            fix: check the order of the points; at an import `--set entry=last` states this one
             where: {listed[0].where}
             kind: reversed""")
 

@@ -16,8 +16,8 @@ from needlefit.datasets.columns import (
     CURVATURE_COLUMNS,
     DIRECTION_COLUMNS,
     ENTRY_COLUMNS,
+    EXPECTED_ID,
     HOLE_COLUMN,
-    ID_PATTERN,
     MIN_SENSOR_MM,
     NO_BOUNDARY,
     NUMBER_COLUMNS,
@@ -32,6 +32,7 @@ from needlefit.datasets.columns import (
     TURN_COLUMNS,
     InsertionRow,
     describe_column,
+    is_id,
 )
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers, rename_columns
@@ -241,9 +242,9 @@ def _to_int(value: float) -> int:
 
 def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
-    if not ID_PATTERN.fullmatch(row.id):
+    if not is_id(row.id):
         yield refusal(f"""id is {row.id!r}
-            expected: at most 100 letters, digits, `.`, `_`, `-`: it names a file
+            expected: {EXPECTED_ID}
             fix: rename it, and its centreline with it
             where: {where}""")
     for name, value in (("specimen", row.specimen), (HOLE_COLUMN, row.hole)):

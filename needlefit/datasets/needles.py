@@ -1,24 +1,16 @@
 """The needles of a dataset: read them from its records, find their faults, describe them."""
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import refusal
 from needlefit.grouping import group_values
 from needlefit.mechanics.needle import Needle
 from needlefit.project.toml import locate_key
-from needlefit.project.unit_warnings import GAUGES_MM, MODULUS_GPA
-from needlefit.schemas.dataset import (
-    DatasetRecord,
-    ImportDecisionRecord,
-    ImportRecord,
-    TrackDatasetRecord,
-    needle_key,
-)
+from needlefit.project.unit_warnings import MODULUS_GPA
+from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord, needle_key
 from needlefit.schemas.run_metadata import NeedleMetadata
 from needlefit.schemas.scene import NeedleRecord
 
@@ -47,52 +39,23 @@ def find_needle_faults(record: DatasetRecord | TrackDatasetRecord, file: Path) -
                 where: {locate_key(file, key)}""")
 
 
-# How the words of an import's decision begin that is not from a file.
-_ORIGINS = {
-    "option": "stated at the import",
-    "answer": "answered at the import",
-    "guess": "guessed at the import",
-    "assumption": "assumed at the import",
-    "confirmed": "confirmed after the import",
-}
+def describe_rigidity(needle: NeedleRecord, assumed: Container[str]) -> str:
+    """Return from which stated values the flexural rigidity of a needle follows, and which were assumed.
 
-
-def describe_rigidity(needle: NeedleRecord, imported: ImportRecord | None) -> str:
-    """Return from which stated values the flexural rigidity of a needle follows, and where each is from."""
+    `assumed`: the keys that an import assumed.
+    """
     outer, inner, modulus = needle.outer_diameter_mm, needle.inner_diameter_mm, needle.youngs_modulus_gpa
     if outer is None or modulus is None:
         return "stated in dataset.toml"
-    decisions = {} if imported is None else {one.what: one for one in imported.decisions}
     values = (
-        ("diameter", outer, f"diameter {outer:g} mm"),
-        ("inner diameter", inner, f"inner diameter {inner:g} mm" if inner else "solid"),
-        ("modulus", modulus, f"{modulus:g} GPa"),
+        ("diameter", f"diameter {outer:g} mm"),
+        ("inner_diameter", f"inner diameter {inner:g} mm" if inner else "solid"),
+        ("modulus", f"{modulus:g} GPa"),
     )
-    found = []
-    for what, value, words in values:
-        decision = decisions.get(what)
-        if decision is None or not _is_still(decision.value, value):
-            found.append(("from dataset.toml", words))
-            continue
-        named = f" ({decision.value})" if any(one.isalpha() for one in decision.value) else ""
-        found.append((_describe_origin(decision), f"{words}{named}"))
-    return "; ".join(f"{', '.join(parts)} {origin}" for origin, parts in group_values(found).items())
-
-
-def _describe_origin(decision: ImportDecisionRecord) -> str:
-    file = decision.reason.partition(",")[0]
-    return _ORIGINS.get(decision.source) or f"from {file if '.' in file else 'the imported files'}"
-
-
-def _is_still(stated: str, value: float) -> bool:
-    """Whether a value, mm or GPa, is still the one that an import took; True of several needles' values."""
-    if (read := read_quantity(find_meaning("value", stated) or stated)) is None:
-        return True
-    number, unit = read
-    given = (
-        GAUGES_MM.get(int(number), 0.0) if unit == "G" else number * {**UNITS_MM, **UNITS_GPA}.get(unit, 1.0)
-    )
-    return math.isclose(given, value, rel_tol=1e-3, abs_tol=1e-9)
+    origins = [
+        ("assumed at the import" if key in assumed else "from dataset.toml", words) for key, words in values
+    ]
+    return "; ".join(f"{', '.join(parts)} {origin}" for origin, parts in group_values(origins).items())
 
 
 def find_unknown_needle(cell: str, where: str, record: DatasetRecord | TrackDatasetRecord) -> Iterator[Fault]:

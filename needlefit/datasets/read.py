@@ -19,6 +19,7 @@ from needlefit.datasets.dataset_warnings import (
     find_record_warnings,
     find_scatter_warnings,
     find_side_warnings,
+    read_assumed,
 )
 from needlefit.datasets.digests import digest_insertion
 from needlefit.datasets.faults import Fault, as_error
@@ -103,7 +104,8 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
     if root is None:
         reading.faults += find_checksum_faults(record.checksums, reading.root)
     reading.faults += find_record_faults(record, file)
-    reading.warnings += find_record_warnings(record, file)
+    assumed = read_assumed(record, file)
+    reading.warnings += find_record_warnings(record, file, assumed)
     insertions, files, own = (_read_tracks if of_tracks else _read_shapes)(reading)
     if reading.faults:  # each once, without warnings about their places
         places = {fault.where for fault in reading.faults}
@@ -127,7 +129,7 @@ def inspect(path: Path, root: Path | None = None) -> Inspection:
         files=sources,
         notes=tuple(head + text.strip() for head, text in parts if text.strip()),
         warnings=tuple(reading.warnings),
-        rigidities={one.name: describe_rigidity(one, record.import_) for one in record.all_needles.values()},
+        rigidities={one.name: describe_rigidity(one, assumed) for one in record.all_needles.values()},
         **own,
     )
     return Inspection(dataset, (), dataset.warnings)

@@ -22,7 +22,6 @@ from needlefit.schemas.dataset import (
     DatasetMediumRecord,
     DatasetRecord,
     FrameRecord,
-    ImportDecisionRecord,
     ImportRecord,
     InsertionsRecord,
     MeasurementRecord,
@@ -117,16 +116,11 @@ def _dataset_record(
     drawn = all(one.sections is not None for one in reconstructions)
     sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
     registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
-    decisions = tuple(
-        ImportDecisionRecord(
-            what=f"{name} of {one.scan.id}",
-            value=f"{one.depth:.2f} mm deep",
-            source="confirmed",
-            reason=doubt,
-        )
+    confirmed = {
+        f"{name} of {one.scan.id}": f"{one.depth:.2f} mm deep; {doubt}"
         for one in reconstructions
         for name, doubt in one.confirmed
-    )
+    }
     return DatasetRecord(
         schema_=1,
         name=description.name,
@@ -162,7 +156,7 @@ def _dataset_record(
         # centrelines are splines through stored cross-sections, if all of them are
         measurement=MeasurementRecord(operator="spline", sections=SECTIONS_PATTERN) if drawn else None,
         media=media,
-        import_=ImportRecord(decisions=decisions) if decisions else None,
+        import_=ImportRecord(confirmed=confirmed) if confirmed else None,
     )
 
 

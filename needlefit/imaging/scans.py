@@ -15,7 +15,14 @@ from typing import Any, Literal
 import numpy as np
 
 from needlefit.arrays import Floats
-from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN, make_id
+from needlefit.datasets.columns import (
+    BEVEL_COLUMNS,
+    DIRECTION_COLUMNS,
+    ENTRY_COLUMNS,
+    EXPECTED_ID,
+    is_id,
+    make_id,
+)
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import list_columns, parse_numbers, read_table
 from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
@@ -243,9 +250,8 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
 def _word_faults(row: ScanRow) -> Iterator[tuple[str, str, str]]:
     """Yield what is wrong with words and files of a row, what is expected, and the fix."""
     for name in ("id", "medium"):
-        if row.text[name] and not ID_PATTERN.fullmatch(row.text[name]):
-            expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
-            yield f"{name} is {row.text[name]!r}", expected, "rename it"
+        if row.text[name] and not is_id(row.text[name]):
+            yield f"{name} is {row.text[name]!r}", EXPECTED_ID, "rename it"
     for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
         if wrong := name_fault(given):
             yield f"{name} is {given!r}: {wrong}", EXPECTED_NAME, "rename it"

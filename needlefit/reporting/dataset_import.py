@@ -1,7 +1,7 @@
 """Show what an import understood: a table of its needles, and a picture of them in both frames."""
 
-import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,20 +13,19 @@ from matplotlib.tri import Triangulation
 from needlefit.arrays import Floats
 from needlefit.datasets.dataset_warnings import find_bend_side
 from needlefit.datasets.first_study import SCENE_FILE, write_scene, write_starter_study
-from needlefit.datasets.importing.answers import Answers
-from needlefit.datasets.importing.curves import ImportContent
 from needlefit.datasets.importing.directions import snap_to_axis
-from needlefit.datasets.importing.planning import ImportPlan
+from needlefit.datasets.importing.place import ImportPlan
+from needlefit.datasets.importing.prepare import PreparedImport
 from needlefit.datasets.importing.writing import write_plan
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.read import read
 from needlefit.geometry.curves import make_normal
 from needlefit.geometry.frames import normalize
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.folders import replace_folder
 from needlefit.project.locate import join_names
-from needlefit.reporting.figures.style import draw, draw_grid, separate_positions
+from needlefit.reporting.figures.style import draw, draw_grid, label_origin, separate_positions
 from needlefit.reporting.labels import GREY, INK
+from needlefit.schemas.origin import ORIGIN_MARKS
 
 PICTURE_FILE = "import.png"
 
@@ -40,19 +39,21 @@ _SURFACE_COLOURS = ("#c8b88a", "#a9b7c6", "#c9a3a3", "#a8bfa3")
 _SIDES = {"toward": "toward", "away": "AWAY", "unknown": "too straight"}
 
 
-def write_import(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Dataset:
-    """Write the dataset of a plan, its picture, a scene and a first study into a new folder, or nothing.
+def write_import(folder: Path, prepared: PreparedImport) -> Dataset:
+    """Write a dataset with its mapping, picture, scene and first study into a new folder, or nothing.
 
     Tip tracks get no picture, scene and study. ConfigError if `folder` holds something. DataError: listing
     the faults of the dataset, at their places in the imported files.
     """
     with replace_folder(folder, is_result=False) as fresh:
-        dataset = read(write_plan(fresh, content, plan, answers))
+        plan = prepared.plan
+        dataset = write_plan(fresh, prepared.content, plan, prepared.mapping)
         if plan.pose != "tracker":
             write_starter_study(fresh, dataset)
             write_scene(fresh / SCENE_FILE, dataset, max(dataset.insertions, key=lambda one: one.depth))
             draw(fresh / PICTURE_FILE, lambda: paint_import(dataset, plan))
-    return dataset
+    warnings = [replace(one, where=one.where.replace(str(fresh), str(folder))) for one in dataset.warnings]
+    return replace(dataset, warnings=tuple(warnings))
 
 
 def tabulate_needles(dataset: Dataset) -> pd.DataFrame:
@@ -83,28 +84,37 @@ def _format_point(point: Floats) -> str:
     return ", ".join(f"{value:z.1f}" for value in point)
 
 
-def tabulate_decisions(answers: Answers) -> pd.DataFrame:
-    """Return one row for each decision: what, value, where it comes from, why.
+def tabulate_columns(prepared: PreparedImport) -> pd.DataFrame:
+    """Return one row for each meaning of each table: its column, unit and first values in mm."""
+    frame = pd.DataFrame([*prepared.columns], columns=["table", "meaning", "column", "unit", "first values"])
+    return frame.drop(columns=["table"]) if frame["table"].nunique() == 1 else frame
 
-    What is not used of one kind has one row: all columns, and all rows of cells.
-    """
-    rows, unused = list[dict[str, str]](), dict[tuple[str, str], list[str]]()
-    for one in answers.made:
-        kind, _, name = one.value.partition(" ")
-        if one.what == "not used" and kind in ("column", "row"):
-            place = re.sub(r"(:\d+|, sheet [^:]*)", "", one.reason, count=1)  # without the row
-            names = unused.setdefault((kind, place), [])
-            if not names:
-                rows.append({"decision": one.what, "value": kind, "from": one.source, "why": place})
-            names += [name] if name not in names else []
-        else:
-            rows.append({"decision": one.what, "value": one.value, "from": one.source, "why": one.reason})
-    for row in rows:
-        if names := unused.get((row["value"], row["why"]), []) if row["decision"] == "not used" else []:
-            kind = row["value"] + "s" * (len(names) > 1)
-            count = f"{len(names)} " if row["value"] == "row" and len(names) > 1 else ""
-            row["value"] = f"{count}{kind} {join_names(names, MAX_LISTED_UNUSED)}"
-    return pd.DataFrame(rows)
+
+def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
+    """Return one row for what holds of all needles: key, value, and the reason where it is assumed."""
+    mapping = prepared.mapping
+    keys = dict.fromkeys([*mapping.values, *mapping.assumed])
+    rows = [
+        {
+            "key": key,
+            "value": mapping.values.get(key, ""),
+            "from": "assumed" if key in mapping.assumed else "stated",
+            "why": mapping.assumed.get(key, ""),
+        }
+        for key in keys
+    ]
+    rows += [{"key": what, "value": text, "from": "files", "why": ""} for what, text in prepared.notes]
+    return pd.DataFrame(rows, columns=["key", "value", "from", "why"])
+
+
+def describe_unused(prepared: PreparedImport) -> str:
+    """Return what the files hold beside what was read, in one sentence; empty if nothing."""
+    by_place = dict[str, list[str]]()
+    for what, where in prepared.unused:
+        by_place.setdefault(where, []).append(what)
+    parts = [f"{join_names(names, MAX_LISTED_UNUSED)} ({where})" for where, names in by_place.items()]
+    parts += [f"points without a measured coordinate: {text}" for text in prepared.content.left_out]
+    return f"Not used: {'; '.join(parts)}." if parts else ""
 
 
 # ---- the picture
@@ -113,6 +123,7 @@ def tabulate_decisions(answers: Answers) -> pd.DataFrame:
 def paint_import(dataset: Dataset, plan: ImportPlan) -> Figure:
     """Draw the needles with the surfaces as they lie in the world, and each one in its own frame."""
     figure = Figure(figsize=(6.7, 2.9))
+    label_origin(figure, ORIGIN_MARKS[dataset.origin])
     left, right = figure.subplots(1, 2)
     _draw_world(left, dataset.insertions, plan.surfaces)
     _draw_shapes(right, dataset, "bevel" if plan.rows[0].bevel is not None else "bend")

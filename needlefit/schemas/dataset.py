@@ -242,31 +242,15 @@ def boundaries_fault(depths: Sequence[float]) -> str:
     return f"must be positive and increase, got {list(depths)}"
 
 
-ImportSource = Literal["file", "option", "answer", "guess", "assumption", "confirmed"]
-
-
-class ImportDecisionRecord(Record):
-    """One decision of an import, or of a person about a scan."""
-
-    what: str
-    """What was decided: the name of the option of `needlefit import` that states it, or a column."""
-    value: str
-    """What was taken."""
-    source: ImportSource
-    """Where it comes from: the files, an option, an answer of the user, a guess from the bends of needles or
-    from names, or an assumption without evidence, of which `check` warns. Write "confirmed" once you have
-    checked it."""
-    reason: str = ""
-    """Evidence for it."""
-
-
 class ImportRecord(Record):
     """What a dataset was made from."""
 
     files: dict[str, str] = {}
     """SHA-256 of the imported files, by name."""
-    decisions: tuple[ImportDecisionRecord, ...] = ()
-    """Every decision, in its order."""
+    confirmed: dict[str, str] = {}
+    """What a person has confirmed of a scan, as `entry of SCAN`, and what was doubted."""
+    mapping: str | None = None
+    """File that states how they were read, and what was assumed (`needlefit explain mapping`)."""
 
 
 class SourceRecord(FileRecord):

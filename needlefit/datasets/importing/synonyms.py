@@ -57,11 +57,6 @@ def load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     return tuple((system, unit, tuple(names.split(";"))) for _, system, unit, names, *_ in rows)
 
 
-def list_meanings() -> tuple[str, ...]:
-    """Return the meanings that a column may have beside coordinates."""
-    return tuple(dict.fromkeys(meaning for (kind, _), (meaning, _) in _load().items() if kind == "column"))
-
-
 def _split(text: str) -> list[str]:
     """Return the words of a text, in small letters without accents."""
     plain = unicodedata.normalize("NFKD", _CAMEL.sub(" ", text.replace("°", " deg")))
@@ -84,7 +79,8 @@ def find_meaning(kind: str, text: str) -> str:
 def split_unit(text: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit: `x [mm]`, `x_mm`. One in brackets may be unknown."""
     text = INDEX.sub(r" \1 ", text)
-    bracket, ending = _BRACKET.search(text), _ENDING.search(text)
+    brackets, ending = [*_BRACKET.finditer(text)], _ENDING.search(text)
+    bracket = next((one for one in brackets if find_meaning("unit", one[1])), next(iter(brackets), None))
     inside = bracket[1] if bracket is not None else ""
     is_word = len(inside) > 1 and any(find_meaning(kind, inside) for kind in ("column", "filler"))
     if bracket is not None and not is_word:

@@ -1,185 +1,321 @@
-"""Read text tables of any separator, decimal sign and encoding, and the sheets of workbooks, as cells."""
+"""Read files as grids of cells, and lay a grid out as a table of columns, as a mapping states."""
 
 import codecs
 import csv
 import io
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import date, time, timedelta
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any
 
+from needlefit.datasets.formats import find_format
 from needlefit.datasets.formats.csv import check_extent
-from needlefit.datasets.importing.synonyms import read_header
-from needlefit.datasets.points import MAX_COORDINATE
-from needlefit.errors import DataError, refusal
-from needlefit.project.input_files import open_regular, read_bytes
+from needlefit.datasets.importing.synonyms import find_meaning, read_header
+from needlefit.datasets.points import MAX_COORDINATE, Points
+from needlefit.errors import refusal
+from needlefit.geometry.frames import PatientSystem
+from needlefit.project.input_files import open_regular, path_exists, read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
+from needlefit.schemas.mapping import ColumnName, TableRecord
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
-
 MAX_TABLE_BYTES = 16 * 2**20  # of a text table
 MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
 MAX_SHEET_BYTES = 64 * 2**20
 MAX_CELL_CHARS = 500  # longer text is no header and no number; the rest of it is dropped
-SAMPLE_ROWS = 300  # rows by which the separator and the decimal sign are found
-MISSING = frozenset(["nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "inf", "-inf", "+inf"])
-
-_NUMBERS = {
-    ".": re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE),
-    ",": re.compile(r"[-+]?(\d{1,3}(\.\d{3})+,\d+|\d+,?\d*|,\d+)(e[-+]?\d+)?", re.IGNORECASE),
+UNIT_FIELDS = ("unit", "units")  # names of fields beside a curve, in lower case
+EXPORT_FIX = "export the points as CSV, one a row, with columns needle, x, y, z and the unit in the headers"
+EXPORT_FIXES = {
+    **dict.fromkeys((".vtk", ".vtp", ".vtu"), "in ParaView: File, Save Data, CSV, a needle a file"),
+    ".dcm": "RT structure sets are read; scans are read by `needlefit reconstruct`",
 }
-_NUMBER_START = re.compile(r"[-+\u2212(~<>]*\d")
-_LAYOUTS = (  # separators and decimal signs, in the order in which equally good ones are taken
-    *((";", ","), (";", "."), ("\t", ","), ("\t", "."), (",", "."), (",", ","), (" ", ","), (" ", ".")),
-)
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
 
 
-class UnclearTableError(DataError):
-    """A table may be read in more than one way."""
-
-
-class UnclearLayoutError(UnclearTableError):
-    """Each row may be a needle, or hold a point of each."""
-
-
-class UnclearColumnsError(UnclearTableError):
-    """No columns of a table are known to be coordinates: it may hold something else."""
-
-
-Place = tuple[int, int]  # row and column of a cell
-
-
-@dataclass(frozen=True, eq=False)
-class CellTable:
-    """The cells of a text table or of one sheet, as stripped text, and which of them were used."""
+@dataclass(frozen=True)
+class Grid:
+    """The cells of a text file or of one sheet, as stripped text."""
 
     path: Path
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
-    sheet: str = ""  # name of the sheet; empty for a text table
-    decimal: str = "."  # in a sheet, where numbers are stored as such, a comma in a text is read, too
-    separator: str = ""  # between the cells; empty for a sheet
-    used: set[tuple[int, int]] = field(default_factory=set)  # rows and columns of the cells that were used
+    sheet: str = ""  # empty for a text file
+    lines: Sequence[int] = ()  # of the file, on which a row begins; empty: row n is line n
 
-    def where(self, row: int, column: int | None = None) -> str:
-        """Return the place of a row, or of its cell in a column, for a message."""
-        cell = "" if column is None else f", column {column + 1}"
-        place = f", sheet {self.sheet}, row {row + 1}" if self.sheet else f":{row + 1}"
-        return f"{self.path}{place}{cell}"
+    def where(self, row: int) -> str:
+        """Return the place of a row, counted from 0."""
+        if self.sheet:
+            return f"{self.path}, sheet {self.sheet}, row {row + 1}"
+        return f"{self.path}:{self.lines[row] if self.lines else row + 1}"
 
-    def use(self, row: int, *columns: int) -> None:
-        """Mark cells of a row as used."""
-        self.used.update((row, column) for column in columns)
 
-    def cell(self, row: int, column: int) -> str:
-        """Return a cell; empty where its row ends before it."""
-        return self.rows[row][column] if column < len(self.rows[row]) else ""
+@dataclass(frozen=True)
+class Table:
+    """Columns of cells below their headers."""
+
+    path: Path
+    name: str  # of the sheet, or of the file
+    headers: tuple[str, ...]
+    rows: Sequence[Sequence[str]]  # as wide as the headers
+    places: Sequence[str]  # of each row
+    lines: Sequence[int] | None  # of each row; None where the file has none
+    decimal: str = "."
+    thousands: str = ""
+    system: PatientSystem | None = None  # of the scan, which the format states
+    first_headers: tuple[tuple[str, ...], ...] = ()  # texts of the rows of headers
+
+    def find(self, name: ColumnName) -> int | None:
+        """Return the column with a header or number; None if there is none, or several."""
+        if isinstance(name, int):
+            return name - 1 if 1 <= name <= len(self.headers) else None
+        for texts in (self.headers, *self.first_headers):
+            found = [n for n, text in enumerate(texts) if text == name]
+            if len(found) == 1:
+                return found[0]
+        return None
 
     def number(self, text: str) -> float | None:
         """Return the number in a cell; None where there is none."""
-        found = parse_number(text, self.decimal)
-        return parse_number(text, ",") if found is None and self.sheet else found
-
-    def filled(self, row: int) -> list[int]:
-        """Return the columns of a row that are not empty."""
-        return [column for column, text in enumerate(self.rows[row]) if text]
-
-    def count_numbers(self, row: int) -> int:
-        """Return how many cells of a row are numbers."""
-        return sum(self.number(text) is not None for text in self.rows[row] if text)
+        return parse_number(text, self.decimal, self.thousands)
 
 
-def parse_number(text: str, decimal: str) -> float | None:
-    """Return a number written with a decimal sign; None for anything else.
-
-    With a decimal comma, points before it separate thousands.
-    """
+def parse_number(text: str, decimal: str = ".", thousands: str = "") -> float | None:
+    """Return a number with these signs; None for anything else."""
     plain = text.replace("\u00a0", "").replace("\u2212", "-").strip()
-    if not _NUMBERS[decimal].fullmatch(plain):
+    plain = plain.replace(thousands, "") if thousands else plain
+    if decimal == ",":
+        plain = plain.replace(",", ".") if "." not in plain and plain.count(",") < 2 else "?"
+    value = float(plain) if _NUMBER.fullmatch(plain) else None
+    return value if value is not None and abs(value) <= MAX_COORDINATE else None
+
+
+# ---- lay a grid out
+
+
+def lay_out(grid: Grid, record: TableRecord) -> Table:
+    """Return the columns of a grid as its mapping states them.
+
+    DataError if a row of headers is not there, or a row has more cells than the headers.
+    """
+    if record.layout == "pairs":
+        return _lay_out_pairs(grid, record)
+    heads = _read_heads(grid, record)
+    headers = [" ".join(filter(None, texts)) for texts in zip_longest(*heads, fillvalue="")]
+    start = max(record.header_rows, default=0)
+    body, pairs = _divide_blocks(grid, record) if record.blocks else _list_body(grid, record, start)
+    width = len(headers) or max((len(grid.rows[n]) for n in body), default=0)
+    if headers and record.separator == " " and body and all(len(grid.rows[n]) == width + 1 for n in body):
+        headers, heads = ["", *headers], [["", *head] for head in heads]  # names of rows, as R writes them
+        width += 1
+    for n in body:
+        _require_width(grid, n, width, record)
+    names = dict.fromkeys(name for own in pairs for name in own)
+    headers = [*(headers or [""] * width), *names]
+    rows = [
+        [*grid.rows[n][:width], *[""] * (width - len(grid.rows[n])), *(own.get(name, "") for name in names)]
+        for n, own in zip(body, pairs, strict=True)
+    ]
+    table = Table(
+        grid.path, grid.sheet or grid.path.name.partition(".")[0], tuple(headers), rows,
+        [grid.where(n) for n in body], [grid.lines[n] if grid.lines else n + 1 for n in body],
+        record.decimal, record.thousands, first_headers=tuple(map(tuple, heads)),
+    )  # fmt: skip
+    for name in record.fill_down:
+        if (column := table.find(name)) is not None:
+            for above, row in pairwise(rows):
+                row[column] = row[column] or above[column]
+    return table
+
+
+def _read_heads(grid: Grid, record: TableRecord) -> list[list[str]]:
+    """Return the texts of the rows of headers; what stands above several columns is repeated."""
+    if max(record.header_rows, default=0) > len(grid.rows):
+        raise refusal(f"""has {len(grid.rows)} rows, and no headers in row {max(record.header_rows)}
+            expected: the numbers of the rows of headers
+            fix: correct header_rows
+            where: {grid.path}""")
+    heads = [_strip_comment(grid.rows[n - 1], record.comment) for n in record.header_rows]
+    for head in heads[:-1]:
+        if sum(map(bool, head)) < sum(map(bool, heads[-1])):
+            for n in range(1, len(head)):
+                head[n] = head[n] or head[n - 1]
+    return heads
+
+
+def _strip_comment(row: Sequence[str], comment: str) -> list[str]:
+    if not comment or not row or not row[0].startswith(comment):
+        return [*row]
+    first = row[0].removeprefix(comment).strip()
+    return [first, *row[1:]] if first else [*row[1:]]  # `# x y z`: the sign is a cell of its own
+
+
+def _list_body(grid: Grid, record: TableRecord, start: int) -> tuple[list[int], list[dict[str, str]]]:
+    """Return the rows below the headers that hold anything, and no pairs above them."""
+    skipped = {n - 1 for n in record.skip_rows}
+    body = [
+        n
+        for n, row in enumerate(grid.rows)
+        if n >= start and n not in skipped and any(row) and not _is_comment(row, record.comment)
+    ]
+    return body, [{} for _ in body]
+
+
+def _is_comment(row: Sequence[str], comment: str) -> bool:
+    return bool(comment) and row[0].startswith(comment)
+
+
+BLOCK = "block"  #: header of the numbers of blocks, where there are several
+OWN_PAIRS = ("needle", "depth", "bevel_side", "medium", "specimen")  #: they end with their block
+
+
+def _divide_blocks(grid: Grid, record: TableRecord) -> tuple[list[int], list[dict[str, str]]]:
+    """Return the rows of all blocks, and of each the pairs of names and values that stand above it.
+
+    What all needles share holds until it is stated again.
+    """
+    head = [*grid.rows[record.header_rows[-1] - 1]] if record.header_rows else []
+    repeated = {n for n, row in enumerate(grid.rows) if [*row] == head}
+    headers, is_repeated = {n - 1 for n in record.header_rows} | repeated, len(repeated) > 1
+    ends = {
+        name
+        for meaning in OWN_PAIRS
+        if (own := record.columns.get(meaning)) is not None
+        for name in own.columns
+    }
+    body, pairs = list[int](), list[dict[str, str]]()
+    stated, is_above, block = dict[str, str](), True, 0
+    for n, row in enumerate(grid.rows):
+        block += n in repeated
+        if n in headers or n + 1 in record.skip_rows or not any(row) or _is_comment(row, record.comment):
+            continue
+        if pair := read_pair(row):
+            stated = stated if is_above else {key: text for key, text in stated.items() if key not in ends}
+            stated, is_above = stated | dict([pair]), True
+        elif n > min(headers, default=-1):
+            body.append(n)
+            pairs.append(stated | ({BLOCK: str(block)} if is_repeated else {}))
+            is_above = False
+    return body, pairs
+
+
+def read_pair(row: Sequence[str]) -> tuple[str, str] | None:
+    """Return the name and the value in a row; of a title alone the name is `title`. None of any other row.
+
+    `depth | 40`, `depth | 40 | mm`, `boundaries | 20 | 40`, `depth: 40`, `Needle 3`.
+    """
+    filled = [text.strip("# ") for text in row if text]
+    if not filled or parse_number(filled[0]) is not None or parse_number(filled[0], ",") is not None:
         return None
-    value = float(plain.replace(".", "").replace(",", ".") if decimal == "," else plain)
-    return value if abs(value) <= MAX_COORDINATE else None
+    if len(filled) == 1:
+        name, sign, value = re.match(r"([^:=：]*)([:=：]?)(.*)", filled[0], re.DOTALL).groups()  # type: ignore[union-attr]
+        return (name.strip(), value.strip()) if sign else ("title", filled[0])
+    name, *values = filled
+    if len(values) == 2 and parse_number(values[1]) is None:
+        return f"{name.rstrip(':= ')} [{values[1]}]", values[0]
+    return (name.rstrip(":= "), "; ".join(values)) if len(row) == 2 or len(values) < 3 else None
 
 
-def is_number_like(text: str) -> bool:
-    """Whether a cell begins as a number: also one with another decimal sign, or with a remark behind it."""
-    return _NUMBER_START.match(text) is not None
+def _lay_out_pairs(grid: Grid, record: TableRecord) -> Table:
+    """Return the one row of a table whose rows are a name, a value and perhaps a unit."""
+    body, _ = _list_body(grid, record, max(record.header_rows, default=0))
+    named = [(n, (*grid.rows[n], "", "", "")[:3]) for n in body]
+    named = [(n, cells) for n, cells in named if cells[0] and cells[1]]
+    headers = tuple(f"{name} [{unit}]" if unit else name for _, (name, _, unit) in named)
+    row = [value for _, (_, value, _) in named]
+    place = grid.where(named[0][0]) if named else str(grid.path)
+    plain = tuple(name for _, (name, *_) in named)
+    return Table(
+        grid.path, grid.sheet, headers, [row], [place], [1], record.decimal, record.thousands,
+        first_headers=(plain,),
+    )  # fmt: skip
 
 
-# ---- text
+def _require_width(grid: Grid, n: int, width: int, record: TableRecord) -> None:
+    """DataError where the cells of a row of text do not stand under those of its header."""
+    row = grid.rows[n]
+    is_longer = record.separator == "," and any(row[width:])
+    if record.header_rows and (is_longer or (record.separator == " " and len(row) != width)):
+        raise refusal(f"""has {len(row)} cells under {width} headers
+            expected: as many as the headers
+            fix: correct separator, decimal or header_rows, or save the file with semicolons or tabs
+            where: {grid.where(n)}""")
 
 
-def read_text_cells(path: Path) -> CellTable:
-    """Read a text table.
+# ---- read files
 
-    DataError if the file is missing, too large or no text.
+
+def read_grids(path: Path, record: TableRecord | None = None) -> tuple[Grid, ...]:
+    """Return the grids of a text file, as its mapping states it, or of a workbook: one for each sheet.
+
+    Without a mapping a text file is one column of lines, decoded as UTF-8, UTF-16 or Windows-1252.
     """
-    lines = _decode(read_bytes(path, MAX_TABLE_BYTES), path).splitlines()
-    check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
-    sample = [line for line in lines if line.strip()][: 2 * SAMPLE_ROWS]
-    # a blank may stand in any text: it separates cells where no tab does
-    has_tabs = 2 * sum("\t" in line for line in sample) > len(sample)
-    scores = {one: _score(sample, *one) for one in _LAYOUTS if one[0] != " " or not has_tabs}
-    separator, decimal = max(scores, key=lambda layout: scores[layout])
-    rows = [_split(line, separator) for line in lines]
-    check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
-    return CellTable(path, rows, decimal=decimal, separator=separator)
+    if path.suffix.lower() in SHEET_SUFFIXES:
+        return read_sheets(path)
+    text = decode(read_bytes(path, MAX_TABLE_BYTES), path, "" if record is None else record.encoding)
+    if record is None:
+        return (Grid(path, [[line] for line in text.splitlines()]),)
+    return (split_text(text, path, record.separator),)
 
 
-def _decode(data: bytes, path: Path) -> str:
-    """Return the text of a file: by its byte order mark, else UTF-8, else Windows-1252."""
+def decode(data: bytes, path: Path, encoding: str = "") -> str:
+    """Return the text of a file: by its byte order mark, else as stated, else UTF-8, else Windows-1252."""
     is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        text = data.decode("utf-16" if is_wide else "utf-8-sig")
-    except UnicodeDecodeError:
-        # of two encodings the one in which more headers are known
-        texts = [data.decode(name, errors="replace") for name in ("cp1252", "gb18030")]
-        text = max(texts, key=_count_known_headers)
-    if "\0" in text:
-        raise refusal(f"""cannot be read as text
-            expected: text in UTF-8, UTF-16 or Windows-1252
-            fix: save it again as CSV (UTF-8)
-            where: {path}""")
-    return text
+    names = ["utf-16"] if is_wide else [encoding or "utf-8-sig", *(["cp1252"] if not encoding else [])]
+    for name in names:
+        try:
+            text = data.decode("utf-8-sig" if name == "utf-8" else name)
+        except (UnicodeDecodeError, LookupError):
+            continue
+        if "\0" not in text:
+            return text.removeprefix("\ufeff")
+    raise refusal(f"""cannot be read as text in {names[0]}
+        expected: text in UTF-8, UTF-16 or Windows-1252
+        fix: state its encoding, or save it again as CSV (UTF-8)
+        where: {path}""")
 
 
-def _count_known_headers(text: str) -> int:
-    """Return how many of the first words and phrases between separators are known as headers."""
-    parts = re.split(r"[;,\t\n\r]", text[:MAX_CELL_CHARS])
-    return sum(bool(read_header(part.strip()).meaning) for part in parts)
-
-
-def _split(line: str, separator: str) -> list[str]:
-    line = line.strip("\ufeff").strip(None if separator == " " else " \r\n")
+def split_text(text: str, path: Path, separator: str) -> Grid:
+    """Return the cells of a text; a cell in quotes may hold line breaks and separators."""
+    lines = text.splitlines()
+    check_extent(len(lines), 1, str(path), MAX_TABLE_CELLS)
     if separator == " ":
-        return line.replace(" [", "[").replace(" (", "(").split()
-    try:
-        (cells,) = csv.reader([line], delimiter=separator, skipinitialspace=True) if line else [[]]
-    except (csv.Error, ValueError):
-        cells = line.split(separator)
-    return [cell.strip()[:MAX_CELL_CHARS] for cell in cells]
+        rows = [_split_blanks(line) for line in lines]
+        starts: list[int] = []
+    else:
+        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
+        rows, starts = [], []
+        try:
+            for cells in _iterate_rows(reader, starts):
+                rows.append([cell.strip()[:MAX_CELL_CHARS] for cell in cells])
+        except csv.Error as error:
+            raise refusal(f"""cannot be read: {error}
+                expected: a text table
+                fix: save it again as CSV
+                where: {path}:{reader.line_num}""") from None
+    check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
+    return Grid(path, rows, lines=starts)
 
 
-def _score(lines: Sequence[str], separator: str, decimal: str) -> int:
-    """Return how well a layout explains lines: numbers in rows with two of them, less cells that are none.
-
-    Three coordinates beside four columns of names still count as a table, and so do known headers alone.
-    """
-    total = 0
-    for line in lines[-SAMPLE_ROWS:]:  # a header may be long, the numbers stand at the end
-        cells = [cell for cell in _split(line, separator) if cell and cell.lower() not in MISSING]
-        numbers = sum(parse_number(cell, decimal) is not None for cell in cells)
-        total += 5 * numbers - 2 * len(cells) if numbers > 1 else 0
-    heads = [sum(bool(read_header(cell).meaning) for cell in _split(line, separator)) for line in lines[:6]]
-    return total + max([one for one in heads if one > 1], default=0)
+def _iterate_rows(reader: Any, starts: list[int]) -> Iterator[list[str]]:  # noqa: ANN401 - csv's
+    """Yield the rows of a reader; add the line on which each begins."""
+    end = 0
+    for cells in reader:
+        starts.append(end + 1)
+        end = reader.line_num
+        yield cells
 
 
-# ---- workbooks
+def _split_blanks(line: str) -> list[str]:
+    """Return the words of a line; those in quotes are one, and a unit in brackets is of its header."""
+    words = re.findall(r'"[^"]*"|\S+', line.replace(" [", "[").replace(" (", "("))
+    return [word.strip('"')[:MAX_CELL_CHARS] for word in words]
 
 
-def read_sheets(path: Path) -> tuple[CellTable, ...]:
+def read_sheets(path: Path) -> tuple[Grid, ...]:
     """Read every sheet of an Excel or OpenDocument workbook.
 
     DataError if the file is missing, too large, no workbook, or protected by a password.
@@ -187,8 +323,8 @@ def read_sheets(path: Path) -> tuple[CellTable, ...]:
     with open_regular(path, MAX_SHEET_BYTES) as file:
         size = file.seek(0, io.SEEK_END)
     reader, seconds = f"{__name__}:read_workbook", size / BYTES_PER_SECOND
-    found, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
-    return tuple(CellTable(path, rows, name) for name, rows in found)
+    sheets, _ = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
+    return tuple(Grid(path, rows, name) for name, rows in sheets)
 
 
 def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]]]:
@@ -200,25 +336,76 @@ def read_workbook(_arrays: Arrays, path: str) -> list[tuple[str, list[list[str]]
         sheet = book.get_sheet_by_name(name)
         above, left = sheet.start or (0, 0)
         check_extent(above + sheet.height, left + sheet.width, path, MAX_TABLE_CELLS)
-        rows = [[_sheet_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
-        _fill_merged(rows, sheet.merged_cell_ranges or (), path)
+        rows = [[_to_text(cell) for cell in row] for row in sheet.to_python(skip_empty_area=False)]
+        for (top, column), (bottom, _) in sheet.merged_cell_ranges or ():
+            bottom = min(bottom, len(rows) - 1)
+            check_extent(max(bottom - top, 0), 1, path, MAX_TABLE_CELLS)
+            for row in rows[top + 1 : bottom + 1] if column < max(map(len, rows)) else ():
+                row[column] = rows[top][column]  # what merged cells hold stands in the first one
         sheets.append((name[:MAX_CELL_CHARS], rows))
     return sheets
 
 
-def _fill_merged(rows: list[list[str]], ranges: Sequence[tuple[Place, Place]], path: str) -> None:
-    """Write what merged cells hold, which stands in the first one, into all cells below it."""
-    width = max(map(len, rows), default=0)
-    inside = [(top, min(bottom, len(rows) - 1), left) for (top, left), (bottom, _) in ranges if left < width]
-    check_extent(sum(max(bottom - top, 0) for top, bottom, _ in inside), 1, path, MAX_TABLE_CELLS)
-    for top, bottom, left in inside:
-        for row in rows[top + 1 : bottom + 1]:
-            row[left] = rows[top][left]
-
-
-def _sheet_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds
+def _to_text(cell: Any) -> str:  # noqa: ANN401 - whatever a sheet holds
     if isinstance(cell, bool | date | time | timedelta):
         return str(cell)
     if isinstance(cell, int | float):
         return repr(int(cell)) if float(cell).is_integer() and abs(cell) < 2**53 else repr(float(cell))
     return "".join(one if one.isprintable() else " " for one in str(cell))[:MAX_CELL_CHARS].strip()
+
+
+# ---- formats with a structure of their own
+
+
+def read_structured(path: Path) -> tuple[Table, list[str]]:
+    """Return the curves of a file of a format with names and points as one table, and what is left out.
+
+    Its headers are `needle`, the axes with their unit, then the fields beside the curves.
+    """
+    form = find_format(path)
+    if form is None or form.read_curves is None or path.suffix.lower() in TEXT_SUFFIXES:
+        if not path_exists(path):
+            raise refusal(f"""there is no such file
+                fix: check the name and the path
+                where: {path}""")
+        raise refusal(f"""has the ending {path.suffix!r}, which is not read
+            expected: a table, a workbook, .mat, .jsonl, markups of Slicer, or an RT structure set
+            fix: {EXPORT_FIXES.get(path.suffix.lower(), EXPORT_FIX)}
+            where: {path}""")
+    curves, remarks = form.read_curves(path)
+    keys = [key for points in curves.values() for key in (*points.stated, *points.columns)]
+    fields = [key for key in dict.fromkeys(keys) if key.lower() not in UNIT_FIELDS and not _is_name(key)]
+    units = {_read_unit(points) or ("mm" if form.in_scan else "") for points in curves.values()}
+    if len(units) > 1 or any(", " in unit for unit in units):
+        raise refusal(f"""states the units {", ".join(sorted(filter(None, units)))}
+            expected: one unit
+            fix: correct the field of the unit
+            where: {path}""")
+    (unit,) = units
+    headers = ("needle", *(f"{axis} [{unit}]" if unit else axis for axis in "xyz"), *fields)
+    rows, places = list[list[str]](), list[str]()
+    for name, points in curves.items():
+        named = next((text for key, text in points.stated.items() if _is_name(key) and text), name)
+        of_rows = next((texts for key, texts in points.columns.items() if _is_name(key)), None)
+        for n, place in enumerate(points.values.tolist()):
+            beside = [
+                points.columns[key][n] if key in points.columns else points.stated.get(key, "")
+                for key in fields
+            ]
+            rows.append([named if of_rows is None else of_rows[n], *map(repr, place), *beside])
+            places.append(points.where(n))
+    table = Table(path, path.name.partition(".")[0], headers, rows, places, None,
+                  system="LPS" if form.in_scan else None)  # fmt: skip
+    return table, [*remarks]
+
+
+def _is_name(key: str) -> bool:
+    """Whether a field names needles."""
+    return read_header(key).meaning == "needle"
+
+
+def _read_unit(points: Points) -> str:
+    """Return the unit that names and fields of a curve state; several as one text."""
+    texts = {text for key, text in points.stated.items() if key.lower() in UNIT_FIELDS}
+    known = {find_meaning("unit", text) or text for text in {*texts, points.unit} if text}
+    return ", ".join(sorted(known))

@@ -1,77 +1,118 @@
-"""Make insertions of which the tip alone was measured, or curvatures alone: settle their names and bevels."""
+"""Make insertions of which the tip alone was measured, or curvatures alone."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.columns import InsertionRow
-from needlefit.datasets.importing.answers import Stated
 from needlefit.datasets.importing.curve_answers import CurveAnswers
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.joining import make_unique
-from needlefit.datasets.points import Points
+from needlefit.datasets.importing.curves import ImportedCurve
+from needlefit.datasets.importing.directions import to_sides
+from needlefit.datasets.importing.stated import Stated
 from needlefit.errors import refusal
-
-
-def add_needles_without_points(content: ImportContent) -> None:
-    """Add a curve without points for each needle of which curvatures alone are stated."""
-    for row in content.needles:
-        if row.sensors and row.needle not in {one.name for one in content.curves}:
-            path = content.files[0]
-            content.curves.append(ImportedCurve(row.needle, Points(path, np.empty((0, 3))), "mm"))
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame
 
 
 def split_tips(asked: CurveAnswers) -> None:
     """Make an insertion of each depth of a tip; those of a needle that is named are of one hole."""
-    found: dict[str, ImportedCurve] = {}
-    for one in asked.curves:
-        count = len(one.line)
+    insertions: dict[str, ImportedCurve] = {}
+    for curve in asked.curves:
+        count = len(curve.line)
         for n in range(max(count, 1)):
-            name = one.name if count <= 1 else f"{one.name}-{n + 1}"
-            rows = np.arange(n, min(n + 1, count))
-            hole = one.name if count > 1 and one.is_named else ""
-            points, stated = one.points.part(rows), dict(one.stated)
+            points, stated = curve.points.part(np.arange(n, min(n + 1, count))), dict(curve.stated)
             if points.sd is not None and len(points.sd):
-                stated["point sd"] = Stated(f"{points.sd[0]:g}", "mm", points.where())
-            parted = replace(one, points=replace(points, sd=None), stated=stated, hole=hole)
-            parted.name = make_unique(name, found)
-            found[parted.name] = parted
-    asked.curves[:] = found.values()
+                stated["point_sd"] = Stated(f"{points.sd[0]:g}", "mm", points.where())
+            name = curve.name if count <= 1 else f"{curve.name}-{n + 1}"
+            while name in insertions:
+                name += "-2"
+            insertions[name] = replace(
+                curve,
+                name=name,
+                points=replace(points, sd=None),
+                stated=stated,
+                hole=curve.name if count > 1 and curve.is_named else "",
+            )
+    asked.curves[:] = insertions.values()
 
 
 def make_tips(asked: CurveAnswers, sds: Sequence[float]) -> list[InsertionRow]:
-    """Return the insertions: each began at the origin, along x; its tip is off toward y, and z.
+    """Return the insertions, each with its depth and the deflections of its tip toward its bevel and across.
 
-    `sds`: the standard deviation of each tip, mm; the least of them is that of the dataset.
+    Deflections are from the line of insertion: along x, toward y. Places of tips are turned into deflections
+    by entry point and direction. `sds`: the standard deviation of each tip, mm; the least of them is that of
+    the dataset.
     """
     point_sd = min(sds)
-    asked.keep("frame", "depth along x, deflection along y", "tips are known from the line of insertion")
-    sides = asked.settle_flat_sides("import the tips of each plane")
-    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in asked.curves])
-    signs = np.ones(len(tips))
-    if len({*sides}) > 1 and (tips[:, 1] >= 0).all() and tips[:, 1].any():
-        reason = "bevels face both sides, and no deflection is negative"
-        asked.keep("deflection", "toward the bevel", reason, "guess")
-        signs = np.array(sides, dtype=np.float64)
+    curves = asked.curves
+    if any(len(one.line) and not one.is_deflection for one in curves):
+        frames = place_tips(asked)
+    else:
+        frames = [IDENTITY_FRAME for _ in curves]
+    angles = asked.settle_sides()
+    if angles is None:
+        angles = [asked.settle("bevel_side", "1", "not stated").to_angle()] * len(curves)
+    sides, turns = to_sides(angles)
+    if any(turns) and any(one.sensors for one in curves):
+        raise refusal(f"""bevels are at right angles beside curvatures
+            expected: sides 1 and -1
+            fix: import the needles of each plane
+            where: {curves[0].points.where()}""")
+    tips = np.array([one.line[0] if len(one.line) else np.zeros(3) for one in curves])
+    if len({*sides}) > 1 and not any(turns) and (tips[:, 1] >= 0).all() and tips[:, 1].any():
+        asked.settler.assumed["deflection"] = (
+            "toward the bevel: no deflection is negative, though sides differ"
+        )
+        tips[:, 1] *= sides
     in_space = tips[:, 2].any()
-    shifts = asked.each("pose shift sd", guess=f"{point_sd:g}")
-    turned = asked.each("pose angle sd")
-    rows, axes = [], np.eye(3)
-    for n, one in enumerate(asked.curves):
-        is_tip = len(one.line) > 0
-        y, z = (signs[n] * tips[n, 1:]).tolist()
+    shifts, angle_sds = (
+        asked.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point"),
+        asked.each("pose_angle_sd"),
+    )
+    rows = []
+    for n, curve in enumerate(curves):
+        is_tip, frame = len(curve.line) > 0, frames[n]
+        turned = Rotation.from_rotvec([turns[n], 0.0, 0.0])
+        _, y, z = turned.inv().apply(tips[n]).tolist()
         further = math.sqrt(max(sds[n] ** 2 - point_sd**2, 0.0))
         row = InsertionRow(
-            one.name, "", 1, find_depth(one), side=sides[n], entry=np.zeros(3), direction=axes[0],
-            bevel=axes[1], pose_source="stage", pose_shift_sd=shifts[n].to_number("pose shift sd"),
-            pose_angle_sd=float(np.radians(turned[n].to_number("pose angle sd", "deg"))), hole=one.hole,
-            tip_y=y if is_tip else None, tip_z=z if is_tip and in_space else None, tip_sd=further or None,
-            curvature=np.array(one.sensors).reshape(-1, 4) if one.sensors else None,
-        )  # fmt: skip
+            curve.name,
+            "",
+            1,
+            find_depth(curve),
+            side=sides[n],
+            entry=frame.origin,
+            direction=frame.rotation[:, 0],
+            bevel=frame.rotation @ turned.apply([0.0, 1.0, 0.0]),
+            pose_source="stage",
+            pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
+            pose_angle_sd=float(np.radians(angle_sds[n].to_number("pose_angle_sd", "deg"))),
+            hole=curve.hole,
+            tip_y=y if is_tip else None,
+            tip_z=z if is_tip and in_space else None,
+            tip_sd=further or None,
+            curvature=np.array(curve.sensors).reshape(-1, 4) if curve.sensors else None,
+        )
         rows.append(row)
     return rows
+
+
+def place_tips(asked: CurveAnswers) -> list[Frame]:
+    """Turn places of tips into depths and deflections; return the frame of each."""
+    chords = [one.line[0] for one in asked.curves if len(one.line)]
+    reason = "tips alone tell nothing of the direction in which needles were inserted"
+    poses = asked.each("pose", usual="", reason=reason)
+    ups = asked.settle("bevel", "", "the direction that is up (0 degrees, 12 o'clock) of tips in space")
+    entries = asked.each("entry_point", usual="0,0,0" if chords else "", reason="the origin")
+    frames = []
+    for curve, pose, entry in zip(asked.curves, poses, entries, strict=True):
+        frame = make_entry_frame(entry.to_entry(), pose.to_vector("pose"), ups.to_vector("bevel"))
+        curve.points = replace(curve.points, values=frame.to_local(curve.line))
+        curve.is_deflection = True
+        frames.append(frame)
+    return frames
 
 
 def find_depth(curve: ImportedCurve) -> float:

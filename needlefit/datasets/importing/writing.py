@@ -8,24 +8,27 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.dataset_warnings import PLACEHOLDER
+from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.importing.answers import Answers
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
-from needlefit.datasets.importing.planning import ImportPlan
-from needlefit.datasets.importing.questions import QUESTIONS
-from needlefit.datasets.read import check
+from needlefit.datasets.importing.place import ImportPlan
+from needlefit.datasets.importing.stated import name_set
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
-from needlefit.project.folders import sha256
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
+from needlefit.schemas.mapping import MappingRecord
 
 TRACKS_FILE = "tracks.csv"
 TURNS_FILE = "turns.csv"
 CURVATURE_FILE = "curvature.csv"
 TRACK_COLUMNS = ("depth_mm", "tip_mm", "tip_z_mm", "guide_mm", "guide_z_mm")
-_NOTE = "# Made by `needlefit import`. [import] lists every decision and its origin; correct what is wrong.\n"
+TEXTS = ("title", "source", "license")  # values of a mapping that are keys of a dataset
+_NOTE = (
+    f"# Made by `needlefit import`; {MAPPING_FILE} states how the files were read, and what was assumed.\n"
+)
 
 
 class _Place(NamedTuple):
@@ -36,24 +39,23 @@ class _Place(NamedTuple):
     is_table: bool = False  # whether columns stand there
 
 
-def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: Answers) -> Path:
-    """Write the dataset of a plan into an empty folder; return its `dataset.toml`.
+def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: MappingRecord) -> Dataset:
+    """Write the dataset of a plan, and its mapping, into an empty folder; return it as it is read.
 
     DataError listing the faults that `check` finds, at their places in the imported files.
     """
-    files = {one.name: sha256(one) for one in content.files}
-    imported = ImportRecord(files=files, decisions=tuple(answers.made))
+    first = content.curves[0].points.path
     draft: dict[str, object] = {
         "schema": 1,
         "name": folder.name,
         "title": f"{PLACEHOLDER}: what was inserted into what",
-        "origin": "measured",
+        "origin": mapping.origin,
         "license": PLACEHOLDER,
         "source": f"{PLACEHOLDER}: who measured this, when, how",
         "needle": plan.needle.model_dump(),
-        "noise": {"point_sd_mm": plan.point_sd_mm, "note": "see the table import of dataset.toml"},
-        "import": imported.model_dump(),
-        **{what: one.text for what, one in answers.stated.items() if not QUESTIONS[what].is_asked},
+        "noise": {"point_sd_mm": plan.point_sd_mm, "note": f"see {MAPPING_FILE}"},
+        "import": ImportRecord(files=dict(content.files), mapping=MAPPING_FILE).model_dump(),
+        **{key: mapping.values[key] for key in TEXTS if key in mapping.values},
     }
     if plan.needles:
         draft["needles"] = {name: one.model_dump() for name, one in plan.needles.items()}
@@ -74,15 +76,24 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, answers: 
         has_shapes = all(row.tip_y is None and len(points[row.id].values) for row in plan.rows)
         if has_shapes:
             draft["centerlines"] = {"pattern": "centerlines/{id}.csv"}
-        record = check_record(draft, DatasetRecord, str(content.files[0]))
+        record = check_record(draft, DatasetRecord, str(first))
         curves = {name: one.to_columns() for name, one in points.items()} if has_shapes else {}
         file = write_dataset(folder, record, plan.rows, curves, surfaces, checksums=False)
     file.write_bytes((_NOTE + file.read_text(encoding="utf-8")).encode("utf-8"))
     places = _list_places(content.curves)
-    faults = [_trace_fault(fault, places, folder) for fault in check(file)]
-    if faults:
-        raise as_error(faults, content.files[0])
-    return file
+    write_mapping(folder / MAPPING_FILE, mapping)
+    inspection = inspect(file)
+    if inspection.dataset is None:
+        raise as_error([_trace_fault(fault, places, folder) for fault in inspection.faults], first)
+    return inspection.dataset
+
+
+def write_mapping(file: Path, mapping: MappingRecord) -> None:
+    """Write a mapping: what differs from the defaults."""
+    keys = {"schema": mapping.schema_} | mapping.model_dump(
+        mode="json", exclude_defaults=True, exclude={"schema_"}
+    )
+    file.write_bytes(dumps(keys).encode("utf-8"))
 
 
 def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
@@ -115,7 +126,9 @@ def _trace_fault(fault: Fault, places: Mapping[str, Sequence[_Place]], folder: P
     # points of several needles may have been taken for one, where a column tells them apart
     is_joined = place.is_table and fault.what.startswith("goes back")
     hint = (
-        "; or state the column that distinguishes needles with --columns needle=HEADER" if is_joined else ""
+        f"; or state the column that distinguishes needles: {name_set('needle.column', 'HEADER')}"
+        if is_joined
+        else ""
     )
     what, fix = f"{place.subject}{fault.what}", f"{fault.fix}{hint}"
     return fault.replace(what=what, where=place.where, fix=fix)
@@ -130,7 +143,7 @@ def _write_tracks(folder: Path, content: ImportContent, plan: ImportPlan, draft:
         media[row.medium] = {"layers": layers, "boundaries_mm": [*depths], "specimen": row.specimen}
         named = {"id": row.id, "medium": row.medium, "needle": row.needle, "bevel_side": row.side}
         guide = np.zeros_like(curve.line) if curve.guide is None else curve.guide
-        numbers = curve.track.depth, *curve.line.T[:2], *guide.T[:2]
+        numbers = curve.depths, *curve.line.T[:2], *guide.T[:2]
         tables.append(pd.DataFrame({**named, **dict(zip(TRACK_COLUMNS, numbers, strict=True))}))
     table = pd.concat(tables)
     source: dict[str, object] = {"file": TRACKS_FILE}

@@ -4,15 +4,18 @@ of labels.
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
 import numpy as np
 import pandas as pd
+from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -30,6 +33,11 @@ from needlefit.reporting.table_files import write_csv
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
 COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
 FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
+# Fonts with letters that the font of matplotlib lacks, on Linux, Windows and macOS.
+FALLBACK_FAMILIES = (
+    *("Noto Sans CJK SC", "Noto Sans SC", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei"),
+    *("Microsoft YaHei", "SimHei", "PingFang SC", "Hiragino Sans GB", "Arial Unicode MS"),
+)
 _fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
 
 
@@ -130,9 +138,18 @@ def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path
 def _paint_bytes(
     paint: Callable[[], Figure], suffix: str, description: str = "", text_as_text: bool = False
 ) -> bytes:
-    style = {"svg.fonttype": "none"} if text_as_text or description else {}
-    with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
+    style: dict[str, object] = {"svg.fonttype": "none"} if text_as_text or description else {}
+    style["font.family"] = _list_families()
+    with warnings.catch_warnings(), matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")  # no installed font has it: a box is drawn
         return save_figure(paint(), suffix, description)
+
+
+@cache
+def _list_families() -> list[str]:
+    """Return the fonts in which letters are looked for in turn: those of matplotlib, then installed ones."""
+    installed = {*font_manager.get_font_names()}
+    return [str(RC_PARAMS["font.family"]), *(name for name in FALLBACK_FAMILIES if name in installed)]
 
 
 def save_figure(figure: Figure, suffix: str, description: str = "") -> bytes:

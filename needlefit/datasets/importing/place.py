@@ -1,34 +1,29 @@
-"""Make insertions or tip tracks of imported curves: settle unit, frame, entry, pose, layers and bevel."""
+"""Place imported needles: entry, direction, layers and bevel, as the mapping or an answer states them."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import DEFAULT_ROLL_SD_DEG, InsertionRow, PoseSource
-from needlefit.datasets.faults import as_error
-from needlefit.datasets.importing.answers import Answers, Stated
 from needlefit.datasets.importing.curve_answers import CurveAnswers
-from needlefit.datasets.importing.curves import ImportContent, ImportedCurve, Readings
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.directions import MIN_SAME_SIDE, format_direction, snap_to_axis, to_sides
-from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.stated import Settler, Stated, name_set
+from needlefit.datasets.importing.synonyms import find_meaning, read_quantity
 from needlefit.datasets.importing.tips import make_tips, split_tips
 from needlefit.datasets.importing.tracks import make_tracks
 from needlefit.datasets.layers import (
     MAX_HEADING_DEG,
     SAME_POINT_MM,
     find_backward_points,
-    find_hole,
     find_length_tolerance,
-    find_surface_faults,
     select_layers,
 )
 from needlefit.datasets.points import MIN_POINTS
-from needlefit.datasets.tip_tracks import MIN_READINGS
 from needlefit.errors import refusal
 from needlefit.geometry.crossings import find_crossings, find_surface_hits
 from needlefit.geometry.frames import normalize
@@ -38,13 +33,9 @@ from needlefit.geometry.stray_points import find_stray_points
 from needlefit.geometry.surfaces import Surface
 from needlefit.project.locate import join_names
 from needlefit.project.unit_warnings import GAUGES_MM
-from needlefit.schemas.dataset import ImportSource
 from needlefit.schemas.reconstruction import ReconstructionEntryRecord
 from needlefit.schemas.scene import NeedleRecord
 
-# Length of the longest needle, from and to.
-ASSUMED_MM = (20.0, 300.0)  # mm, that may be assumed to be in mm
-STATED_MM = (1.0, 2000.0)  # mm, that a stated unit may give
 # Of a needle up to its entry, from which its direction is taken.
 MIN_SHAFT_MM = 10.0  # mm, length
 MIN_SHAFT_POINTS = 3  # points
@@ -52,9 +43,7 @@ MIN_CUT_MM = 1.0  # mm of a needle before the stated entry, from which on it is 
 STEP_MM = 0.01  # mm, steps in which the entry is looked for along a needle
 MIN_NEEDLE_MM = 150.0  # mm, length assumed of a needle, or more
 BEYOND_DEPTH_MM = 50.0  # mm, by which it is longer than the greatest depth
-DIAMETERS = {"diameter", "inner diameter"}  # in mm, whatever the unit of the coordinates
 OTHER_END = {"first": "last", "last": "first"}  # of the answers at which end of its points a needle enters
-LENGTHS = {"depth", "boundaries", "needle length", "entry point"}  # stated in the unit of the coordinates
 
 
 @dataclass(frozen=True)
@@ -74,10 +63,9 @@ class ImportPlan:
 class Planner(CurveAnswers):
     """Settles one question after the other: each may depend on what was settled before."""
 
-    def __init__(self, content: ImportContent, answers: Answers) -> None:
-        answers.setup = content.setup
-        super().__init__(content.curves, answers)
-        self.content, self.surfaces = content, list[Surface]()
+    def __init__(self, content: ImportContent, settler: Settler) -> None:
+        super().__init__(content.curves, settler)
+        self.surfaces = [*content.surfaces]
         self.entry = "first"  # the end of the curves that is the entry
 
     def make_plan(self) -> ImportPlan:
@@ -85,39 +73,34 @@ class Planner(CurveAnswers):
 
         DataError if a question has no clear answer, or what is stated contradicts the files.
         """
-        for what, where in self.content.unused:
-            if doubt := self.content.doubts.get((what, where)):
-                self.keep("not used", what, f"{where}: {doubt}", "assumption")
-            else:
-                self.keep("not used", what, where)
-        if renamed := self.content.renamed:
-            texts = [f"{row} is {curve}" for row, curve in renamed.items()]
-            self.keep("needle names", ", ".join(texts), "equal as numbers", "guess")
-        if self.content.layout:
-            self.keep("layout", self.content.layout, "", "option")
-        for axes in dict.fromkeys(one.axes for one in self.curves):
-            self.keep("axes", axes, "", "assumption" if "columns" in axes else "file")
-        observable = self.settle_observable()
-        is_track = observable == "tracks"
-        self.convert_units()
-        if observable in ("tips", "curvatures"):
+        kinds = {one.holds for one in self.curves}
+        if len(kinds) > 1:
+            raise refusal(f"""the needles hold {" and ".join(sorted(kinds))}
+                expected: one kind of measurement in a dataset
+                fix: import each kind by itself
+                where: {self.curves[0].points.where()}""")
+        (holds,) = kinds
+        for curve in self.curves:
+            refuse_stray_points(curve)
+        if holds in ("tips", "curvatures"):
             split_tips(self)
-        sds = self.each("point sd")
+        sds = self.each("point_sd")
         other = next((one for one in sds if one.shown != sds[0].shown), None)
-        if other is not None and observable != "tips":
-            expected = f"{sds[0].shown}, as of the others, or a column sd beside the points"
-            raise other.error("point sd", expected)
-        own_sds = [one.to_number("point sd", is_above=True) for one in sds]
+        if other is not None and holds != "tips":
+            raise other.error(
+                "point_sd", f"{sds[0].shown}, as of the others, or a column sd beside the points"
+            )
+        own_sds = [one.to_number("point_sd", is_above=True) for one in sds]
         sd = min(own_sds)
-        if observable != "shapes":
-            pose = "tracker" if is_track else "known"
-            rows = make_tracks(self) if is_track else make_tips(self, own_sds)
+        if holds != "shapes":
+            pose = "tracker" if holds == "tracks" else "known"
+            rows = make_tracks(self) if holds == "tracks" else make_tips(self, own_sds)
             depths = self.settle_layers()
             needles = self.settle_needles([row.depth for row in rows])
-            rows = rows if is_track else set_layers(rows, depths)
+            rows = rows if holds == "tracks" else set_layers(rows, depths)
         else:
-            self.settle_order()
-            self.settle_frame()
+            self.require_order()
+            self.settle_entry()
             poses = self.settle_pose()
             pose = "free" if poses[0].text == "free" else "known"
             entries = self.settle_entry_points(poses)
@@ -125,11 +108,9 @@ class Planner(CurveAnswers):
             needles = self.settle_needles([one.length for one in self.curves])
             rows = self.make_rows(poses, entries, sd, depths, needles)
         if any(depths) or self.surfaces:
-            errors = [one.to_number("boundary sd") for one in self.each("boundary sd")]
+            errors = [one.to_number("boundary_sd") for one in self.each("boundary_sd")]
             rows = [replace(row, boundary_sd=own) for row, own in zip(rows, errors, strict=True)]
-        self.doubt_boundaries(depths, [row.depth for row in rows])
-        rows = self.add_names(rows, is_track)
-        self.answers.keep_unused()
+        rows = self.add_names(rows, is_track=holds == "tracks")
         return self.assemble(rows, pose, sd, depths, needles)
 
     def assemble(
@@ -155,116 +136,18 @@ class Planner(CurveAnswers):
         named = dict(zip(names, needles, strict=True)) if len(kinds) > 1 else {}
         return ImportPlan(placed, pose, tuple(self.surfaces), media, kinds[0], sd, named)
 
-    # ---- what the points are
+    def require_order(self) -> None:
+        """DataError at the first point that goes back along its curve."""
+        for curve in self.curves:
+            if len(back := find_backward_points(curve.line)):
+                raise refusal(f"""curve {curve.name} goes back: the centreline is unsorted or folded here
+                    expected: points of one needle in order from the entry to the tip
+                    fix: sort them; or, if they are of several needles, name the column of their names:
+                        {name_set("needle.column", "HEADER")}
+                    where: {curve.points.where(int(back[0]))}""")
 
-    def settle_observable(self) -> str:
-        """Return `shapes`, or `tracks` where each row of a table has a depth, a time or a direction."""
-        if all(not len(one.line) for one in self.curves):
-            self.keep("observable", "curvatures", "no points stand beside them")
-            return "curvatures"
-        readings = [one.readings for one in self.curves if one.readings is not None]
-        if not readings and "observable" not in self.answers.stated:
-            return "shapes"
-        bare = [one.name for one in self.curves if one.readings is None or not len(one.readings.depth)]
-        guess = "tracks" if not bare and all(one.is_log or one.is_deflection for one in readings) else ""
-        reason = "rows have a time, a direction or a depth of their own, as readings of a tip have"
-        choices: tuple[str, ...] = ("shapes", "tracks")
-        if all(one.is_tip for one in self.curves):
-            choices = (*choices, "tips")
-            reason += "; --observable tips, if each row is an insertion"
-            if any(len(one.line) < MIN_READINGS for one in self.curves):
-                guess = "tips"
-                reason = f"depths of a needle are fewer than {MIN_READINGS}, or in no order"
-        answer = self.settle("observable", guess, reason, "guess", choices).text
-        for one in self.curves if answer == "tracks" else ():
-            one.readings = one.readings or Readings(np.empty(0), "", is_log=False, is_deflection=False)
-        return answer
-
-    def convert_units(self) -> None:
-        """Turn the curves to mm; a unit that no header states must give the length of a needle.
-
-        DataError if a single point makes a needle too long, whatever the unit.
-        """
-        for one in self.curves:
-            refuse_stray_points(one)
-        is_stated = "units" in self.answers.stated  # which corrects a header, but no file format
-        unknown = [one for one in self.curves if one.unit not in UNITS_MM]
-        changed = [one for one in self.curves if one.system is None] if is_stated else unknown
-        if changed:
-            reason = "; ".join(self.doubt_millimetres(unknown))
-            answer = self.settle("units", "" if reason else None, reason)
-            number, unit = read_quantity(answer.text) or (1.0, find_meaning("unit", answer.text))
-            if unit not in UNITS_MM or number <= 0:
-                raise answer.error("units", ", ".join(UNITS_MM) + ", or the length of a step: 0.07 mm")
-            for one in changed:
-                # a depth without a unit has that of the coordinates, but is no number of pixels
-                one.unit = unit if number == 1.0 else "mm"
-                one.scale(number * UNITS_MM[unit])
-        else:
-            self.keep("units", ", ".join(sorted({one.unit for one in self.curves})), "header or format")
-        for one in self.curves:
-            if not any(one is other for other in changed):
-                one.scale(UNITS_MM[one.unit])
-            for what in LENGTHS & one.stated.keys():  # without a unit they have that of the coordinates
-                one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or one.unit)
-            for what in DIAMETERS & one.stated.keys():
-                one.stated[what] = replace(one.stated[what], unit=one.stated[what].unit or "mm")
-        low, high = STATED_MM
-        if (longest := max(one.reach for one in self.curves)) and not low <= longest <= high:
-            likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-            raise refusal(f"""in {self.curves[0].unit} the longest needle is {longest:,.3g} mm
-                    long
-                expected: {low:g} to {high:g} mm
-                fix: {f"state --units {' or '.join(likely)}".strip()}
-                where: {self.curves[0].points.where()}""")
-
-    @staticmethod
-    def doubt_millimetres(unknown: Sequence[ImportedCurve]) -> Iterator[str]:
-        """Yield why coordinates that state no unit may not be in mm."""
-        if wrong := max((one.unit for one in unknown), default=""):
-            yield f"a header states {wrong[:20]!r}"
-        if unknown and all((one.line == np.round(one.line)).all() for one in unknown):
-            yield "all coordinates are whole numbers, as of pixels or voxels"
-        longest = max((one.reach for one in unknown), default=ASSUMED_MM[0])
-        if not ASSUMED_MM[0] <= longest <= ASSUMED_MM[1] and not wrong:
-            likely = [name for name, mm in UNITS_MM.items() if ASSUMED_MM[0] <= mm * longest <= ASSUMED_MM[1]]
-            other = f", in {' or '.join(likely)} that of a needle" if likely else ""
-            yield f"in mm the longest needle would be {longest:,.3g} mm long{other}"
-
-    def settle_order(self) -> None:
-        """Sort the points of curves that go back, where that is stated.
-
-        DataError naming the first such point if nothing states it.
-        """
-        back = {one.name: found for one in self.curves if len(found := find_backward_points(one.line))}
-        if not back:
-            return
-        one = next(one for one in self.curves if one.name in back)
-        place, is_table = one.points.where(int(back[one.name][0])), one.points.lines is not None
-        if self.answers.prompt is None and "order" not in self.answers.stated:
-            several = "; of several needles: --columns needle=HEADER" if is_table else ""
-            raise refusal(f"""curve {one.name} goes back: the centreline is unsorted or folded here
-                expected: points in order from the entry to the tip
-                fix: if the points of one needle are unsorted: --setup order=nearest{several}
-                where: {place}""")
-        reason = f"{join_names([*back], 5)}: points go back, first at {place}"
-        if self.settle("order", "file", reason, choices=("file", "nearest")).text == "nearest":
-            for one in self.curves:
-                one.points = one.points.part(sort_by_nearest(one.line))
-
-    def settle_frame(self) -> None:
-        """Take coordinates as they are, LPS where any file states its system, and put the entry first."""
-        systems = {one.system for one in self.curves} | {system for *_, system in self.content.surfaces}
-        source: ImportSource = "assumption" if len(systems) > 1 else "file"
-        self.keep("frame", "LPS" if "LPS" in systems else "as in the files", "one of all files", source)
-        for surface, path, _ in self.content.surfaces:
-            surface = replace(surface, kind="solid" if surface.mesh.is_watertight else "sheet")
-            faults = list(find_surface_faults(surface, path))
-            if surface.kind == "sheet" and not faults:
-                faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
-            if faults:
-                raise as_error(faults, path)
-            self.surfaces.append(surface)
+    def settle_entry(self) -> None:
+        """Put the entry first."""
         chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
         against = [self.curves[n].name for n in np.flatnonzero(chords @ chords.sum(axis=0) < 0)]
         reason = f"{join_names(against, 5)} runs against the others" if against else "the order of the file"
@@ -280,9 +163,9 @@ class Planner(CurveAnswers):
         chords = np.array([one.line[-1] - one.line[0] for one in self.curves])
         chord = chords.sum(axis=0)
         along = format_direction(snap_to_axis(normalize(chord))) if chord.any() else "X,Y,Z"
-        reason = f"not stated; --pose {along} if a stage pushed the needles as they run"
+        reason = f"not stated; pose={along} if a stage pushed the needles as they run"
         is_posed = bool(self.surfaces) or any(one.turns or one.sensors for one in self.curves)
-        poses = self.each("pose", guess="" if is_posed else "free", reason=reason)
+        poses = self.each("pose", usual="" if is_posed else "free", reason=reason)
         kinds = {one.text if one.text in ("free", "shaft") else "direction" for one in poses}
         if len(kinds) > 1:
             raise poses[0].error("pose", "directions of all needles, or shaft or free of all")
@@ -292,17 +175,17 @@ class Planner(CurveAnswers):
             run = chord if len({one.text for one in poses}) == 1 else own  # one direction is that of the mean
             cosine = normalize(pose.to_vector("pose")) @ run / (np.linalg.norm(run) or 1.0)
             if cosine < (least := np.cos(np.radians(MAX_HEADING_DEG))):
-                fix = f"state --pose {along}"
+                fix = f"state {name_set('pose', along)}"
                 if not self._begin_at_entries():
                     fix = f"if the sign is wrong, {fix}; if the files begin at the tips, "
-                    fix += f"--entry {OTHER_END[self.entry]}"
+                    fix += name_set("entry", OTHER_END[self.entry])
                 fix = fix if cosine <= -least else ""
                 raise pose.error("pose", f"at most {MAX_HEADING_DEG:g} degrees off the needles: {along}", fix)
         return poses
 
     def _begin_at_entries(self) -> bool:
         """Whether entry points are stated as places, to which the curves' beginnings are nearer than ends."""
-        stated = self.answers.stated.get("entry point")
+        stated = self.stated("entry_point")
         if stated is None or "," not in stated.text:
             return False
         place = stated.to_entry()
@@ -326,8 +209,7 @@ class Planner(CurveAnswers):
             reason = f"{longer[0].name} is {longer[0].length:.1f} mm long, and {place}"
         elif poses[0].text == "shaft" or surfaces:
             guess, reason = "", "nothing states where the tissue begins"
-        source: ImportSource = "file" if guess == "depth" else "assumption"
-        answers = self.each("entry point", guess=guess, reason=reason, source=source)
+        answers = self.each("entry_point", usual=guess, reason=reason, is_sure=guess == "depth")
         entries, cut, missed = list[Floats | None](), list[float](), list[str]()
         for one, answer in zip(self.curves, answers, strict=True):
             is_place = answer.text not in ("first", "depth", *surfaces)
@@ -339,7 +221,7 @@ class Planner(CurveAnswers):
                 missed += [] if len(hits) else [one.name]
             elif answer.text == "depth":
                 if one.name not in depths:
-                    raise answer.error("entry point", f"X,Y,Z, or a depth of {one.name}, too")
+                    raise answer.error("entry_point", f"X,Y,Z, or a depth of {one.name}, too")
                 arc = one.length - depths[one.name]
             elif entry is not None:
                 along = np.arange(0.0, one.length, STEP_MM)
@@ -352,16 +234,14 @@ class Planner(CurveAnswers):
         if used and (missed or not cut):
             which = f"needles cross on their way in ({missed[0]} does not)" if missed else "needles cross"
             expected = f"a surface that {which}; is there a hole where they enter?"
-            raise next(iter(used.values())).error("entry point", expected)
+            raise next(iter(used.values())).error("entry_point", expected)
         if cut:
-            self.keep("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm cut off", "before the entry point")
+            self.settler.note("shaft", f"{min(cut):.1f} to {max(cut):.1f} mm before the entry point cut off")
         self.surfaces = [one for one in self.surfaces if one.name not in used]
         for one in self.curves:
             depth = depths.get(one.name, one.length)
             if abs(depth - one.length) > find_length_tolerance(depth):
-                expected = (
-                    f"the length of {one.name}, {one.length:.1f} mm; or --entry-point, to cut its shaft"
-                )
+                expected = f"the length of {one.name}, {one.length:.1f} mm; or entry_point, to cut its shaft"
                 raise stated[one.name].error("depth", expected)
         return entries
 
@@ -382,26 +262,24 @@ class Planner(CurveAnswers):
             rows.append(InsertionRow(one.name, "", 1, one.depth, side=side, depth_sd=sd))
         rows = set_layers(rows, depths)
         if poses[0].text == "free":
-            source: ImportSource = "guess" if angles else "assumption"
-            self.keep("bevel", "bend", "a free shape bends toward its bevel", source)
+            self.settler.note("bevel", "a free shape bends toward its bevel")
             return rows
-        is_measured = any(one is None for one in entries)  # the entry is a point of the needle
-        if is_measured:
-            reason = "the first point has moved with the needle (`pose_source` of insertions.csv)"
-            self.keep("shift across", "fitted", reason)
-        source = "guess" if is_measured else "assumption"
-        shifts = self.each("pose shift sd", guess=f"{point_sd:g}", source=source)
+        if any(one is None for one in entries):
+            self.settler.note(
+                "shift across", "fitted: the first point, taken as the entry, has moved with the needle"
+            )
+        shifts = self.each("pose_shift_sd", usual=f"{point_sd:g}", reason="that of a point")
         if poses[0].text == "shaft":
             pairs = zip(self.curves, needles, strict=True)
             axes = [fit_shaft(one, needle, point_sd, poses[0]) for one, needle in pairs]
             ways, sds = np.array([one.direction for one in axes]), [one.angle_sd for one in axes]
             reason = f"of each shaft, which the tissue has bent: at most {np.degrees(max(sds)):.2g} degrees"
-            answers = self.each("pose angle sd", guess="shaft", reason=reason, source="file")
+            answers = self.each("pose_angle_sd", usual="shaft", reason=reason, is_sure=True)
         else:
             ways = np.array([normalize(one.to_vector("pose")) for one in poses])
-            answers = self.each("pose angle sd")
+            answers = self.each("pose_angle_sd")
         if answers[0].text != "shaft":
-            sds = [float(np.radians(one.to_number("pose angle sd", "deg"))) for one in answers]
+            sds = [float(np.radians(one.to_number("pose_angle_sd", "deg"))) for one in answers]
         first = [
             one.line[0] if entry is None else entry for one, entry in zip(self.curves, entries, strict=True)
         ]
@@ -413,10 +291,10 @@ class Planner(CurveAnswers):
         bevels = self.settle_bevel(np.array(before), ways, angles)
         for what, ones in (("turns", "turns"), ("curvatures", "sensors")):
             if counts := [f"{len(own)} of {one.name}" for one in self.curves if (own := getattr(one, ones))]:
-                self.keep(what, join_names(counts, 8), "a table of them")
+                self.settler.note(what, join_names(counts, 8))
         if any(one.turns or one.sensors for one in self.curves):
-            reason = "degrees, set by hand; `bevel_roll_sd_deg` of insertions.csv"
-            self.keep("bevel roll sd", f"{DEFAULT_ROLL_SD_DEG:g}", reason, "assumption")
+            reason = "degrees, set by hand: bevel_roll_sd_deg of insertions.csv"
+            self.settler.assumed["bevel_roll_sd"] = f"{DEFAULT_ROLL_SD_DEG:g} {reason}"
         zeros = to_sides(angles or [0.0] * len(rows))[1]
         for n, one in enumerate(self.curves):
             smoothed = one.points.curve.smoothed
@@ -430,7 +308,7 @@ class Planner(CurveAnswers):
                 direction=ways[n],
                 bevel=bevels[n],
                 pose_source=name_pose_source(poses[n], entries[n]),
-                pose_shift_sd=shifts[n].to_number("pose shift sd"),
+                pose_shift_sd=shifts[n].to_number("pose_shift_sd"),
                 pose_angle_sd=sds[n],
                 turns=tuple((depth, np.radians(cell.to_angle()) - zeros[n]) for depth, cell in one.turns),
                 curvature=np.column_stack([read, sensors[:, 3]]) if one.sensors else None,
@@ -447,23 +325,10 @@ class Planner(CurveAnswers):
         """
         for n, one in enumerate(self.surfaces):
             self.surfaces[n] = replace(one, into=n + 2)
-            self.keep(f"surface {one.name}", f"{one.kind}, into layer {n + 2}", "order of the files", "guess")
+            self.settler.note(f"surface {one.name}", f"{one.kind}, into layer {n + 2}")
         if self.surfaces:
-            for what in {one.stated["boundaries"].text for one in self.curves if "boundaries" in one.stated}:
-                self.keep("not used", f"boundaries = {what}", "surfaces part the layers")
             return [() for _ in self.curves]
         return [() if one.text == "none" else one.to_boundaries() for one in self.each("boundaries")]
-
-    def doubt_boundaries(self, depths: Sequence[tuple[float, ...]], inserted: Sequence[float]) -> None:
-        """Keep the unit of boundaries as an assumption where it may be cm."""
-        narrow = dict[float, None]()
-        for own in dict.fromkeys(depths):
-            deepest = max(depth for depth, other in zip(inserted, depths, strict=True) if other == own)
-            ends = [*own[1:], deepest][: len(own)]
-            narrow |= dict.fromkeys(a for a, b in zip(own, ends, strict=True) if 10 * a <= b)
-        if narrow:
-            reason = f"in cm, {join_names([f'{one:g} would be {10 * one:g} mm' for one in narrow])}"
-            self.keep("boundary unit", "mm", reason, "assumption")
 
     # ---- bevel
 
@@ -476,7 +341,6 @@ class Planner(CurveAnswers):
         """
         sides, turns = to_sides(angles or [0.0] * len(bends))
         turned = Rotation.from_rotvec(np.array(turns)[:, None] * along)
-        source: ImportSource = "assumption"
         guess, reason = "bend", "every needle is taken to bend toward its bevel"
         is_turned = any(one.turns or one.sensors for one in self.curves)
         if differ := is_turned or len({*sides}) > 1 or len({*turns}) > 1 or min(sides) < 0:
@@ -485,19 +349,19 @@ class Planner(CurveAnswers):
             units = toward / np.maximum(np.linalg.norm(toward, axis=1, keepdims=True), SAME_POINT_MM)
             total = toward.sum(axis=0)
             mean = total / (np.linalg.norm(total) or 1.0)  # of straight needles it is 0
-            source, guess = "guess", format_direction(mean)
+            guess = format_direction(mean)
             reason = "the mean direction in which needles bend from their sides"
             if np.linalg.norm(units.mean(axis=0)) <= MIN_SAME_SIDE:
                 off = np.flatnonzero(units @ mean < np.cos(np.radians(MAX_HEADING_DEG)))
                 names = join_names([self.curves[n].name for n in off], 5) or "some needles"
                 guess, reason = "", f"the bevel side of {names} and that of the others contradict each other"
-        answer = self.settle("bevel", guess, reason, source)
+        answer = self.settle("bevel", guess, reason)
         if answer.text == "bend":
             if differ:
                 raise answer.error("bevel", "X,Y,Z: bevels differ, or turn")
             return [None] * len(bends)
         if angles is None:
-            self.keep("bevel side", "1", "not stated", "assumption")
+            self.settle("bevel_side", "1", "not stated")
         return list(turned.apply(answer.to_vector("bevel")))
 
     # ---- names and needle
@@ -506,8 +370,7 @@ class Planner(CurveAnswers):
         """Return the rows with medium and specimen; a medium of tracks is in one specimen, by its name."""
         found = {}
         for what in ("medium", "specimen"):
-            source: ImportSource = "guess" if what == "medium" else "assumption"
-            cells = zip(self.curves, self.each(what, source=source), strict=True)
+            cells = zip(self.curves, self.each(what), strict=True)
             texts = {
                 one.name: one.hole or one.name if cell.text == "each" else cell.text for one, cell in cells
             }
@@ -523,12 +386,12 @@ class Planner(CurveAnswers):
         DataError if a needle is not longer than it was inserted.
         """
         least = f"{max(MIN_NEEDLE_MM, float(np.ceil(max(depths) + BEYOND_DEPTH_MM))):g}"
-        answers = (self.each("needle length", guess=least), self.each("diameter"),
-                   self.each("inner diameter"), self.each("modulus"))  # fmt: skip
+        answers = (self.each("needle_length", usual=least), self.each("diameter"),
+                   self.each("inner_diameter"), self.each("modulus"))  # fmt: skip
         needles = [read_needle(*own) for own in zip(*answers, strict=True)]
         for curve, needle, depth, length in zip(self.curves, needles, depths, answers[0], strict=True):
             if needle.length_mm <= depth:
-                raise length.error("needle length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
+                raise length.error("needle_length", f"more than the {depth:.4g} mm of {curve.name} in tissue")
         return needles
 
 
@@ -537,8 +400,8 @@ class Planner(CurveAnswers):
 
 def refuse_stray_points(curve: ImportedCurve) -> None:
     """DataError if single points lie far from all others, which are in order."""
-    line = UNITS_MM.get(curve.unit, 1.0) * curve.line
-    stray = find_stray_points(line if curve.readings is None else line[:0])
+    line = curve.line if curve.holds == "shapes" else curve.line[:0]
+    stray = find_stray_points(line)
     if not len(stray) or len(find_backward_points(np.delete(line, stray, axis=0))):
         return
     first, more = int(stray[0]), f", and {len(stray) - 1} more" if len(stray) > 1 else ""
@@ -557,13 +420,13 @@ def read_needle(length: Stated, outer: Stated, inner: Stated, modulus: Stated) -
         if number not in GAUGES_MM:
             raise outer.error("diameter", f"mm, or a gauge of {min(GAUGES_MM)} to {max(GAUGES_MM)}")
         outer = replace(outer, text=f"{GAUGES_MM[int(number)]}", unit="mm")
-    diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner diameter")
+    diameter, bore = outer.to_number("diameter", is_above=True), inner.to_number("inner_diameter")
     if bore >= diameter:
-        raise inner.error("inner diameter", f"less than {diameter:g} mm")
+        raise inner.error("inner_diameter", f"less than {diameter:g} mm")
     material = find_meaning("value", modulus.text)
     modulus = replace(modulus, text=material) if material.endswith("GPa") else modulus
     return NeedleRecord(
-        length_mm=length.to_number("needle length", is_above=True),
+        length_mm=length.to_number("needle_length", is_above=True),
         outer_diameter_mm=diameter,
         inner_diameter_mm=bore,
         youngs_modulus_gpa=modulus.to_number("modulus", "GPa", is_above=True),
@@ -585,21 +448,6 @@ def set_layers(rows: Sequence[InsertionRow], depths: Sequence[tuple[float, ...]]
     ]
 
 
-def sort_by_nearest(line: Floats) -> NDArray[np.int64]:
-    """Return the order of points (N, 3) in which each is followed by the nearest one that is left.
-
-    It begins at that end of the curve whose point stands first in the file.
-    """
-    one = int(np.argmax(np.linalg.norm(line - line.mean(axis=0), axis=1)))
-    other = int(np.argmax(np.linalg.norm(line - line[one], axis=1)))
-    order, left = [min(one, other)], np.ones(len(line), dtype=bool)
-    while left[order[-1]] and np.count_nonzero(left) > 1:
-        left[order[-1]] = False
-        gaps = np.where(left, np.linalg.norm(line - line[order[-1]], axis=1), np.inf)
-        order.append(int(np.argmin(gaps)))
-    return np.array(order, dtype=np.int64)
-
-
 def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
     """Cut a curve at this length from its first point, mm, and keep the points before as its shaft.
 
@@ -610,7 +458,7 @@ def cut_shaft(curve: ImportedCurve, arc: float, other_end: str) -> None:
     if len(after) < MIN_POINTS - 1:
         raise refusal(f"""curve {curve.name!r} has only {len(after)} points behind its entry
             expected: points from the entry to the tip
-            fix: state another --entry-point, or --entry {other_end} and the --pose that follows
+            fix: state another entry_point, or {name_set("entry", other_end)} and the pose that follows
             where: {points.where()}""")
     entry = [np.interp(arc, along, axis) for axis in points.values.T]
     values = np.vstack([entry, points.values[after]])

@@ -1,0 +1,84 @@
+"""What the cells of a lab's tables may mean: the keys of a mapping, their units and usual values."""
+
+from types import MappingProxyType
+from typing import NamedTuple
+
+
+class Meaning(NamedTuple):
+    """What a key means, the unit of its numbers, what is assumed where nobody states it, and why."""
+
+    text: str
+    unit: str = ""
+    usual: str = ""
+    reason: str = ""
+
+
+VALUES = MappingProxyType(
+    {
+        "entry": Meaning("Which end of the curves is the entry: first or last"),
+        "pose": Meaning("Entry direction: X,Y,Z of all, `shaft` before the entry, or `free`: unknown"),
+        "entry_point": Meaning(
+            "Where tips touched the tissue: `first` point, stated `depth`, X,Y,Z, or name of a surface", "mm"
+        ),
+        "bevel": Meaning(
+            "Direction toward which a bevel of side 1 (0 degrees, 12 o'clock) deflects: X,Y,Z, or `bend`"
+        ),
+        "bevel_side": Meaning("Side of the bevels of needles that state none: 1 or -1"),
+        "boundaries": Meaning(
+            "Depths of layer boundaries along the needles (such as 15,30), or none", "mm", "none", "one layer"
+        ),
+        "boundary_sd": Meaning(
+            "Standard deviation of the depths of the boundaries", "mm", "0.5", "of a ruler"
+        ),
+        "point_sd": Meaning("Standard deviation of a point across the needle", "mm", "0.1", "of a CT scan"),
+        "pose_shift_sd": Meaning("Standard deviation of the entry point per axis", "mm"),
+        "pose_angle_sd": Meaning(
+            "Standard deviation of the entry direction", "deg", "0.5", "of a needle set by hand"
+        ),
+        "medium": Meaning("Name of what was punctured", "", "medium1", "a name of your choice"),
+        "specimen": Meaning(
+            "Specimen of all insertions (`each`: every insertion has its own)",
+            usual="each",
+            reason='predictions are then wide; specimen = "NAME" if all needles went into one block',
+        ),
+        "needle_length": Meaning("Length of the needle", "mm", reason="at least 50 mm more than the depth"),
+        "diameter": Meaning("Outer diameter, mm or gauge (18G)", "mm", "18G", "a common gauge"),
+        "inner_diameter": Meaning("Inner diameter (0: solid)", "mm", "0", "a solid needle"),
+        "modulus": Meaning(
+            "Young's modulus of the needle, or steel, nitinol, titanium, peek", "GPa", "steel", "common"
+        ),
+        "guide": Meaning("Which of the tracked tools is the guide: its name, or none"),
+        "title": Meaning("What was inserted into what"),
+        "source": Meaning("Who measured this, when, how"),
+        "license": Meaning("Terms of use"),
+    }
+)
+"""What may be stated of all needles; of most keys each needle may also have a cell of its own."""
+
+OF_ALL = ("entry", "bevel", "guide", "title", "source", "license")  #: of these it may not
+ATTRIBUTES = ("depth", *(key for key in VALUES if key not in OF_ALL))  #: what is stated of a needle
+VECTORS = ("entry_point", "pose")  #: columns x, y, z that state something of each needle
+SENSOR = ("sensor", "curvature_y", "curvature_z", "curvature_sd")  #: what a row of curvatures states
+
+ROWS = MappingProxyType(
+    {
+        "needle": Meaning("Name of the needle"),
+        "x": Meaning("Coordinate x of a point", "mm"),
+        "y": Meaning("Coordinate y of a point", "mm"),
+        "z": Meaning("Coordinate z of a point; without it 0", "mm"),
+        "depth": Meaning("Inserted length", "mm"),
+        "deflection": Meaning("Deflection of the tip from the line of insertion, up", "mm"),
+        "deflection_z": Meaning("Deflection of the tip to the right, seen along the needle", "mm"),
+        "time": Meaning("Time of a reading"),
+        "guide": Meaning("Place of the guide at a reading: columns of y, or of x, y and z", "mm"),
+        "turn_depth": Meaning("Depth from which on the bevel faces another way", "mm"),
+        "sensor": Meaning("Distance of a curvature sensor from the tip", "mm"),
+        "sensor_from_base": Meaning("Distance of a curvature sensor from the needle's base", "mm"),
+        "curvature_y": Meaning("Curvature toward y (up)", "1/mm"),
+        "curvature_z": Meaning("Curvature toward z (right)", "1/mm"),
+        "curvature_sd": Meaning("Standard deviation of a curvature", "1/mm"),
+    }
+)
+"""What stands in the rows of a table."""
+
+MEANINGS = MappingProxyType({**VALUES, **ROWS})

@@ -1,0 +1,225 @@
+"""Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.importing.curves import ImportContent
+from needlefit.datasets.importing.draft import COORDINATES, Draft, Open, Stated, draft_mapping
+from needlefit.datasets.importing.examples import find_examples
+from needlefit.datasets.importing.meanings import MEANINGS
+from needlefit.datasets.importing.place import ImportPlan, Planner
+from needlefit.datasets.importing.read import MappedTable, list_tables, read_mapped
+from needlefit.datasets.importing.stated import Settler, name_set
+from needlefit.datasets.importing.synonyms import UNITS_MM
+from needlefit.errors import ConfigError, refusal
+from needlefit.project.toml import check, load, override
+from needlefit.schemas.mapping import MappingRecord
+
+# Length of the longest needle, from and to.
+ASSUMED_MM = (20.0, 300.0)  # mm, that may be assumed to be in mm
+STATED_MM = (1.0, 2000.0)  # mm, that a stated unit may give
+MAX_FIRST_VALUES = 3  # of a column on the screen
+
+Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
+
+
+@dataclass(frozen=True)
+class PreparedImport:
+    """The mapping that reads files, what it has read, and the plan of the dataset."""
+
+    mapping: MappingRecord
+    content: ImportContent
+    plan: ImportPlan
+    unused: Sequence[tuple[str, str]] = ()  # what the files hold beside it, and where
+    notes: Sequence[tuple[str, str]] = ()  # what was done with the curves
+    columns: Sequence[dict[str, str]] = field(default_factory=list)  # of the screen
+
+
+def prepare_import(
+    paths: Sequence[Path],
+    assignments: Sequence[tuple[str, str]] = (),
+    mapping: Path | None = None,
+    prompt: Prompt | None = None,
+) -> PreparedImport:
+    """Return an import of files, ready to be written.
+
+    `assignments`: keys of the mapping and their values, which are stated. `mapping`: a file that states all,
+    so that nothing is drafted. `prompt`: who is asked what is open or assumed; None: nobody.
+
+    DataError of what is open and nobody answers, and of what files and mapping contradict.
+    """
+    if mapping is not None:
+        record, unused = _load(mapping, assignments), list[tuple[str, str]]()
+        files = [*_list_named(paths)]
+        content = read_mapped(record, files, str(mapping))
+    else:
+        draft, files = complete_draft(paths, [*assignments], prompt)
+        record, unused = draft.to_record("the draft of the mapping"), draft.unused
+        content = read_mapped(record, files, "the draft of the mapping")
+    _require_lengths(content)
+    record = _mark_examples(record, content)
+    values, assumed = dict(record.values), dict(record.assumed)
+    settler = Settler(values, assumed, prompt, is_complete=mapping is not None)
+    columns = [*_describe_columns(record, files)]
+    plan = Planner(content, settler).make_plan()
+    record = record.model_copy(update={"values": values, "assumed": assumed})
+    return PreparedImport(record, content, plan, unused, settler.notes, columns)
+
+
+def _mark_examples(record: MappingRecord, content: ImportContent) -> MappingRecord:
+    """Return the mapping with the origin of its needles: examples of the workbook are known by their points.
+
+    The workbook to fill in states `example`: needles that are none of them are measured.
+    """
+    examples, assumed = find_examples(content.curves), dict(record.assumed)
+    if not examples and record.origin == "example":
+        assumed["origin"] = "measured: no needle is an example of the workbook"
+        return record.model_copy(update={"origin": "measured", "assumed": assumed})
+    if not examples:
+        return record
+    if len(examples) < len(content.curves):
+        assumed["origin"] = f"example: {', '.join(examples)} are simulated needles of the workbook"
+    return record.model_copy(update={"origin": "example", "assumed": assumed})
+
+
+def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecord:
+    """Return the mapping of a file, with the values that are stated."""
+    record = load(mapping, MappingRecord)
+    if not assignments:
+        return record
+    keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
+    stated = Stated(assignments)
+    pairs = [*((f"values.{key}", text) for key, text in stated.values.items()), *stated.single]
+    if stated.origin:
+        pairs.append(("origin", stated.origin))
+    if stated.columns or stated.table or stated.unit:
+        raise ConfigError.of(f"""beside a mapping columns are stated by the number of their table
+            expected: tables.1.columns.y.column = "HEADER", or an edit of {mapping}
+            fix: --set tables.1.columns.MEANING.column=HEADER""")
+    return check(override(keys, pairs, str(mapping)), MappingRecord, mapping)
+
+
+def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
+    for path in paths:
+        yield from sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else (path,)
+
+
+def complete_draft(
+    paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None
+) -> tuple[Draft, list[Path]]:
+    """Return a draft without open questions: answers are stated as if by `--set`, and it is drafted again."""
+    while True:
+        draft, files = draft_mapping(paths, Stated(assignments))
+        opens = draft.opens or _find_open_columns(draft, paths) or [*_settle_unit(draft, files)]
+        if not opens:
+            return draft, files
+        if prompt is None:
+            raise refusal(f"""needs an answer. {" ".join(one.question + "." for one in opens)}
+                expected: an answer to {"each" if len(opens) > 1 else "it"}
+                fix: {"; ".join(one.describe_fix() for one in opens)}
+                where: {opens[0].where or paths[0]}""")
+        assignments += _ask(opens[0], prompt)
+
+
+def _ask(question: Open, prompt: Prompt) -> list[tuple[str, str]]:
+    """Return the keys that an answer states."""
+    words = f" ({', '.join(question.choices)})" if question.choices else ""
+    answer = prompt(f"{question.question}{words}", "", question.where)
+    if not question.choices:
+        return [(question.key, answer)]
+    if answer not in question.choices:
+        raise ConfigError.of(f"""the answer is {answer[:40]!r}
+            expected: one of {", ".join(question.choices)}
+            fix: answer with one of these""")
+    return [*question.choices[answer].items()]
+
+
+def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
+    """Return the questions after the coordinates, where no table holds any."""
+    if any(table["holds"] not in ("facts", "turns") for table in draft.tables):
+        return []
+    tables = "; ".join(f"{what}: {why}" for what, why in draft.unused if what.startswith("table"))
+    return [
+        Open(
+            f"{axis}.column",
+            f"Which column is the coordinate {axis} of the points ({tables or paths[0]})",
+            {},
+            str(paths[0]),
+        )
+        for axis in "xy"
+    ]
+
+
+def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
+    """Assume mm of lengths without a unit where needles then have the length of one; else ask."""
+    unknown = [
+        record
+        for table in draft.tables
+        for meaning, record in table["columns"].items()
+        if meaning in COORDINATES
+        if not record.get("unit")
+        and "unit_column" not in record
+        and table["holds"] in ("shapes", "tips", "tracks")
+    ]
+    if not unknown:
+        return
+    content = read_mapped(draft.to_record("the draft of the mapping"), files, "the draft of the mapping")
+    lines = [one.line for one in content.curves if len(one.line)]
+    longest = max((one.reach for one in content.curves), default=0.0)
+    low, high = ASSUMED_MM
+    whole = all((line == np.round(line)).all() for line in lines)
+    if low <= longest <= high and not whole:
+        for record in unknown:
+            record["unit"] = "mm"
+        draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
+        return
+    likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
+    why = (
+        "all coordinates are whole numbers, as of pixels"
+        if whole
+        else f"in mm the longest needle is {longest:,.3g} mm long"
+    )
+    question = f"Unit of coordinates that state none, or the length of one step of a pixel (0.07 mm): {why}"
+    yield Open(
+        "unit",
+        question + (f", in {' or '.join(likely)} that of a needle" if likely else ""),
+        {},
+        str(files[0]),
+    )
+
+
+def _require_lengths(content: ImportContent) -> None:
+    """DataError if no needle has a length that is possible."""
+    longest, (low, high) = max(one.reach for one in content.curves), STATED_MM
+    if longest and not low <= longest <= high:
+        raise refusal(f"""the longest needle is {longest:,.3g} mm long
+            expected: {low:g} to {high:g} mm
+            fix: state the unit of the coordinates, as {name_set("unit", "mm" if longest > high else "m")}
+            where: {content.curves[0].points.where()}""")
+
+
+def _describe_columns(record: MappingRecord, files: Sequence[Path]) -> Iterator[dict[str, str]]:
+    """Yield a row of the screen for each meaning of each table: column, unit, first values in mm."""
+    for one in list_tables(record, files, "the mapping"):
+        for meaning, own in one.record.columns.items():
+            source = ", ".join(map(str, own.columns)) if own.column else own.source or f"= {own.value}"
+            yield {
+                "table": " ".join(filter(None, [one.table.path.name, one.record.sheet.replace("*", "")])),
+                "meaning": meaning,
+                "column": source,
+                "unit": own.unit
+                or (f"column {own.unit_column}" if own.unit_column else MEANINGS[meaning].unit),
+                "first values": ", ".join(_list_first(one, meaning)),
+            }
+
+
+def _list_first(one: MappedTable, meaning: str) -> Iterator[str]:
+    is_length = MEANINGS[meaning].unit == "mm" and meaning not in ("boundaries", "diameter", "entry_point")
+    for n, cells in [(n, cells) for n, cells in enumerate(one.read_cells(meaning)) if any(cells)][
+        :MAX_FIRST_VALUES
+    ]:
+        number = one.table.number(cells[0]) if is_length else None
+        yield "; ".join(cells[:4]) if number is None else f"{number * one.read_factor(meaning, n):.4g} mm"

@@ -1,0 +1,538 @@
+"""Read the needles in files as a mapping states them: nothing is guessed."""
+
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.columns import make_id
+from needlefit.datasets.faults import as_error
+from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
+from needlefit.datasets.importing.meanings import ATTRIBUTES, MEANINGS, SENSOR, VECTORS
+from needlefit.datasets.importing.stated import Stated, name_set
+from needlefit.datasets.importing.synonyms import UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.tables import (
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    Table,
+    lay_out,
+    read_grids,
+    read_structured,
+)
+from needlefit.datasets.layers import find_hole, find_surface_faults
+from needlefit.datasets.points import Points
+from needlefit.errors import refusal
+from needlefit.geometry.frames import RAS_TO_LPS
+from needlefit.geometry.surfaces import (
+    READ_SUFFIXES,
+    Surface,
+    read_coordinate_system,
+    read_surface,
+    transform_surface,
+)
+from needlefit.project.folders import sha256
+from needlefit.project.locate import join_names
+from needlefit.schemas.mapping import MappingRecord, MeaningRecord, TableRecord
+
+MAX_CURVES = 2000  # of an import, and as many files: more is a wrong folder
+MAX_NAME_CHARS = 60
+MAX_LISTED_NAMES = 4  # of needles in a message
+UNITS_PER_MM = {f"1/{unit}": 1.0 / factor for unit, factor in UNITS_MM.items()}  # of curvatures
+FACTORS = UNITS_MM | UNITS_PER_MM
+
+
+@dataclass(frozen=True)
+class MappedTable:
+    """A table, the entry of the mapping that reads it, and the number of that entry."""
+
+    table: Table
+    record: TableRecord
+    number: int  # from 1
+
+    def name_edit(self, key: str, value: str = "HEADER") -> str:
+        """Return the option that states a key of this table, as `columns.x.unit`."""
+        return name_set(f"tables.{self.number}.{key}", value)
+
+    def where(self, n: int, meaning: str) -> str:
+        """Return the place of the cell of a meaning in a row."""
+        record = self.record.columns.get(meaning)
+        if record is None or not record.column:
+            return self.table.places[n]
+        return f"{self.table.places[n]}, column {self.find(meaning, record.columns[0]) + 1}"
+
+    def find(self, meaning: str, name: str | int) -> int:
+        """Return the column with a header or number; DataError with the nearest name if there is none."""
+        column = self.table.find(name)
+        if column is not None:
+            return column
+        headers = [text for text in self.table.headers if text]
+        near = get_close_matches(str(name), headers, 1, 0.0)
+        raise refusal(f"""has no one column {name!r}, of which {meaning} is read
+            expected: one of {", ".join(headers)}, or a number from 1 to {len(self.table.headers)}
+            fix: {self.name_edit(f"columns.{meaning}.column", near[0] if near else "1")}
+            where: {self.table.path}""")
+
+    def read_cells(self, meaning: str) -> list[list[str]]:
+        """Return the texts of a meaning of each row: one of each column; none where it is not mapped."""
+        return self._cells.get(meaning) or [[] for _ in self.table.rows]
+
+    @cached_property
+    def _cells(self) -> dict[str, list[list[str]]]:
+        """The texts of all meanings that are mapped; empty where a cell was not measured."""
+        return {
+            meaning: [*self._list_cells(meaning, record)] for meaning, record in self.record.columns.items()
+        }
+
+    def _list_cells(self, meaning: str, record: MeaningRecord) -> Iterator[list[str]]:
+        names = {"file": self.table.path.name.partition(".")[0], "sheet": self.table.name}
+        columns = [self.find(meaning, name) for name in record.columns] if record.column else []
+        missing, words = {*self.record.missing}, record.words
+        for row in self.table.rows:
+            texts = [row[m] for m in columns] or [names.get(record.source, str(record.value))]
+            yield ["" if text in missing else words.get(text, text) for text in texts]
+
+    def read_unit(self, meaning: str, n: int) -> str:
+        """Return the unit of a row, or of all; empty: that of the meaning."""
+        record = self.record.columns[meaning]
+        if record.unit_column is None:
+            return record.unit
+        text = self.table.rows[n][self.find(meaning, record.unit_column)]
+        return find_meaning("unit", text) or text
+
+    def read_factor(self, meaning: str, n: int) -> float:
+        """Return by what numbers are multiplied to be in mm or 1/mm."""
+        usual = MEANINGS[meaning].unit
+        unit = self.read_unit(meaning, n) or usual
+        known = (1.0, unit) if unit in FACTORS else read_quantity(unit)
+        number, plain = known or (1.0, unit)  # `0.07 mm` of a pixel
+        if plain not in FACTORS or plain.startswith("1/") != usual.startswith("1/"):
+            known_units = ", ".join(UNITS_PER_MM if usual.startswith("1/") else UNITS_MM)
+            raise refusal(f"""the unit of {meaning} is {unit!r}
+                expected: {known_units}, or the length of a step: 0.07 mm
+                fix: {self.name_edit(f"columns.{meaning}.unit", usual)}
+                where: {self.where(n, meaning)}""")
+        return number * FACTORS[plain] * self.record.columns[meaning].sign
+
+    def read_number(self, meaning: str, n: int, text: str) -> float:
+        """Return a cell in mm or 1/mm; DataError if it is no number."""
+        if (value := self.table.number(text)) is None:
+            missing = self.name_edit("missing", f'["{text[:20]}"]')
+            raise refusal(f"""{meaning} is {text[:40]!r}
+                expected: a number with the decimal sign {self.table.decimal!r}
+                fix: correct the cell; or, if it was not measured: {missing}
+                    {self.name_edit("if_missing", "leave_out")}
+                where: {self.where(n, meaning)}""")
+        return value * self.read_factor(meaning, n)
+
+
+def read_mapped(mapping: MappingRecord, paths: Sequence[Path], where: str) -> ImportContent:
+    """Return the needles in files, as their mapping reads them.
+
+    `where`: the file of the mapping, for messages. DataError if a file of the mapping is not there, a column
+    is not there, a cell is not understood, or a needle is not found in a table that states facts of needles.
+    """
+    content = ImportContent([], _read_surfaces(mapping, paths), {path.name: sha256(path) for path in paths})
+    tables = [*list_tables(mapping, paths, where)]
+    left_out = list[str]()
+    for one in tables:
+        if one.record.holds in ("shapes", "tips", "tracks"):
+            content.curves.extend(_read_points(one, left_out))
+    _name_curves(content.curves)
+    for one in tables:
+        if one.record.holds in ("curvatures", "turns", "facts"):
+            _add_rows(one, content.curves)
+    if not content.curves:
+        raise refusal(f"""holds no needle
+            expected: a table with holds = "shapes", "tips", "tracks" or "curvatures"
+            fix: correct the mapping
+            where: {where}""")
+    if len(content.curves) > MAX_CURVES:
+        raise refusal(f"""holds {len(content.curves)} needles
+            expected: at most {MAX_CURVES}
+            fix: correct the column of needle
+            where: {where}""")
+    return replace(content, left_out=left_out)
+
+
+def list_tables(mapping: MappingRecord, paths: Sequence[Path], where: str) -> Iterator[MappedTable]:
+    """Yield each table that the mapping reads; DataError if one of its files or sheets is not there."""
+    names = [path.name for path in paths]
+    for number, record in enumerate(mapping.tables, 1):
+        matching = [path for path in paths if any(fnmatchcase(path.name, one) for one in record.files)]
+        if not matching:
+            near = get_close_matches(record.files[0], names, 1, 0.0)
+            raise refusal(f"""tables.{number} reads {join_names(record.files, 3)}, and no file has this name
+                expected: {join_names(names, MAX_LISTED_NAMES)}
+                fix: {name_set(f"tables.{number}.files", f'["{near[0] if near else "*"}"]')}
+                where: {where}""")
+        found = 0
+        for path in matching:
+            for table in _read_tables(path, record):
+                found += 1
+                yield MappedTable(table, record, number)
+        if not found:
+            raise refusal(f"""has no sheet {record.sheet!r}
+                expected: a sheet of this name
+                fix: {name_set(f"tables.{number}.sheet", "*")}
+                where: {matching[0]}""")
+
+
+def _read_tables(path: Path, record: TableRecord) -> list[Table]:
+    if path.suffix.lower() not in (*TEXT_SUFFIXES, *SHEET_SUFFIXES):
+        return [read_structured(path)[0]]
+    grids = [
+        grid for grid in read_grids(path, record) if not grid.sheet or fnmatchcase(grid.sheet, record.sheet)
+    ]
+    return [lay_out(grid, record) for grid in grids]
+
+
+def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surface]:
+    """Return the surfaces in their order; DataError of one that cannot part layers."""
+    surfaces = list[Surface]()
+    for name in mapping.surfaces:
+        path = next((path for path in paths if path.name == name), None)
+        if path is None or path.suffix.lower() not in READ_SUFFIXES:
+            raise refusal(f"""there is no surface {name!r} among the files
+                expected: a file of {", ".join(READ_SUFFIXES)}
+                fix: name it, or correct `surfaces` of the mapping""")
+        surface = read_surface(path, "sheet", 2)
+        if read_coordinate_system(path) == "RAS":
+            surface = transform_surface(surface, RAS_TO_LPS)
+        surface = replace(surface, kind="solid" if surface.mesh.is_watertight else "sheet")
+        faults = list(find_surface_faults(surface, path))
+        if surface.kind == "sheet" and not faults:
+            faults = list(find_hole(surface, path, "close the hole, or save the sheet alone"))
+        if faults:
+            raise as_error(faults, path)
+        taken = {one.name for one in surfaces}
+        surfaces.append(replace(surface, name=_make_unique(surface.name[:MAX_NAME_CHARS], taken)))
+    return surfaces
+
+
+# ---- points
+
+
+def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurve]:
+    """Yield the needles of a table of points, each with its rows in their order."""
+    if one.record.layout == "wide":
+        yield from _read_wide(one)
+        return
+    rows = defaultdict[str, list[int]](list)
+    for n, name in enumerate(_read_names(one)):
+        rows[name].append(n)
+    is_deflection = "deflection" in one.record.columns
+    axes = ("depth", "deflection", "deflection_z") if is_deflection else ("x", "y", "z")
+    cells = {axis: one.read_cells(axis) for axis in axes if axis in one.record.columns}
+    if "y" in one.record.columns and "x" not in one.record.columns:  # deflections beside a depth
+        cells, is_deflection = (
+            {"depth": one.read_cells("depth")} | {k: v for k, v in cells.items() if k != "x"},
+            True,
+        )
+    for name, own in rows.items():
+        kept, missing = _list_measured(one, own, cells)
+        if missing:
+            left_out.append(f"{len(missing)} of {name or one.table.name}")
+        if kept:
+            yield _make_curve(one, name, kept, cells, is_deflection)
+
+
+def _read_names(one: MappedTable) -> list[str]:
+    """Return the name of the needle of each row, as its cells are written."""
+    record = one.record.columns.get("needle")
+    names = ["-".join(filter(None, cells)) for cells in one.read_cells("needle")]
+    if record is None or not record.pattern:
+        return names
+    matches = [re.fullmatch(record.pattern, name) for name in names]
+    return [match[1] if match else name for match, name in zip(matches, names, strict=True)]
+
+
+def _list_measured(
+    one: MappedTable, rows: Sequence[int], cells: Mapping[str, list[list[str]]]
+) -> tuple[list[int], list[int]]:
+    """Return the rows whose coordinates were measured, and those that lack some of them."""
+    kept, missing = list[int](), list[int]()
+    for n in rows:
+        texts = [cells[axis][n][0] for axis in cells]
+        raw = [one.table.rows[n][m] for axis in cells for m in _columns(one, axis)]
+        if all(texts):
+            kept.append(n)
+        elif any(text for text in raw if text):
+            if one.record.if_missing == "stop":
+                raise refusal(f"""a coordinate was not measured: {", ".join(raw)}
+                    expected: {", ".join(cells)} of each point
+                    fix: {one.name_edit("if_missing", "leave_out")}, or correct the row
+                    where: {one.table.places[n]}""")
+            missing.append(n)
+    return kept, missing
+
+
+def _columns(one: MappedTable, meaning: str) -> list[int]:
+    record = one.record.columns[meaning]
+    return [one.find(meaning, name) for name in record.columns] if record.column else []
+
+
+def _make_curve(
+    one: MappedTable, name: str, rows: list[int], cells: Mapping[str, list[list[str]]], is_deflection: bool
+) -> ImportedCurve:
+    values = np.zeros((len(rows), 3))
+    for k, axis in enumerate(cells):
+        place = "xyz".index(axis) if axis in ("x", "y", "z") else k
+        values[:, place] = [one.read_number(axis, n, cells[axis][n][0]) for n in rows]
+    lines = None if one.table.lines is None else np.array([one.table.lines[n] for n in rows], dtype=np.int64)
+    points = Points(one.table.path, values, lines, _read_sds(one, rows))
+    stated = read_facts(one, rows)
+    depths = np.empty(0)
+    if one.record.holds == "tracks" and "depth" in one.record.columns:
+        stated.pop("depth", None)
+        texts = one.read_cells("depth")
+        depths = np.array([one.read_number("depth", n, texts[n][0]) for n in rows])
+    curve = ImportedCurve(name, points, one.record.holds, stated, depths, is_deflection)
+    if is_deflection:
+        stated.pop("depth", None)
+    curve.is_named = bool(name)
+    curve.name = name or one.table.name
+    curve.guide = _read_guide(one, rows)
+    if curve.holds == "shapes" and len(rows) < 2:
+        raise refusal(f"""{curve.name} has one point: it is a tip, and no shape
+            expected: the points of each needle from the entry to the tip
+            fix: import the tips by themselves: {one.name_edit("holds", "tips")}
+            where: {one.table.places[rows[0]]}""")
+    return curve
+
+
+def _read_sds(one: MappedTable, rows: Sequence[int]) -> Floats | None:
+    """Return the standard deviation of each point (N,), mm; None if the table states one, or none of some."""
+    if (record := one.record.columns.get("point_sd")) is None:
+        return None
+    texts = [one.read_cells("point_sd")[n][0] for n in rows]
+    if record.divide_by_root is None and (len({*texts}) < 2 or not all(texts)):
+        return None
+    sds = np.array([one.read_number("point_sd", n, text) for n, text in zip(rows, texts, strict=True)])
+    if record.divide_by_root is None:
+        return sds
+    column = one.find("point_sd", record.divide_by_root)
+    return sds / np.sqrt([one.table.number(one.table.rows[n][column]) or 1.0 for n in rows])
+
+
+def _read_guide(one: MappedTable, rows: Sequence[int]) -> Floats | None:
+    """Return the places of the guide (N, 3), mm: one column is y, two are y and z, three x, y and z."""
+    if "guide" not in one.record.columns:
+        return None
+    cells = one.read_cells("guide")
+    numbers = np.array([[one.read_number("guide", n, text) for text in cells[n]] for n in rows])
+    places = np.zeros((len(rows), 3))
+    first = 1 if numbers.shape[1] < 3 else 0
+    places[:, first : first + numbers.shape[1]] = numbers
+    return places
+
+
+def _read_wide(one: MappedTable) -> Iterator[ImportedCurve]:
+    """Yield the needles of a table each row of which holds all points of one."""
+    cells = {axis: one.read_cells(axis) for axis in "xyz" if axis in one.record.columns}
+    names = _read_names(one)
+    for n in range(len(one.table.rows)):
+        count = max((len([text for text in cells[axis][n] if text]) for axis in cells), default=0)
+        if not count:
+            continue
+        values = np.zeros((count, 3))
+        for axis, texts in cells.items():
+            values[:, "xyz".index(axis)] = [one.read_number(axis, n, text) for text in texts[n][:count]]
+        lines = None if one.table.lines is None else np.full(count, one.table.lines[n])
+        curve = ImportedCurve(names[n], Points(one.table.path, values, lines), "shapes", read_facts(one, [n]))
+        curve.is_named, curve.name = bool(names[n]), names[n] or one.table.name
+        yield curve
+
+
+# ---- facts
+
+
+def read_facts(one: MappedTable, rows: Sequence[int]) -> dict[str, Stated]:
+    """Return what columns state once of the needle, the specimen or all in some rows.
+
+    DataError if two cells of one column contradict each other.
+    """
+    stated: dict[str, Stated] = {}
+    for meaning in ATTRIBUTES:
+        if meaning not in one.record.columns:
+            continue
+        cells = one.read_cells(meaning)
+        texts = {n: _join(meaning, cells[n]) for n in rows if any(cells[n])}
+        if not texts:
+            continue
+        first = next(iter(texts))
+        other = next((n for n, text in texts.items() if text != texts[first]), None)
+        record = one.record.columns[meaning]
+        if (other is not None and meaning in ("depth", "point_sd")) or record.divide_by_root is not None:
+            continue  # those of each reading
+        if other is not None:
+            raise refusal(f"""{meaning} is {texts[first][:40]!r} and {texts[other][:40]!r}
+                expected: one value
+                fix: correct the cell; or, if another column names needles:
+                    {one.name_edit("columns.needle.column")}
+                where: {one.where(other, meaning)}""")
+        text = texts[first]
+        if one.table.number(text) is not None and meaning not in ("medium", "specimen", "bevel_side"):
+            text = f"{one.table.number(text):.10g}"  # with a decimal point
+        stated[meaning] = Stated(text, one.read_unit(meaning, first), one.where(first, meaning))
+    return stated
+
+
+def _join(meaning: str, texts: Sequence[str]) -> str:
+    return (", " if meaning in VECTORS else "; ").join(filter(None, texts))
+
+
+def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
+    """Add to needles what the rows of a table state of them: facts, turns or curvatures."""
+    if one.record.of == "all":
+        for curve in curves:
+            _add_facts(curve, read_facts(one, range(len(one.table.rows))))
+        return
+    by_specimen = one.record.of == "specimen"
+    names = (
+        [cells[0] if cells else "" for cells in one.read_cells("specimen")]
+        if by_specimen
+        else _read_names(one)
+    )
+    if not by_specimen and one.record.holds == "curvatures":
+        known = {curve.name for curve in curves}
+        curves += [
+            ImportedCurve(name, Points(one.table.path, np.empty((0, 3))), "curvatures")
+            for name in dict.fromkeys(names)
+            if name and _match(name, known) is None
+        ]
+    rows = defaultdict[str, list[int]](list)
+    for n, name in enumerate(names):
+        if not name and any(any(one.read_cells(what)[n]) for what in one.record.columns):
+            raise refusal(f"""names no {one.record.of}
+                expected: a name in each row
+                fix: fill it in; or, if the cell above counts: {one.name_edit("fill_down", '["HEADER"]')}
+                where: {one.table.places[n]}""")
+        rows[name].append(n)
+    keys = {
+        curve.name: curve.stated["specimen"].text
+        if by_specimen and "specimen" in curve.stated
+        else curve.name
+        for curve in curves
+    }
+    matched = {name: [k for k, key in keys.items() if _match(name, [key])] for name in rows}
+    _require_found(one, matched, keys)
+    by_name = {curve.name: curve for curve in curves}
+    for name, own in rows.items():
+        for curve in (by_name[k] for k in matched[name]):
+            if one.record.holds == "turns":
+                curve.turns += [_read_turn(one, n) for n in own]
+                continue
+            if one.record.holds == "curvatures":
+                curve.sensors += [_read_sensor(one, n) for n in own]
+                curve.are_sensors_from_base |= "sensor_from_base" in one.record.columns
+            facts = read_facts(one, own)
+            if by_specimen:
+                facts.pop("specimen", None)
+            _add_facts(curve, facts)
+
+
+def _add_facts(curve: ImportedCurve, facts: Mapping[str, Stated]) -> None:
+    """Add facts to a needle; DataError if it has others."""
+    for meaning, fact in facts.items():
+        known = curve.stated.setdefault(meaning, fact)
+        if known.text != fact.text:
+            raise refusal(f"""{meaning} of {curve.name} is {fact.text[:60]!r}, and {known.text[:60]!r} in
+                    {known.where}
+                expected: one value
+                fix: correct one of the two
+                where: {fact.where}""")
+
+
+def _read_turn(one: MappedTable, n: int) -> tuple[float, Stated]:
+    depth = one.read_number("turn_depth", n, one.read_cells("turn_depth")[n][0])
+    text = "".join(one.read_cells("bevel_side")[n])
+    if not text:
+        raise refusal(f"""nothing states where the bevel faces from this depth on
+            expected: bevel_side of each turn, as 90 deg
+            fix: fill in the cell; or {one.name_edit("columns.bevel_side.column")}
+            where: {one.table.places[n]}""")
+    return depth, Stated(text, one.read_unit("bevel_side", n), one.where(n, "bevel_side"))
+
+
+def _read_sensor(one: MappedTable, n: int) -> Floats:
+    place = "sensor" if "sensor" in one.record.columns else "sensor_from_base"
+    meanings = (place, *SENSOR[1:])
+    if lacking := [what for what in meanings if what not in one.record.columns]:
+        raise refusal(f"""of curvatures nothing states {", ".join(lacking)}
+            expected: the place of each sensor, its two curvatures and their standard deviation
+            fix: {" ".join(one.name_edit(f"columns.{what}.column") for what in lacking)}
+            where: {one.table.places[n]}""")
+    return np.array([one.read_number(what, n, one.read_cells(what)[n][0]) for what in meanings])
+
+
+# ---- names
+
+
+def _name_curves(curves: list[ImportedCurve]) -> None:
+    """Give each needle an id of its own."""
+    taken = dict[str, str]()
+    counts = defaultdict[str, int](int)
+    for curve in curves:
+        counts[curve.name] += not curve.is_named
+    numbers = defaultdict[str, int](int)
+    for curve in curves:
+        name = curve.name
+        if not curve.is_named and counts[name] > 1:  # several blocks of one table
+            numbers[name] += 1
+            name = f"{name}-{numbers[name]}"
+        curve.name = _make_unique(make_id(name, "curve")[:MAX_NAME_CHARS], taken)
+        taken[curve.name] = name
+
+
+def _make_unique(name: str, taken: Iterable[str]) -> str:
+    """Return a name, numbered from 2 where it is taken."""
+    names, count, unique = {*taken}, 1, name
+    while unique in names:
+        count += 1
+        unique = f"{name}-{count}"
+    return unique
+
+
+def _match(name: str, known: Iterable[str]) -> str | None:
+    """Return which of some names is the same: its id, or its number is (`1`, `1.0`, `01`)."""
+    keys: tuple[Callable[[str], str], ...] = (_make_key, _make_number_key)
+    for make in keys:
+        found = [one for one in known if make(one) == make(name)]
+        if len(found) == 1:
+            return found[0]
+    return None
+
+
+def _make_key(name: str) -> str:
+    return make_id(name, name)[:MAX_NAME_CHARS].lower()
+
+
+def _make_number_key(name: str) -> str:
+    """Return a name without zeros that change no number: 1 for `1.0` and `01`, n1 for `n01`; not 1.10."""
+    whole = re.sub(r"^(\d+)\.0+$", r"\1", _make_key(name))
+    return re.sub(r"(?<![\d.])0+(?=\d)", "", whole)
+
+
+def _require_found(one: MappedTable, matched: Mapping[str, list[str]], keys: Mapping[str, str]) -> None:
+    """DataError if a row is about no needle, or a needle without a row lacks what the others have."""
+    strangers = [name for name, found in matched.items() if not found]
+    found = {key for keys_ in matched.values() for key in keys_}
+    without = [name for name in keys if name not in found]
+    listed = join_names([*dict.fromkeys(keys.values())], MAX_LISTED_NAMES)
+    if strangers or (without and one.record.holds == "facts"):
+        what = (
+            f"no {one.record.of} is called {join_names(strangers, MAX_LISTED_NAMES)}"
+            if strangers
+            else (f"no row is about {join_names(without, MAX_LISTED_NAMES)}")
+        )
+        raise refusal(f"""{what}
+            expected: a row for each {one.record.of}: {listed}
+            fix: write the same names in both tables; or leave tables.{one.number} out of the mapping
+            where: {one.table.path}""")

@@ -1,0 +1,196 @@
+"""What is stated of needles as text, read in its unit; and what is stated of all, asked for, or assumed."""
+
+import re
+import shlex
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from needlefit.arrays import Floats
+from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.points import MAX_COORDINATE
+from needlefit.errors import DataError, refusal
+from needlefit.project.locate import join_names
+
+MAX_ANSWER_CHARS = 500  # of what is kept of an answer
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a cell or a mapping states: its text, its unit where it has none of its own, and its place."""
+
+    text: str
+    unit: str = ""
+    where: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The text with the unit of its header, where it has none of its own."""
+        return f"{self.text} {self.unit}".strip() if re.search(r"\d$", self.text) else self.text
+
+    def to_number(self, what: str, unit: str = "mm", is_above: bool = False) -> float:
+        """Return the number of at least 0, or above 0, in a unit; DataError if it is none."""
+        value, own = read_quantity(self.text) or (-1.0, "")
+        own = own or self.unit or unit
+        known = {"mm": UNITS_MM, "GPa": UNITS_GPA}.get(unit, {unit: 1.0})
+        factor = known.get(own, 0.0)
+        if not 0 <= value * factor <= MAX_COORDINATE or not factor or (is_above and not value):
+            expected = (
+                f"a number {'above 0' if is_above else 'of 0 or more'}, at most {MAX_COORDINATE:g}, {unit}"
+            )
+            if others := [one for one in known if one != unit]:
+                expected += f", or with its unit: {', '.join(others)}"
+            raise self.error(what, expected)
+        return value * factor
+
+    def to_entry(self) -> Floats:
+        """Return the entry point (3,), mm, in a text such as `0,0,1`; DataError if it is none."""
+        unit = self.unit or "mm"
+        if unit not in UNITS_MM:
+            raise self.error("entry_point", f"three numbers in one of {', '.join(UNITS_MM)}")
+        return UNITS_MM[unit] * self.to_vector("entry_point", is_direction=False)
+
+    def to_vector(self, what: str, is_direction: bool = True) -> Floats:
+        """Return the vector (3,) in a text such as `0,0,1`; DataError if it is none."""
+        try:
+            vector = np.array([float(part) for part in re.split("[,;]", self.text)])
+        except ValueError:
+            vector = np.empty(0)
+        if (
+            len(vector) != 3
+            or not (np.abs(vector) < MAX_COORDINATE).all()
+            or (is_direction and not vector.any())
+        ):
+            raise self.error(what, "three numbers, such as 0,0,1")
+        return vector
+
+    def to_boundaries(self) -> tuple[float, ...]:
+        """Return increasing depths, mm, in a text such as `15,30`; with decimal commas `15,5;30`."""
+        parts = self.text.split(";" if ";" in self.text else ",")
+        # of `2, 4 cm` the unit is of all; beside numbers with another one it is of its own
+        last = re.search(r"[^\W\d].*$", parts[-1])
+        if last and not any(re.search(r"[^\W\d]", part) for part in parts[:-1]):
+            parts = [*(f"{part} {last[0]}" for part in parts[:-1]), parts[-1]]
+        depths = [replace(self, text=part.strip()).to_number("boundaries") for part in parts]
+        if any(b <= a for a, b in pairwise([0.0, *depths])):
+            raise self.error("boundaries", "depths above 0 that increase, such as 15; 30")
+        return tuple(depths)
+
+    def to_angle(self) -> float:
+        """Return the direction that a bevel faces, degrees: clockwise from up, seen along the needle.
+
+        DataError if the cell is not understood.
+        """
+        text = self.text.replace("\u2212", "-").strip()
+        word = find_meaning("value", {"+": "up", "-": "down"}.get(text, text))
+        value, own = read_quantity(word if word.endswith(" deg") else text) or (float("nan"), "")
+        unit = own or self.unit
+        if value in (1.0, -1.0) and not unit:
+            return 90.0 - 90.0 * value
+        turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
+        if unit == "deg" and not own and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
+            raise self.error("bevel_side", f"degrees; in radians it would be {np.degrees(value):.4g}")
+        if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
+            return value if unit == "deg" else 30.0 * (value % 12)
+        expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
+        fix = ""
+        if re.fullmatch(r"[-+\d.,]+", text):
+            fix = 'state the unit (bevel_side.unit = "deg"), or the words (bevel_side.words), in the mapping'
+        raise self.error("bevel_side", expected, fix)
+
+    def error(self, what: str, expected: str, fix: str = "") -> DataError:
+        """Return the error of a cell that is not understood."""
+        fix = fix or "correct it" + (f", or state {name_set(what)}" if what in VALUES else "")
+        return refusal(f"""{f"{what} is {self.text[:60]!r} {self.unit}".strip()}
+            expected: {expected}
+            fix: {fix}
+            where: {self.where}""")
+
+
+def name_set(key: str, value: str = "VALUE") -> str:
+    """Return the option that states a key of the mapping."""
+    return f"--set {shlex.quote(f'{key}={value}')}"
+
+
+@dataclass
+class Settler:
+    """Settles what holds of all needles: as the mapping states it, else by an answer, else by a proposal.
+
+    What is settled becomes a value of the mapping; of a proposal that nobody stated `assumed` has the reason.
+    """
+
+    values: dict[str, str]  # of the mapping
+    assumed: dict[str, str] = field(default_factory=dict)
+    # Key, proposal, reason -> answer of the user, "" takes the proposal; None: nobody is asked.
+    prompt: Callable[[str, str, str], str] | None = None
+    is_complete: bool = False  # nothing may be assumed: the mapping was written before
+    notes: list[tuple[str, str]] = field(
+        default_factory=list
+    )  # what was done with the curves, for the screen
+
+    def settle(
+        self,
+        key: str,
+        usual: str | None = None,
+        reason: str = "",
+        choices: tuple[str, ...] = (),
+        fix: str = "",
+        where: str = "",
+        is_sure: bool = False,
+    ) -> Stated:
+        """Return what holds of a key, and keep it.
+
+        `usual`: proposed; empty: somebody must state it. None: that of the key. `is_sure`: files state it.
+
+        DataError if there is no answer, or it is none of the `choices`.
+        """
+        meaning = VALUES[key]
+        usual, reason = meaning.usual if usual is None else usual, reason or meaning.reason
+        if key not in self.values:
+            answer = ""
+            if self.prompt is not None and not is_sure:
+                answer = self.prompt(key, usual, reason).strip()[:MAX_ANSWER_CHARS]
+            if not answer and (not usual or (self.is_complete and not is_sure)):
+                ways = " or ".join(name_set(key, one) for one in choices or ("VALUE",))
+                raise refusal(f"""{key} is not stated{f": {reason}" if reason else ""}
+                    expected: {f"one of {', '.join(choices)}" if choices else meaning.text}
+                    fix: {fix or f"state {ways}"}
+                    where: {where}""")
+            self.values[key] = answer or usual
+            if not answer and not is_sure:
+                self.assumed[key] = reason
+        stated = Stated(self.values[key], "", f"key values.{key}")
+        if choices and stated.text not in choices:
+            raise stated.error(key, f"one of {', '.join(choices)}")
+        return stated
+
+    def settle_each(
+        self,
+        key: str,
+        own: Mapping[str, Mapping[str, Stated]],
+        usual: str | None = None,
+        reason: str = "",
+        is_sure: bool = False,
+    ) -> dict[str, Stated]:
+        """Return what holds of each needle: its own cell, else the value of all.
+
+        A value that is stated beside cells of all needles takes their place. `own`: what cells state of each
+        needle, by its name. DataError if nothing states it of some needles.
+        """
+        cells = {name: stated[key] for name, stated in own.items() if key in stated}
+        missing = [name for name in own if name not in cells]
+        if not cells:
+            return dict.fromkeys(own, self.settle(key, usual, reason, is_sure=is_sure))
+        if not missing:
+            return cells if key not in self.values else dict.fromkeys(own, self.settle(key))
+        reason = f"stated of {join_names([*cells], 5)}, not of {join_names(missing, 5)}"
+        fix = f"fill in their cells, or state {name_set(key)} of all that are blank"
+        rest = self.settle(key, "", reason, fix=fix, where=next(iter(cells.values())).where)
+        return {name: cells.get(name, rest) for name in own}
+
+    def note(self, what: str, text: str) -> None:
+        """Keep what was done with the curves, for the screen."""
+        self.notes.append((what, text))

@@ -1,0 +1,660 @@
+"""Imported needles are placed: entry, direction, layers, bevel, turns, tips and tracks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from import_cases import needle, placed, planned, prepare, write_long, write_placed, write_rows, write_sheets
+from refusals import refusal
+
+from needlefit.api import score_study
+from needlefit.datasets.importing.prepare import prepare_import
+from needlefit.datasets.planes import measure_out_of_plane
+from needlefit.datasets.read import inspect, read
+from needlefit.errors import DataError
+from needlefit.geometry.curves import integrate_curvature
+from needlefit.geometry.stray_points import find_stray_points
+from needlefit.geometry.surfaces import make_sheet, write_surface
+from needlefit.project.locate import read_toml
+from needlefit.project.toml import load
+from needlefit.project.unit_warnings import GAUGES_MM, doubt_layers
+from needlefit.schemas.scene import SceneRecord, resolve_steps
+
+CASES = Path(__file__).with_name("imports")
+NEEDLES = [needle(n, 16) for n in range(3)]
+
+
+def points_of(paths, **stated):
+    """Return the points of the needles, mm, as they are written."""
+    return [one.points for one in prepare(paths, **stated).content.curves]
+
+
+TURNS = "id,depth_mm,bevel_roll_deg\n" + "".join(f"q{n},{25 + 5 * n},90\n" for n in range(1, 5))
+CURVATURES = "Nadel;s (cm);Krümmung y [1/m];kappa_z [1/m];sd [1/m]\nq1;1;0,1;3,3;0,1\nq1;4;3,3;-0,2;0,1\n"
+SHARP = {
+    "pose": "1,0,0",
+    "entry_point": "0,0,0",
+    "bevel": "0,1,0",
+    "point_sd": "0.05",
+    "pose_angle_sd": "0.05",
+}
+
+
+def with_shaft(curve, step=3.0):
+    """Return a needle that begins 18 mm before its entry."""
+    x = np.arange(-18.0, -2.0, step)
+    return np.vstack([np.column_stack([x, np.full((len(x), 2), curve[0, 1:])]), curve])
+
+
+def write_surfaces(folder, *names, sign=1.0):
+    for name, x in zip(names, (0.0, 20.0, 35.0), strict=False):
+        sheet = make_sheet(name, (sign * x, 0.0, 0.0), (1.0, 0.0, 0.0), 90.0, 2)
+        write_surface(sheet, folder / f"{name}.stl")
+
+
+def test_the_entry_is_the_first_point_unless_another_is_stated(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    assert planned([file])[1]["entry"] == ("first", "assumed")
+    file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
+    np.testing.assert_allclose(points_of([file], entry="last")[1].values, NEEDLES[1], atol=1e-6)
+    file = write_long(tmp_path, [NEEDLES[0][::-1], *NEEDLES[1:]])
+    assert "n1" in refusal(DataError, "--set entry", planned, [file]).what
+    assert planned([file], entry="first")[1]["entry"] == ("first", "stated")
+    file = write_long(tmp_path, [one[::-1] for one in NEEDLES])
+    assert "--set entry=last" in refusal(DataError, "-1,0,0", planned, [file], pose="1,0,0").fix
+
+
+def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_one(tmp_path):
+    file = write_long(tmp_path, [one[:, [1, 2, 0]] * [1, 1, -1] for one in NEEDLES])
+    for wrong in ("0,0,1", "1,0,0", "1,1,-1"):
+        assert "0,0,-1" in refusal(DataError, "--set pose", planned, [file], pose=wrong).expected
+    assert planned([file], pose="0,0,-1")[0].pose == "known"
+
+
+def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
+    write_surfaces(tmp_path, "1_skin", "fat", "muscle")
+    write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
+    plan, _ = planned([tmp_path], point_sd="0.1", pose="shaft", entry_point="1_skin")
+    row = plan.rows[1]
+    np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
+    assert (row.pose_source, row.layers) == ("first_point", 3)  # a point of the bent needle
+    assert [(one.name, one.into) for one in plan.surfaces] == [("fat", 2), ("muscle", 3)]
+    x = np.array([*np.arange(-18.0, -2.0, 3.0), 0.0])  # beside the error of a line, that of its bend
+    assert 3 * 0.1 / np.linalg.norm(x - x.mean()) < plan.rows[0].pose_angle_sd < np.radians(2.0)
+    assert plan.rows[0].pose_shift_sd == 0.1
+    options = {"pose": "shaft", "entry_point": "1_skin", "pose_angle_sd": "1"}
+    assert np.degrees(planned([tmp_path], **options)[0].rows[0].pose_angle_sd) == pytest.approx(1.0)
+    assert len(planned([tmp_path], entry_point="first", pose="1,0,0")[0].surfaces) == 3
+    refusal(DataError, "--set entry_point", planned, [tmp_path], pose="1,0,0")  # is the first surface a skin?
+    refusal(DataError, "--set pose", planned, [tmp_path])
+    refusal(DataError, "--set pose", planned, [tmp_path], pose="free")
+
+
+def test_a_skin_whose_entry_face_is_missing_is_named(tmp_path):
+    write_long(tmp_path, NEEDLES)
+    box = trimesh.creation.box(bounds=[[0.0, -15.0, -15.0], [30.0, 15.0, 15.0]])  # needles leave it at 30 mm
+    box.update_faces(box.face_normals[:, 0] > -0.5)
+    box.export(tmp_path / "skin.stl")
+    fault = refusal(DataError, "", planned, [tmp_path], pose="1,0,0", entry_point="skin")
+    assert "skin.stl" in str(fault) and "hole" in str(fault)
+
+
+@pytest.mark.parametrize("by", ["entry_point", "depth", "label"])
+def test_a_straight_shaft_is_cut_at_the_stated_entry_or_depth(tmp_path, by):
+    curves = [with_shaft(NEEDLES[0] + [0, 5.0 * n, 0]) for n in range(3)]
+    # of an arc with its first points on a line; along the needle the depth is that of the part in the tissue
+    depth = float(np.sum(np.linalg.norm(np.diff(NEEDLES[0], axis=0), axis=1)))
+    head, cells = (["depth [cm]"], [[f"{depth / 10:.4f}"]] * 3) if by == "depth" else ((), ())
+    file = write_long(tmp_path, curves, head=head, cells=cells)
+    if by == "label":
+        file.write_text(f"Tiefe,{depth / 10:.4f} cm\n\n" + file.read_text())
+    options = {"entry_point": "0,0,0"} if by == "entry_point" else {}
+    if by == "entry_point":
+        file = write_long(tmp_path, [with_shaft(one - one[0]) for one in NEEDLES])
+    plan, made = planned([file], pose="shaft", **options)
+    for row, points in zip(plan.rows, points_of([file], pose="shaft", **options), strict=True):
+        np.testing.assert_allclose(row.direction, [1, 0, 0], atol=1e-6)
+        assert row.pose_source == ("shaft" if by == "entry_point" else "first_point")
+        assert abs(points.values[0, 0]) < 0.01
+    assert made["entry_point"][0] == ("0,0,0" if by == "entry_point" else "depth")
+    assert "18.0 mm" in made["shaft"][0]
+
+
+@pytest.mark.parametrize(("spacing", "noise"), [(5.0, 0.2), (1.0, 0.2), (0.5, 0.1), (0.1, 0.2)])
+def test_dense_and_noisy_points_are_as_long_as_their_needles(tmp_path, spacing, noise):
+    """Arcs of 35 to 60 mm; a stated depth is used as it stands."""
+    rng, depths = np.random.default_rng(8), np.arange(35.0, 61.0, 5.0)
+    curves = []
+    for depth in depths:
+        s = np.linspace(0.0, depth, round(depth / spacing) + 1)
+        arc = np.column_stack([integrate_curvature(depth, [0.008], s), np.zeros(len(s))])
+        curves.append(arc + noise * rng.normal(size=arc.shape))
+    answers = {"pose": "1,0,0", "point_sd": f"{noise}"}
+    plan, _ = planned([write_long(tmp_path, curves)], **answers)
+    gaps = np.array([row.depth for row in plan.rows]) - depths
+    sds = np.array([row.depth_sd for row in plan.rows])
+    assert (np.abs(gaps) < 3.5 * sds).all() and (sds < (2.0 if spacing > 1 else 1.0) * noise).all()
+    cells = [[f"{depth:g}"] for depth in depths]
+    plan, _ = planned([write_long(tmp_path, curves, head=["depth [mm]"], cells=cells)], **answers)
+    assert [(row.depth, row.depth_sd) for row in plan.rows] == [(depth, 0.0) for depth in depths]
+
+
+def test_a_shaft_of_two_points_before_the_entry_gives_the_direction(tmp_path):
+    """Eight points a needle, 10 mm apart, 20 mm of them outside the tissue."""
+    x = np.arange(-20.0, 60.0, 10.0) - 2.0
+    curves = [np.column_stack([0.02 * x, x, s * 8e-4 * np.maximum(x, 0.0) ** 2]) for s in (1, -1)]
+    file = write_long(tmp_path, curves, head=["bevel"], cells=[["1"], ["-1"]])
+    plan, made = planned([file], pose="shaft", entry_point="0,0,0")
+    assert made["bevel"][1] == "assumed" and made["shaft"][0].startswith("22.0 to 22.0 mm")
+    for row in plan.rows:
+        np.testing.assert_allclose(
+            row.direction, np.array([0.02, 1.0, 0.0]) / np.hypot(1.0, 0.02), atol=0.003
+        )
+        assert row.depth == pytest.approx(48.0, abs=0.2)
+    _, made = planned([file])
+    assert made["pose"][0] == "free"
+    asked = {}
+    prepare_import([file], prompt=lambda key, proposal, reason: asked.setdefault(key, reason) and "")
+    assert "pose=0,1,0 " in asked["pose"]
+
+
+def test_a_shaft_without_an_entry_a_depth_or_enough_points_is_refused(tmp_path):
+    file = write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
+    refusal(DataError, "--set entry_point", planned, [file], pose="shaft")
+    refusal(DataError, "--set pose", planned, [file], pose="shaft", entry_point="-17,0,0")
+    refusal(DataError, "--set entry_point", planned, [file], pose="shaft", entry_point="depth")
+    refusal(DataError, "behind its entry", planned, [file], pose="shaft", entry_point="60,1,0")
+
+
+def test_a_stated_depth_must_be_the_length_of_its_curve(tmp_path):
+    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["30"]])
+    error = refusal(DataError, "60.0 mm long", planned, [file])
+    assert "--set entry_point" in error.fix
+    plan, _ = planned([file], entry_point="depth")
+    assert plan.rows[0].depth == pytest.approx(30.0)
+    assert planned([write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["61"]])])[0].pose == "free"
+    file = write_long(tmp_path, NEEDLES[:1], head=["depth"], cells=[["80"]])
+    assert refusal(DataError, "'80'", planned, [file]).where.endswith("points.csv:2, column 2")
+
+
+def test_a_stated_direction_leaves_the_entry_and_its_errors_to_be_decided(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    plan, made = planned([file], pose="1,0,0", point_sd="0.03")
+    assert made["entry_point"] == ("first", "assumed") and made["pose_shift_sd"] == ("0.03", "assumed")
+    assert made["pose_angle_sd"] == ("0.5", "assumed")
+    row = plan.rows[1]
+    np.testing.assert_allclose(row.entry, NEEDLES[1][0], atol=1e-6)
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.03, pytest.approx(0.5))
+    # the first point has moved with the needle
+    assert row.pose_source == "first_point" and made["shift across"][1] == "files"
+    answers = {"entry_point": "0,0,0", "pose_shift_sd": "0", "pose_angle_sd": "0,2"}
+    plan, made = planned([file], pose="2,0,0", **answers)
+    row = plan.rows[1]
+    np.testing.assert_array_equal(row.entry, np.zeros(3))
+    assert row.pose_source == "stage" and "shift across" not in made
+    assert (row.pose_shift_sd, np.degrees(row.pose_angle_sd)) == (0.0, pytest.approx(0.2))
+    assert {made[name][1] for name in ("entry_point", "pose_shift_sd", "pose_angle_sd")} == {"stated"}
+
+
+def test_boundaries_are_stated_as_depths(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    plan, _ = planned([file], pose="1,0,0", boundaries="15,5;52,0", boundary_sd="0.3")
+    assert plan.boundaries_mm == {"medium1": (15.5, 52.0)}
+    assert [row.layers for row in plan.rows] == [3, 3, 2]
+    assert {row.boundary_sd for row in plan.rows} == {0.3}
+    assert planned([file], boundaries="15,52")[1]["boundary_sd"] == ("0.5", "assumed")
+    assert planned([file])[1]["boundaries"] == ("none", "assumed")
+
+
+def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
+    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
+    assert refusal(DataError, "'A'", planned, [file], **answers).where.endswith(":2, column 2")
+    plan, made = planned([file], bevel_side="unten", **answers)
+    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("unten", "stated")
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
+    assert "n2" in refusal(DataError, "--set bevel_side", planned, [file], **answers).what
+    plan, _ = planned([file], bevel_side="-1", **answers)
+    assert [row.side for row in plan.rows] == [1, -1, -1]
+    file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], ["-1"], ["1"]])
+    assert "n2" in refusal(DataError, "--set bevel", planned, [file], pose="1,0,0").what
+    file = write_long(tmp_path, NEEDLES)
+    assert planned([file], **answers)[1]["bevel_side"] == ("1", "assumed")
+    assert planned([file])[0].rows[0].bevel is None
+
+
+def test_a_clock_position_is_a_side_or_another_plane():
+    answers = {"pose": "1,0,0", "bevel": "0,1,0"}
+    plan, _ = planned([CASES / "clock.csv"], **answers)
+    bevels = {row.id: (row.bevel * row.side).round(6).tolist() for row in plan.rows}
+    assert bevels == {"a": [0, 1, 0], "b": [0, -1, 0], "c": [0, 0, 1]}
+    refusal(DataError, "--set bevel", planned, [CASES / "clock.csv"], pose="1,0,0")  # c bends as a does
+
+
+def import_turned(folder, turns=TURNS, **answers):
+    """Import the four needles with their turns; return the folder of the dataset."""
+    (folder / "turns.csv").write_text(turns)
+    paths = [CASES / "two_plane.csv", folder / "turns.csv"]
+    return write_placed(folder / "gel", paths, **answers)
+
+
+def test_tables_of_turns_and_curvatures_belong_to_needles_of_their_names(tmp_path):
+    (tmp_path / "turns.csv").write_text(TURNS)
+    (tmp_path / "bragg.csv").write_text(CURVATURES)
+    paths = [CASES / "two_plane.csv", tmp_path]
+    assert "pose=1,0,0" in refusal(DataError, "pose", planned, paths).what
+    refusal(DataError, "turn", planned, paths, pose="1,0,0", bevel="bend")
+    plan, made = planned(paths, pose="1,0,0")
+    toward = [float(text) for text in made["bevel"][0].split(",")]  # as they bend before they are turned
+    assert made["bevel"][1] == "assumed" and toward == pytest.approx([0, 1, 0], abs=0.03)
+    assert made["turns"][1] == made["curvatures"][1] == "files"
+    assert made["bevel_roll_sd"][1] == "assumed"
+    assert [np.degrees(row.turns).tolist()[0][1] for row in plan.rows] == pytest.approx([90.0] * 4)
+    assert plan.rows[2].turns[0][0] == 40.0 and plan.rows[1].curvature is None
+    wanted = [[10, 1e-4, 3.3e-3, 1e-4], [40, 3.3e-3, -2e-4, 1e-4]]
+    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-9)
+    # from up, where bevels that face right have their roll of 0
+    plan, _ = planned(paths, pose="1,0,0", bevel="0,1,0", bevel_side="90 deg")
+    np.testing.assert_allclose(plan.rows[0].curvature[0], [10, 3.3e-3, -1e-4, 1e-4], atol=1e-9)
+    assert plan.rows[0].turns[0][1] == pytest.approx(0.0) and plan.rows[0].bevel == pytest.approx([0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "reason"),
+    [
+        ("id,depth_mm,bevel_roll_deg\nq1,30,\n", 2, "bevel_side"),
+        ("id,turn depth,roll\nq1,30,sideways\n", 0, "sideways"),
+        ("id,s_mm,kappa_y_1_per_mm,sd_1_per_mm\nq1,30,1e-3,1e-4\n", 0, "curvature_z.column"),
+        ("id,s_mm,kappa_y,kappa_z,sd\nq1,30,1e-3,much,1e-4\n", "2, column 4", "much"),
+        ("id,s_mm,kappa_y [1/ft],kappa_z,sd\nq1,30,1e-3,0,1e-4\n", "2, column 3", "ft"),
+    ],
+)
+def test_a_bad_row_of_turns_or_curvatures_stops_the_import_at_its_place(tmp_path, text, place, reason):
+    (tmp_path / "beside.csv").write_text(text)
+    error = refusal(DataError, reason, planned, [CASES / "two_plane.csv", tmp_path], **SHARP)
+    assert not place or error.where.endswith(f"beside.csv:{place}")
+
+
+def test_needles_that_were_turned_are_fitted_by_the_path_angle_and_missed_by_less_than_0_3_mm(tmp_path):
+    """Two arcs of one curvature at right angles, of no model."""
+    folder = import_turned(tmp_path, **SHARP)
+    found = score_study(f"{folder}/gel_study.toml", jobs=1)
+    errors = found[found["method"] == "fitted"].groupby("role")["te_mm"].mean()
+    assert errors.max() < 0.2 and {*errors.index} == {"tune", "validate"}
+    # the scene of the deepest needle, to be predicted, turns as that did
+    steps = resolve_steps(load(folder / "scene.toml", SceneRecord))
+    assert [step.depth_mm for step in steps] == pytest.approx([45.0, 90.851], abs=1e-3)
+    assert [step.bevel.roll_deg or 0.0 for step in steps] == pytest.approx([0.0, 90.0])
+
+
+@pytest.mark.parametrize(
+    ("signs", "named"), [((1, 1), []), ((-1, 1), ["y"]), ((1, -1), ["z"]), ((-1, -1), ["y", "z"])]
+)
+def test_curvatures_of_the_wrong_sign_are_named_with_their_column(tmp_path, signs, named):
+    """Two arcs of a radius of 300 mm: toward +y up to half the depth, then toward +z."""
+    folder, rows = import_turned(tmp_path, **SHARP), ["id,s_mm,kappa_y_1_per_mm,kappa_z_1_per_mm,sd_1_per_mm"]
+    for one in read(folder).insertions:
+        for part, y, z in ((0.9, 1, 0), (0.6, 1, 0), (0.4, 0, 1), (0.1, 0, 1)):
+            rows.append(
+                f"{one.id},{part * one.depth:.2f},{signs[0] * y / 300:.6f},{signs[1] * z / 300:.6f},1e-4"
+            )
+    (folder / "curvature.csv").write_text("\n".join(rows))
+    stated = (
+        (folder / "dataset.toml").read_text().replace('turns = "', 'curvature = "curvature.csv"\nturns = "')
+    )
+    (folder / "dataset.toml").write_text(stated)
+    found = [one.what for one in inspect(folder).warnings if one.kind == "curvature"]
+    assert [next(axis for axis in "yz" if f"kappa_{axis}" in what) for what in found] == [*named]
+
+
+def test_needles_whose_turns_are_not_stated_are_said_to_leave_their_plane(tmp_path):
+    dataset = read(write_placed(tmp_path / "gel", [CASES / "two_plane.csv"], pose="1,0,0", bevel="0,1,0"))
+    away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
+    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx([1.5, 2.2, 2.7, 3.4], abs=0.1)
+    assert "bevel_plane" in {one.kind for one in inspect(tmp_path / "gel").warnings}
+    # a turn that is stated later is fitted as one that was imported
+    assert read_toml(tmp_path / "gel/tissue.toml")["advance"] == "path_angle"
+
+
+@pytest.mark.parametrize(("roll", "aside"), [(90, False), (45, False), (0, True), (180, True), (-90, True)])
+def test_needles_are_judged_beside_the_turns_that_are_stated(tmp_path, roll, aside):
+    """They were turned by 90 degrees: in a table of turns, as without one, another turn is wrong."""
+    turns = TURNS.replace(",90", f",{roll}").replace("id,", "needle,")
+    dataset = read(import_turned(tmp_path, turns, pose="1,0,0", bevel="0,1,0"))
+    assert ("bevel_plane" in {one.kind for one in dataset.warnings}) == aside
+    away = {name: mm for name, mm, _ in measure_out_of_plane(dataset)}
+    wanted = [1.5, 2.2, 2.7, 3.4] if aside else [0.0] * 4
+    assert [away[f"q{n}"] for n in range(1, 5)] == pytest.approx(wanted, abs=0.15)
+    (fix,) = (one.fix for one in dataset.warnings if one.kind == "bevel_plane") if aside else ("",)
+    assert ("`bevel_roll_deg`" in fix) == (roll == -90)
+
+
+def test_a_log_of_tip_poses_is_a_track_and_not_the_shape_of_one_needle(tmp_path):
+    out = tmp_path / "em"
+    lines = (CASES / "em.csv").read_text().splitlines()
+    lines[4] = lines[4].replace("15.030,0.259,0.016", "MISSING,MISSING,MISSING")
+    (tmp_path / "em.csv").write_text("\n".join(lines))
+    assert "holds" in prepare([CASES / "em.csv"]).mapping.assumed
+    write_placed(
+        out,
+        [tmp_path / "em.csv"],
+        holds="tracks",
+        bevel="0,1,0",
+        medium="gel",
+        missing='["MISSING"]',
+        if_missing="leave_out",
+    )
+    dataset = read(out)
+    (track,) = dataset.insertions
+    assert (dataset.pose, track.id, track.medium) == ("tracker", "em", "gel")
+    assert track.points[:, 0].tolist() == [0.0, 5.0, 10.0, *np.arange(20.0, 61.0, 5.0)]
+    assert track.points[[0, -1], 1] == pytest.approx([0.086, 2.978]) and not track.guide.y.any()
+    assert np.ptp(track.points[:, 2]) > 0 and not track.guide.z.any()
+    assert {path.name for path in out.iterdir()} == {"dataset.toml", "mapping.toml", "tracks.csv"}
+
+
+@pytest.mark.parametrize("sides", [(1, 1), (1, -1)])
+def test_the_bevel_of_logs_is_across_the_needle_and_asked_for_where_tips_bend_to_several_sides(
+    tmp_path, sides
+):
+    """As a tracker of NDI writes them: far from the origin, with a row without coordinates."""
+    depths, noise = np.arange(0.0, 75.0, 6.0), np.random.default_rng(5)
+    rows = []
+    for run_, side in enumerate(sides):
+        tips = np.column_stack([100 + depths, side * depths**2 / 520, -40 + 0 * depths])
+        tips += noise.normal(0.0, 0.1, tips.shape)
+        rows += [f"r{run_},{n},{x},{y},{z},1,{6 * n}" for n, (x, y, z) in enumerate(tips)]
+    rows[4] = "r0,4,MISSING,MISSING,MISSING,1,24.0"
+    (tmp_path / "log.csv").write_text("\n".join(["run,Frame,Tx,Ty,Tz,Q0,Depth [mm]", *rows]))
+    if sides[1] < 0:
+        refusal(DataError, "--set bevel", planned, [tmp_path])
+        return
+    _, made = planned([tmp_path])
+    assert made["bevel_side"] == ("1", "assumed") and "if_missing" in made
+    for points in points_of([tmp_path], holds="tracks"):
+        assert np.ptp(points.values[:, 0]) == pytest.approx(depths[-1] ** 2 / 520, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    "names", [("Insertion depth (mm)", "Tip deflection (mm)"), ("Stichtiefe", "Auslenkung")]
+)
+def test_a_table_of_depth_and_deflection_is_a_track(tmp_path, names):
+    depths = np.arange(0.0, 75.0, 15.0)
+    rows = [f"{name};{x};{k * 1e-3 * x**2:.4f}" for k, name in enumerate("pq", 1) for x in depths]
+    (tmp_path / "a.csv").write_text("\n".join([";".join(["run", *names]), *rows]))
+    assert {one.holds for one in placed([tmp_path])[0].curves} == {"tracks"}
+    assert write_placed(tmp_path / "t", [tmp_path], specimen="one")
+    tracks = read(tmp_path / "t").insertions
+    assert [(one.id, one.specimen) for one in tracks] == [("p", "one"), ("q", "one")]
+    for k, one in enumerate(tracks, 1):
+        np.testing.assert_allclose(one.points[:, 0], depths)
+        np.testing.assert_allclose(one.points[:, 1], k * 1e-3 * depths**2, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        *(
+            ({"pose": "1,2"}, "--set pose"),
+            ({"entry": "middle"}, "--set entry"),
+            ({"modulus": "wood"}, "modulus="),
+        ),
+        *(({"diameter": "99G"}, "diameter="), ({"inner_diameter": "2"}, "inner_diameter=")),
+        *(({"boundaries": "30,15"}, "--set boundaries"), ({"boundaries": "deep"}, "--set boundaries")),
+        ({"point_sd": "1 deg"}, "--set point_sd"),
+        ({"pose": "1,0,0", "pose_angle_sd": "-1"}, "pose_angle_sd="),
+        ({"pose": "1,0,0", "entry_point": "last"}, "--set entry_point"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(tmp_path, options, reason):
+    error = refusal(DataError, "", lambda: planned([write_long(tmp_path, NEEDLES)], **options))
+    assert reason in error.fix
+
+
+@pytest.mark.parametrize(
+    ("head", "cell", "what", "value"),
+    [
+        ("gauge", "22G", "outer_diameter_mm", GAUGES_MM[22]),
+        ("Außendurchmesser [mm]", "0.7", "outer_diameter_mm", 0.7),
+        ("calibre", "22", "outer_diameter_mm", GAUGES_MM[22]),
+        ("diámetro (mm)", "0.7", "outer_diameter_mm", 0.7),
+        ("直径 (mm)", "0.7", "outer_diameter_mm", 0.7),
+        ("inner diameter [mm]", "0.3", "inner_diameter_mm", 0.3),
+        ("Nadellänge [cm]", "20", "length_mm", 200.0),
+        ("longueur d'aiguille (mm)", "200", "length_mm", 200.0),
+        ("modulus (GPa)", "60", "youngs_modulus_gpa", 60.0),
+        ("E-Modul [MPa]", "60000", "youngs_modulus_gpa", 60.0),
+        ("needle material", "nitinol", "youngs_modulus_gpa", 60.0),
+        ("弹性模量 (GPa)", "60", "youngs_modulus_gpa", 60.0),
+    ],
+)
+def test_a_needle_is_stated_in_a_column(tmp_path, head, cell, what, value):
+    plan, _ = planned([write_long(tmp_path, NEEDLES, head=[head], cells=[[cell]] * 3)])
+    assert getattr(plan.needle, what) == pytest.approx(value) and not plan.needles
+
+
+def test_a_needle_is_longer_than_it_was_inserted(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["needle_length"], cells=[["150"], ["50"], ["150"]])
+    error = refusal(DataError, "needle_length", planned, [file])
+    assert error.where.endswith(f"{file.name}:18, column 2") and "n2" in error.expected
+
+
+def test_needles_that_differ_are_each_their_own(tmp_path):
+    cells = [["22G", "", "60"], ["18G", "", "60"], ["22G", "", "60"]]
+    file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
+    _, plan, made = placed([file], inner_diameter="0.2")
+    assert [row.needle for row in plan.rows] == ["needle1", "needle2", "needle1"]
+    diameters = {name: one.outer_diameter_mm for name, one in plan.needles.items()}
+    assert diameters == {"needle1": GAUGES_MM[22], "needle2": GAUGES_MM[18]}
+    assert {one.inner_diameter_mm for one in plan.needles.values()} == {0.2}
+    assert "diameter" not in made and made["inner_diameter"] == ("0.2", "stated")
+    write_placed(tmp_path / "gel", [file])
+    found = {one.id: one.needle.flexural_rigidity for one in read(tmp_path / "gel").insertions}
+    assert found["n2"] / found["n1"] == pytest.approx((GAUGES_MM[18] / GAUGES_MM[22]) ** 4)
+    cells[1][0] = ""
+    file = write_long(tmp_path, NEEDLES, head=["gauge", "bore (mm)", "modulus (GPa)"], cells=cells)
+    assert "n2" in refusal(DataError, "diameter=", planned, [file]).what
+    assert planned([file], diameter="20G")[0].rows[1].needle == "needle2"
+
+
+@pytest.mark.parametrize("by", ["sheets", "columns", "two columns"])
+def test_a_boundary_may_differ_from_needle_to_needle(tmp_path, by):
+    depths = ["18", "19", "18"]
+    if by == "sheets":
+        sheets = {
+            f"n{n}": [["boundaries (mm)", float(depth)], ["x", "y", "z"], *curve.tolist()]
+            for n, (depth, curve) in enumerate(zip(depths, NEEDLES, strict=True))
+        }
+        file = write_sheets(tmp_path / "a.xlsx", **sheets)
+    elif by == "columns":
+        file = write_long(tmp_path, NEEDLES, head=["Grenztiefe"], cells=[[depth] for depth in depths])
+    else:
+        head, cells = ["boundary 1 [mm]", "boundary 2 [mm]"], [[depth, "40"] for depth in depths]
+        file = write_long(tmp_path, NEEDLES, head=head, cells=cells)
+    second = (40.0,) if by == "two columns" else ()
+    _, plan, made = placed([file])
+    assert [row.boundaries for row in plan.rows] == [(float(one), *second) for one in depths]
+    assert "boundaries" not in made and plan.boundaries_mm == {"medium1": ()}
+    assert {row.layers for row in plan.rows} == {2 + len(second)}
+    write_placed(tmp_path / "gel", [file])
+    found = [one.boundaries.tolist() for one in read(tmp_path / "gel").insertions]
+    np.testing.assert_allclose(found, [[float(one), *second] for one in depths], atol=0.01)
+
+
+def test_boundaries_that_are_those_of_each_medium_are_stated_once(tmp_path):
+    cells = [["gel", "18"], ["fat", "20"], ["gel", "18"]]
+    _, plan, _ = placed([write_long(tmp_path, NEEDLES, head=["medium", "boundary"], cells=cells)])
+    assert plan.boundaries_mm == {"gel": (18.0,), "fat": (20.0,)}
+    assert {row.boundaries for row in plan.rows} == {None}
+
+
+def test_an_entry_and_a_direction_may_be_columns_of_each_needle(tmp_path):
+    head = [f"{what} {axis}" for what in ("entry", "direction") for axis in "xyz"]
+    cells = [["0", f"{3 * n}", "0", "1", "0", f"{0.01 * n}"] for n in range(3)]
+    plan, _ = planned([write_long(tmp_path, NEEDLES, head=head, cells=cells)], bevel="0,1,0")
+    assert [row.entry.tolist() for row in plan.rows] == [[0.0, 3.0 * n, 0.0] for n in range(3)]
+    assert plan.rows[2].direction[2] == pytest.approx(0.02, abs=1e-5)
+
+
+def test_a_column_of_deviations_is_that_of_each_point(tmp_path):
+    rows = [["needle", "x", "y", "z", "sd"]]
+    rows += [["a", *point, 0.1 + 0.01 * n] for n, point in enumerate(NEEDLES[0])]
+    content, _, made = placed([write_rows(tmp_path / "a.csv", rows)])
+    np.testing.assert_allclose(content.curves[0].points.sd, 0.1 + 0.01 * np.arange(16))
+    assert made["point_sd"][1] == "assumed"
+    rows = [[*row[:-1], 0.07] if n else row for n, row in enumerate(rows)]
+    content, plan, made = placed([write_rows(tmp_path / "a.csv", rows)])
+    assert content.curves[0].points.sd is None and plan.point_sd_mm == 0.07
+    assert "point_sd" not in made
+
+
+def test_poses_of_a_tip_without_depths_go_along_the_stage_axis(tmp_path):
+    rows = [["time", *(f"T{i}{j}" for i in range(1, 5) for j in range(1, 5))]]
+    for n, (x, y, z) in enumerate(NEEDLES[0]):
+        rows.append([n, 1, 0, 0, 50 + z, 0, 1, 0, y, 0, 0, 1, -x, 0, 0, 0, 1])
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert "--set holds=tracks" in refusal(DataError, "tracks", planned, [file]).fix
+    content, _, made = placed([file], holds="tracks")
+    assert made["pose"] == ("0,0,-1", "assumed") and made["depth"][1] == "assumed"
+    np.testing.assert_allclose(content.curves[0].depths, NEEDLES[0][:, 0], atol=1e-9)
+    assert np.ptp(content.curves[0].line[:, 0]) == pytest.approx(np.ptp(NEEDLES[0][:, 1]))
+    content, _, _ = placed([file], holds="tracks", entry_point="50,0,-10")
+    assert content.curves[0].depths[0] == pytest.approx(2.0)  # readings before it are left out
+
+
+def test_runs_of_other_needles_state_their_own(tmp_path):
+    rows = [["run", "depth", "deflection", "diameter (mm)"]]
+    rows += [[f"r{k}", x, 1e-3 * x**2, 0.5 + 0.1 * k] for k in range(2) for x in range(0, 60, 10)]
+    write_placed(tmp_path / "t", [write_rows(tmp_path / "a.csv", rows)], specimen="one")
+    found = [one.needle.outer_diameter for one in read(tmp_path / "t").insertions]
+    assert found == pytest.approx([0.5, 0.6])
+
+
+@pytest.mark.parametrize("guide", ["2", "none", "3"])
+def test_one_of_two_tools_may_be_the_guide(tmp_path, guide):
+    head = ["Frame", "Time", *["Q0", "Qx", "Qy", "Qz", "Tx", "Ty", "Tz", "Error"] * 2]
+    rows = [
+        [n, n / 60, 1, 0, 0, 0, x, y, z, 0.1, 1, 0, 0, 0, -20.0, 0.1 * n, 5.0, 0.1]
+        for n, (x, y, z) in enumerate(NEEDLES[0])
+    ]
+    file = write_rows(tmp_path / "log.csv", [head, *rows])
+    answers = {"holds": "tracks", "bevel": "0,1,0"}
+    refusal(DataError, "guide", planned, [file], **answers)
+    if guide == "3":
+        refusal(DataError, "guide", planned, [file], **answers, guide=guide)
+    if guide == "2":
+        content, _, made = placed([file], **answers, guide=guide)
+        assert len(content.curves) == 1 and made["guide"] == ("2", "stated")
+        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16))
+        write_placed(tmp_path / "runs", [file], **answers, guide=guide)
+        (run,) = read(tmp_path / "runs").insertions
+        np.testing.assert_allclose(run.guide.y, 0.1 * np.arange(16), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("head", "rows", "holes", "ends"),
+    [
+        # one depth of each needle; several of each; without names; along y and z; toward the bevel
+        ("needle,depth,deflection", ["a,40,2.5", "b,60,5"], ["", ""], [(2.5, None), (5, None)]),
+        ("needle,depth,deflection", ["a,40,2.5", "a,60,5"], ["a", "a"], [(2.5, None), (5, None)]),
+        ("Tiefe [cm],Auslenkung [cm]", ["4,.2", "4,.3", "6,.5"], [""] * 3, [(2, None), (3, None), (5, None)]),
+        ("needle,depth,tip y,tip z", ["a,40,2.5,1", "b,60,5,-1"], ["", ""], [(2.5, 1), (5, -1)]),
+        ("needle,depth,deflection,side", ["a,40,2.5,1", "b,60,5,-1"], ["", ""], [(2.5, None), (-5, None)]),
+    ],
+)
+def test_a_table_of_depths_and_deflections_is_of_tips(tmp_path, head, rows, holes, ends):
+    (tmp_path / "a.csv").write_text("\n".join([head, *rows]) + "\n")
+    plan, _ = planned([tmp_path / "a.csv"], point_sd="0.2")
+    assert [row.hole for row in plan.rows] == holes
+    found = [(row.tip_y, row.tip_z) for row in plan.rows]
+    assert np.array(found, dtype=float) == pytest.approx(np.array(ends, dtype=float), nan_ok=True)
+    write_placed(tmp_path / "tips", [tmp_path / "a.csv"], point_sd="0.2")
+    data = read(tmp_path / "tips")
+    assert {one.observed for one in data.insertions} == {"tip"} and data.noise.point_sd == 0.2
+
+
+def test_sensors_may_be_placed_from_the_base(tmp_path):
+    write_long(tmp_path, NEEDLES[:1])
+    rows = [
+        ["needle", "sensor location from base [mm]", "curvature_x [1/m]", "curvature_y [1/m]", "sd [1/m]"]
+    ]
+    write_rows(tmp_path / "bragg.csv", [*rows, ["n1", 120, 2.0, 0.1, 0.05], ["n1", 150, 1.0, 0.2, 0.05]])
+    named = {"curvature_y__column": "curvature_x [1/m]", "curvature_z__column": "curvature_y [1/m]"}
+    answers = {"pose": "1,0,0", "bevel": "0,1,0", "needle_length": "165"}
+    assert "curvature_z.column=" in refusal(DataError, "curvature_z", planned, [tmp_path], **answers).fix
+    _, plan, _ = placed([tmp_path], **named, **answers)
+    wanted = [[45.0, 2e-3, 1e-4, 5e-5], [15.0, 1e-3, 2e-4, 5e-5]]
+    np.testing.assert_allclose(plan.rows[0].curvature, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("by", ["columns", "rows"])
+@pytest.mark.parametrize("guide", ["base", "none", None, "stage"])
+def test_a_moving_base_is_the_guide_only_where_that_is_stated(tmp_path, by, guide):
+    rows = [["time", "tip x", "tip y", "tip z", "base x", "base y", "base z"]]
+    rows += [[n, x, y, z, -20.0, 0.1 * n, 5.0] for n, (x, y, z) in enumerate(NEEDLES[0])]
+    if by == "rows":
+        pairs = [
+            [(n, "tip", x, y, z), (n, "base", -20.0, 0.1 * n, 5.0)] for n, (x, y, z) in enumerate(NEEDLES[0])
+        ]
+        rows = [["time", "tool", "x", "y", "z"], *(row for pair in pairs for row in pair)]
+    file = write_rows(tmp_path / "log.csv", rows)
+    answers = {"holds": "tracks", "bevel": "0,1,0", "pose": "1,0,0"} | ({"guide": guide} if guide else {})
+    if by == "rows" and guide == "stage":
+        refusal(DataError, "guide", planned, [file], **answers)
+        return
+    if by == "rows" and guide in (None, "none"):
+        return
+    content, _, made = placed([file], **answers)
+    if guide == "none":
+        assert content.curves[0].guide is None
+    else:
+        np.testing.assert_allclose(content.curves[0].guide[:, 0], 0.1 * np.arange(16), atol=1e-9)
+    assert (made.get("guide", ("", ""))[1] == "assumed") == (by == "columns" and guide != "none")
+
+
+def test_needles_that_do_not_bend_need_a_stated_bevel_alone(tmp_path):
+    straight = [one * [1.0, 0.0, 0.0] for one in NEEDLES]
+    file = write_long(tmp_path, straight, head=["bevel"], cells=[["1"], ["-1"], ["1"]])
+    assert "--set bevel" in refusal(DataError, "bevel", planned, [file], pose="1,0,0").fix
+    _, plan, _ = placed([file], pose="1,0,0", bevel="0,1,0")
+    assert [row.side for row in plan.rows] == [1, -1, 1]
+
+
+def test_a_stated_depth_is_kept_where_that_of_another_run_is_measured(tmp_path):
+    lines = [(n, x, y, z) for n, (x, y, z) in enumerate(NEEDLES[0])]
+    write_rows(
+        tmp_path / "a.csv", [["time", "depth", "x", "y", "z"], *([n, 1 + x, x, y, z] for n, x, y, z in lines)]
+    )
+    write_rows(tmp_path / "b.csv", [["time", "x", "y", "z"], *lines])
+    content, _, _ = placed([tmp_path], holds="tracks", bevel="0,1,0")
+    assert [one.depths[0] for one in content.curves] == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("step", [0.1, 0.5, 5.0])
+def test_noise_is_no_stray_point(step):
+    random = np.random.default_rng(round(10 * step))
+    for _ in range(100):
+        curve = needle(0, int(60 / step) + 1)
+        assert not len(find_stray_points(curve + random.normal(0.0, 0.2, curve.shape)))
+        cluster = np.vstack([curve[: max(4, len(curve) // 8)], curve[-1:]])  # dense at the entry, and the tip
+        assert not len(find_stray_points(cluster))
+
+
+def test_a_pose_against_the_needles_is_corrected_by_its_sign_or_by_the_order_of_points(tmp_path):
+    file = write_long(tmp_path, NEEDLES)
+    fix = refusal(DataError, "pose", planned, [file], pose="-1,0,0").fix
+    assert "--set pose=1,0,0" in fix and "--set entry=last" in fix
+    assert planned([file], pose="1,0,0")[0].rows[0].direction[0] == 1.0
+    assert planned([file], pose="-1,0,0", entry="last")[0].rows[0].direction[0] == -1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"),
+    [(999.0, ""), (200.0, ""), (20000.0, "micrometres"), (0.02, "metres")],
+)
+def test_a_unit_of_a_boundary_is_guessed_only_where_it_makes_a_likely_one(value, unit):
+    ((_, what, fix),) = doubt_layers((value,), 70.0, "boundaries_mm")
+    assert ("looks like" in what) == bool(unit) and unit in what
+    assert fix.startswith("write" if unit else "check it, in mm")

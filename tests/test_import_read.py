@@ -1,0 +1,348 @@
+"""Files are read as a mapping states them: layouts, missing values, joined tables, contradictions."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from import_cases import (
+    curves_of,
+    needle,
+    placed,
+    prepare,
+    write_european_csv,
+    write_long,
+    write_placed,
+    write_rows,
+    write_sheets,
+    write_workbook,
+)
+from refusals import refusal
+from test_cli import run
+
+from needlefit.datasets.importing.examples import WORKBOOK_FILE
+from needlefit.datasets.importing.prepare import prepare_import
+from needlefit.datasets.importing.tables import read_sheets
+from needlefit.datasets.read import inspect, read
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.locate import read_toml
+
+NEEDLES = [needle(n, 16) for n in range(3)]
+CASES = Path(__file__).with_name("imports")
+
+
+def assert_read(paths, wanted=NEEDLES, names=None, **stated):
+    curves, draft = curves_of(paths, **stated)
+    assert names is None or [*curves] == names
+    assert len(curves) == len(wanted)
+    for curve, points in zip(curves.values(), wanted, strict=True):
+        np.testing.assert_allclose(curve.line, points, atol=1e-3)
+    return draft
+
+
+def long_rows(head=("needle", "x", "y", "z"), number=str):
+    return [[*head], *([f"n{k}", *map(number, point)] for k, one in enumerate(NEEDLES, 1) for point in one)]
+
+
+# ---- layouts of tables
+
+
+def test_needles_side_by_side_below_two_rows_of_headers(tmp_path):
+    write_european_csv(tmp_path / "a.csv", NEEDLES)
+    write_workbook(tmp_path / "a.xlsx", NEEDLES)
+    for name in ("a.csv", "a.xlsx"):
+        assert_read([tmp_path / name], names=["Nadel_1", "Nadel_2", "Nadel_3"])
+    rows = [",".join(map(str, (*a, *b))) for a, b in zip(NEEDLES[0], NEEDLES[1], strict=True)]
+    (tmp_path / "b.csv").write_text("\n".join(["1,,,22,,", "x,y,z,x,y,z", *rows]))
+    assert_read([tmp_path / "b.csv"], NEEDLES[:2], ["1", "22"])
+
+
+@pytest.mark.parametrize("head", [["x", "y1", "y2", "y3"], ["x [mm]", "y n1 [mm]", "y n2 [mm]", "y n3 [mm]"]])
+def test_needles_may_share_a_column_x(tmp_path, head):
+    ends = [16, 13, 10]
+    rows = [
+        [x, *(f"{one[n, 1]}" if n < end else "" for one, end in zip(NEEDLES, ends, strict=True))]
+        for n, x in enumerate(NEEDLES[0][:, 0])
+    ]
+    curves, _ = curves_of([write_rows(tmp_path / "a.csv", [head, *rows])])
+    assert [len(one.line) for one in curves.values()] == ends
+
+
+@pytest.mark.parametrize("title", ["needle: n{}\nx y z\n", "x y z\n"])
+def test_needles_below_each_other(tmp_path, title):
+    parts = [title.format(n) + "\n".join(" ".join(map(str, p)) for p in one) for n, one in enumerate(NEEDLES)]
+    (tmp_path / "a.dat").write_text("\n\n".join(parts))
+    assert_read([tmp_path / "a.dat"], names=["n0", "n1", "n2"] if "needle" in title else None)
+
+
+@pytest.mark.parametrize("kind", ["message", "markers", "named"])
+def test_all_points_of_a_needle_may_stand_in_a_row(tmp_path, kind):
+    curves = [one[:12] for one in NEEDLES]
+    path = "/needle/shape/poses[{}]/position/"
+    heads = {
+        "message": [["__time", *(path.format(n) + axis for n in range(12) for axis in "xyz")]],
+        "markers": [
+            ["Format Version", 1.23],
+            ["", "", *(f"needle:Marker {n:03}" for n in range(12) for _ in range(3))],
+            ["", "", *(["Position"] * 36)],
+            ["Frame", "Time (Seconds)", *("XYZ" * 12)],
+        ],
+        "named": [["needle", "bevel side", *(f"{axis}{n}" for n in range(1, 13) for axis in "xyz")]],
+    }[kind]
+    before = {"message": [[0.1], [0.2], [0.3]], "markers": [[1, 0.1], [2, 0.2], [3, 0.3]]}
+    before |= {"named": [["a", 1], ["b", -1], ["c", 1]]}
+    rows = [*heads, *([*own, *one.ravel()] for own, one in zip(before[kind], curves, strict=True))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert "--set layout=wide" in refusal(DataError, "", prepare, [file]).fix
+    assert_read([file], curves, layout="wide")
+    if kind == "named":
+        plan = prepare([file], layout="wide").plan
+        assert [(row.id, row.side) for row in plan.rows] == [("a", 1), ("b", -1), ("c", 1)]
+
+
+def test_tables_of_other_programs(tmp_path):
+    """R's write.table, numpy's savetxt, thousands, cm beside mm, a header with a remark."""
+    rows = long_rows(number=lambda value: f"{value:.6f}")
+    text = "\n".join(
+        " ".join([f'"{n}"', f'"{name}"', *point]) for n, (name, *point) in enumerate(rows[1:], 1)
+    )
+    (tmp_path / "r.txt").write_text('"needle" "x" "y" "z"\n' + text)
+    assert_read([tmp_path / "r.txt"])
+    body = "\n".join(" ".join(f"{value:.6f}" for value in point) for point in NEEDLES[0])
+    (tmp_path / "s.txt").write_text(f"# x y z [mm]\n{body}")
+    assert_read([tmp_path / "s.txt"], NEEDLES[:1])
+    um = [[name, *(f"{1000 * float(value):,.1f}" for value in point)] for name, *point in rows[1:]]
+    (tmp_path / "t.csv").write_text(
+        "\n".join(";".join(row) for row in [["needle", "x [um]", "y [um]", "z [um]"], *um])
+    )
+    assert assert_read([tmp_path / "t.csv"]).tables[0]["thousands"] == ","
+    mixed = [[name, f"{float(x) / 10:.7f}", y, z] for name, x, y, z in rows[1:]]
+    assert_read([write_rows(tmp_path / "c.csv", [["needle", "x [cm]", "y (down) [mm]", "z [mm]"], *mixed])])
+
+
+def test_a_unit_may_stand_in_a_column(tmp_path):
+    rows = [["needle", "x", "y", "z", "unit"]]
+    for k, one in enumerate(NEEDLES):
+        factor, unit = (10.0, "cm") if k else (1.0, "mm")
+        rows += [[f"n{k}", *(point / factor), unit] for point in one]
+    assert_read([write_rows(tmp_path / "a.csv", rows)])
+
+
+def test_a_table_of_slicer_is_in_ras_and_its_labels_name_needles(tmp_path):
+    rows = [["label", "r", "a", "s", "defined", "selected", "visible"]]
+    for n, one in enumerate(NEEDLES, 1):
+        rows += [[f"N{n}-{k}", -x, -y, z, 1, 1, 1] for k, (x, y, z) in enumerate(one, 1)]
+    assert_read([write_rows(tmp_path / "a.csv", rows)], names=["N1", "N2", "N3"])
+    rows = [rows[0], *([f"F-{n}", *row[1:]] for n, row in enumerate(rows[1:17], 1))]
+    file = write_rows(tmp_path / "a.csv", rows)
+    assert "--set holds=shapes" in refusal(DataError, "", prepare, [file]).fix
+    assert_read([file], NEEDLES[:1], holds="shapes")
+
+
+def test_names_of_any_script_and_cells_with_line_breaks_are_kept(tmp_path):
+    names = ["针一", "针二", "Игла"]
+    rows = [[names[k], *point] for k, one in enumerate(NEEDLES) for point in one]
+    file = write_rows(tmp_path / "a.csv", [["needle", "x", "y", "z"], *rows])
+    assert_read([file], names=names)
+    assert [one.id for one in read(write_placed(tmp_path / "gel", [file])).insertions] == names
+    quoted = ['"needle\nname",x,y,z', *(",".join(map(str, row)) for row in rows)]
+    file.write_text("\n".join(quoted), encoding="utf-8")
+    assert_read([file], names=names)
+
+
+def test_a_label_in_the_first_row_of_a_block_is_filled_down_where_that_is_stated(tmp_path):
+    rows = [
+        [name if n == 0 else "", *point]
+        for name, one in zip("abc", NEEDLES, strict=True)
+        for n, point in enumerate(one)
+    ]
+    file = write_rows(tmp_path / "a.csv", [["Nadel", "x", "y", "z"], *rows])
+    draft = assert_read([file], names=["a", "b", "c"])
+    assert draft.tables[0]["fill_down"] == ["Nadel"]
+
+
+# ---- missing values
+
+
+@pytest.mark.parametrize("text", ["nan", "NA", "-", "", "-999"])
+def test_points_that_were_not_measured_are_left_out_as_the_mapping_states(tmp_path, text):
+    rows = long_rows()
+    rows[5][2] = rows[25][2] = text
+    file = write_rows(tmp_path / "a.csv", rows)
+    prepared = prepare([file])
+    assert [len(one.line) for one in prepared.content.curves] == [15, 15, 16]
+    assert "if_missing" in prepared.mapping.assumed and len(prepared.content.left_out) == 2
+    assert refusal(DataError, "", prepare, [file], if_missing="stop").where.endswith("a.csv:6")
+
+
+def test_a_cell_that_is_no_number_stops_at_its_place(tmp_path):
+    rows = long_rows()
+    rows[5][2] = "?"
+    error = refusal(DataError, "'?'", prepare, [write_rows(tmp_path / "a.csv", rows)])
+    assert error.where.endswith("a.csv:6, column 3") and "--set tables.1.missing=" in error.fix.replace(
+        "'", ""
+    )
+
+
+# ---- tables joined on needle or specimen
+
+
+def test_every_needle_is_found_in_a_table_that_is_joined(tmp_path):
+    write_long(tmp_path, NEEDLES)
+    for text, name in (("n1;61\nn2;62\n", "n3"), ("n1;61\nn2;62\nn3;63\nq;9\n", "q")):
+        (tmp_path / "info.csv").write_text(f"Nadel;Tiefe\n{text}")
+        assert name in refusal(DataError, "", prepare, [tmp_path]).what
+    (tmp_path / "info.csv").write_text("Nadel;Tiefe\nN1;61\nn02;56\nn3;51\n")
+    content, _, _ = placed([tmp_path])
+    assert [one.stated["depth"].text for one in content.curves] == ["61", "56", "51"]
+    (tmp_path / "more.csv").write_text("Nadel;Schliff;Tiefe\nn1;1;99\nn2;1;56\nn3;1;51\n")
+    refusal(DataError, "'61'", prepare, [tmp_path])
+
+
+def test_facts_of_a_specimen_are_those_of_its_needles(tmp_path):
+    write_long(tmp_path, NEEDLES, head=["specimen"], cells=[["A"], ["B"], ["A"]])
+    (tmp_path / "blocks.csv").write_text("specimen,boundary [mm]\nA,18\nB,20\n")
+    plan = prepare([tmp_path]).plan
+    assert [row.boundaries for row in plan.rows] == [(18.0,), (20.0,), (18.0,)]
+
+
+# ---- a mapping that was written
+
+
+def test_a_mapping_reads_further_files_without_a_question(tmp_path):
+    first = write_rows(tmp_path / "scan1.csv", long_rows(["Serie", "a", "b", "c"]))
+    stated = {
+        "needle__column": "Serie",
+        "x__column": "a",
+        "y__column": "b",
+        "z__column": "c",
+        "pose": "1,0,0",
+    }
+    prepared = prepare([first], **stated)
+    folder = write_placed(tmp_path / "gel", [first], **stated)
+    text = (folder / "mapping.toml").read_text()
+    (tmp_path / "lab.toml").write_text(text.replace('"scan1.csv"', '"scan*.csv"'))
+    second = write_rows(tmp_path / "scan2.csv", long_rows(["Serie", "a", "b", "c"]))
+    again = prepare_import([second], mapping=tmp_path / "lab.toml")
+    assert len(again.content.curves) == 3 and again.mapping.values == prepared.mapping.values
+    write_rows(second, long_rows(["Series", "a", "b", "c"]))
+    error = refusal(DataError, "'Serie'", prepare_import, [second], mapping=tmp_path / "lab.toml")
+    assert "columns.needle.column=Series" in error.fix and "Series, a, b, c" in error.expected
+    fixed = prepare_import([second], [("tables.1.columns.needle.column", "Series")], tmp_path / "lab.toml")
+    assert len(fixed.content.curves) == 3
+    (tmp_path / "other.csv").write_text("x\n1\n")
+    assert (
+        "other.csv"
+        in refusal(
+            DataError, "", prepare_import, [tmp_path / "other.csv"], mapping=tmp_path / "lab.toml"
+        ).expected
+    )
+    refusal(ConfigError, "", prepare_import, [second], [("y.column", "b")], tmp_path / "lab.toml")
+
+
+# ---- the workbook and the command
+
+
+def test_the_workbook_to_fill_in_is_read(tmp_path):
+    file = tmp_path / "own.xlsx"
+    assert run("new", "workbook", file) == 0
+    assert run("new", "workbook", file) == 3
+    prepared = prepare([file], point_sd="0.2")
+    assert [one.name for one in prepared.content.curves] == [f"n{n}" for n in range(1, 9)]
+    assert prepared.plan.point_sd_mm == 0.2 and not prepared.mapping.assumed
+    assert prepared.mapping.origin == "example"
+    assert {what for what, _ in prepared.unused} >= {"sheet points", "sheet needles"}
+
+
+def test_a_unit_may_stand_in_the_name_of_a_value(tmp_path):
+    points = [["x (mm)", "y (mm)", "z (mm)"], *NEEDLES[0].tolist()]
+    setup = [["name", "value", "unit"], ["boundaries [cm]", "2; 4"], ["Needle_length (m)", 0.2, "m"]]
+    plan = prepare([write_sheets(tmp_path / "a.xlsx", points=points, setup=setup)]).plan
+    assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.length_mm == pytest.approx(200.0)
+    rows = ["boundaries [cm];2;4", "Nadeldurchmesser: 0,9 mm", "x [mm];y [mm];z [mm]"]
+    rows += [";".join(f"{one:.3f}".replace(".", ",") for one in point) for point in NEEDLES[0]]
+    (tmp_path / "above.csv").write_text("\n".join(rows))
+    plan = prepare([tmp_path / "above.csv"]).plan
+    assert plan.boundaries_mm == {"medium1": (20.0, 40.0)} and plan.needle.outer_diameter_mm == 0.9
+
+
+@pytest.mark.sweep
+def test_a_workbook_that_unpacks_to_gigabytes_or_is_huge_is_refused(tmp_path):
+    import zipfile
+
+    from openpyxl import Workbook
+
+    with zipfile.ZipFile(tmp_path / "bomb.xlsx", "w", zipfile.ZIP_DEFLATED) as archive:
+        for n in range(40):
+            archive.writestr(f"xl/worksheets/sheet{n}.xml", b"\0" * 2**26)
+    book = Workbook()
+    book.active.cell(900_000, 3, 1.0)
+    book.active.cell(1, 1, 1.0)
+    book.save(tmp_path / "huge.xlsx")
+    (tmp_path / "none.xlsx").write_bytes(b"PK\x03\x04 no archive")
+    (tmp_path / "text.xls").write_text("x;y;z")
+    for name in ("bomb.xlsx", "huge.xlsx", "none.xlsx", "text.xls"):
+        refusal(DataError, name, read_sheets, tmp_path / name)
+
+
+def test_the_command_writes_a_dataset_that_check_passes(tmp_path, capsys):
+    write_european_csv(tmp_path / "six.csv", NEEDLES)
+    words = ("import", tmp_path / "six.csv", "--set", "modulus=steel", "--yes")
+    assert run(*words, "--out", tmp_path / "gel", "--json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [one["insertion"] for one in shown["insertions"]] == ["Nadel_1", "Nadel_2", "Nadel_3"]
+    found = inspect(tmp_path / "gel")
+    assert not found.faults and {one.kind for one in found.warnings} >= {"placeholder", "assumed"}
+    assert (tmp_path / "gel" / "import.png").stat().st_size > 10_000
+    mapping = read_toml(tmp_path / "gel" / "mapping.toml")
+    assert mapping["values"]["modulus"] == "steel" and "modulus" not in mapping["assumed"]
+    assert list(read_toml(tmp_path / "gel" / "dataset.toml")["import"]["files"]) == ["six.csv"]
+    assert (
+        run(
+            "import",
+            tmp_path / "six.csv",
+            "--mapping",
+            tmp_path / "gel/mapping.toml",
+            "--out",
+            tmp_path / "again",
+        )
+        == 0
+    )
+    one, other = (sorted((tmp_path / name).rglob("*.[cp]*")) for name in ("gel", "again"))
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_a_study_of_an_import_works_from_another_folder_and_moves_with_its_data(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_long(Path(), NEEDLES)
+    words = ("--set", "pose=1,0,0", "--set", "bevel=0,1,0")
+    assert run("import", "points.csv", "--out", "gel", *words) == 0
+    (tmp_path / "there").mkdir()
+    Path("gel").rename(tmp_path / "there" / "moved")
+    monkeypatch.chdir(tmp_path)
+    for study in ("there/moved/gel_study.toml", tmp_path / "there/moved/gel_study.toml"):
+        assert run("check", f"./{study}" if isinstance(study, str) else study) == 0
+
+
+@pytest.mark.parametrize("text", ["", "hello\n", "1,2,3\n", "x,y,z\n1,2,3\n4,a,6\n7,8,9\n1,2,3\n", "x,x,x\n"])
+def test_bad_input_ends_in_exit_code_3_and_writes_nothing(tmp_path, text, capsys):
+    (tmp_path / "a.csv").write_text(text)
+    assert run("import", tmp_path / "a.csv", "--out", tmp_path / "gel", "--yes") == 3
+    assert run("import", tmp_path / "none.xlsx", "--out", tmp_path / "gel", "--yes") == 3
+    assert run("import", tmp_path, "--out", tmp_path / "gel", "--yes") == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv"]
+    assert "a.csv" in capsys.readouterr().err
+    (tmp_path / "dataset.toml").touch()
+    for path in (tmp_path, tmp_path / "dataset.toml"):
+        assert str(tmp_path / "dataset.toml") in refusal(DataError, "", prepare, [path]).fix
+
+
+def test_the_workbook_states_every_value_that_can_be_stated():
+    stated = {
+        row[0].replace(" ", "_")
+        for one in read_sheets(WORKBOOK_FILE)
+        if one.sheet == "setup"
+        for row in one.rows[1:]
+    }
+    assert {"pose", "entry_point", "point_sd", "modulus"} <= stated
