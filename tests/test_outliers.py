@@ -325,6 +325,7 @@ def test_the_values_behind_a_rigidity_stand_with_their_origins():
     needle = NeedleRecord(length_mm=150.0, outer_diameter_mm=0.908, youngs_modulus_gpa=60.0)
     assert describe_rigidity(needle, ()) == "diameter 0.908 mm, solid, 60 GPa from dataset.toml"
     assert "60 GPa assumed" in describe_rigidity(needle, {"modulus"})
+    stated = NeedleRecord(length_mm=150.0, flexural_rigidity_nmm2=2000.0)
     assert describe_rigidity(stated, ()) == "stated in dataset.toml"
 
 
