@@ -65,7 +65,7 @@ def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
     for replayed, expected in zip(again, found, strict=True):
         np.testing.assert_array_equal(nodes_y(replayed.state.shape), expected)
     assert max(replayed.tip_offset_mm for replayed in again) == 0.0
-    assert again[4].time == 1.0
+    assert again[4].recorded.time == 1.0
 
 
 @pytest.mark.parametrize("cut", [1, 20, 45])
