@@ -24,7 +24,6 @@ _COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("new project", data.new_project, "myproject"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
     ("twin build", twin.build, "--out twin2 --seed 2"),
-    ("calibrate", studies.calibrate, "phantom1 --replicates 100"),
     ("paper", results.paper, ""),
 )
 """Name, function and words of an example; those most used come first."""

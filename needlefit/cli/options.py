@@ -153,24 +153,6 @@ class RunOptions:
 
 
 @dataclass(frozen=True)
-class StudyOptions:
-    """How studies run, and what they print and write."""
-
-    seed: Seed = None
-    jobs: Jobs = None
-    scheduler: Scheduler = None
-    insecure: Insecure = False
-    out: Out = None
-    reference: Reference = False
-    resume: Resume = False
-    strict: Strict = False
-    explain: Explain = False
-    json: Json = False
-    quiet: Quiet = False
-    plugins: Plugins = None
-
-
-@dataclass(frozen=True)
 class FitOptions:
     """How a fit, or a prediction with one, runs on this machine, and what it prints."""
 
@@ -183,6 +165,13 @@ class FitOptions:
     json: Json = False
     quiet: Quiet = False
     plugins: Plugins = None
+
+
+@dataclass(frozen=True)
+class StudyOptions(FitOptions):
+    """How studies run, and what they print and write."""
+
+    reference: Reference = False
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from needlefit.studies.run import Run
 from needlefit.studies.store import RUN_FILE, restore_run
 from needlefit.studies.stored_fit import reopen_fit
 
-PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
+PATH_KEYS = frozenset(["dataset", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
 
 
@@ -206,17 +206,6 @@ def prepare_target(record: TargetRecord, name: str, settings: Settings) -> Job:
         settings = replace(settings, inputs=found.inputs)
     with add_file_context(found.file):
         return _prepare_noted(name, found.record, settings)
-
-
-def prepare_with_held_out(record: TargetRecord, name: str, settings: Settings) -> Job:
-    """Return the work of the study that a record names, with what it holds out; of a fit, the fit's."""
-    if settings.inputs.target is None:
-        kind, path = find_study_or_fit(record.target)
-        study = None if kind == "fit" else load_study_file(path)
-        if isinstance(study, StudyRecord):
-            with add_file_context(path):
-                return _prepare_noted(name, study, replace(settings, file=path))
-    return prepare_target(record, name, settings)
 
 
 def _prepare_noted(name: str, record: FitRecord, settings: Settings) -> Job:
