@@ -83,7 +83,7 @@ def reconstruct(
     ] = None,
     confirm: Annotated[
         list[Confirmable] | None,
-        option("Take as it is offered what only a person can decide. May be repeated."),
+        option("What a refusal asks about and a person confirms: taken as drawn. May be repeated."),
     ] = None,
     title: Annotated[str, option("Title of the dataset.")] = "",
     jobs: options.Jobs = None,
