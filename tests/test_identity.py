@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from inspect import isclass
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
@@ -27,7 +28,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint, release_checkpoint
 from needlefit.project.folders import sha256, write_manifest
 from needlefit.project.toml import dumps
-from needlefit.project.toml_reference import find_owner, find_record
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 from needlefit.schemas.deciding import UNDECIDING
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
@@ -369,13 +369,21 @@ EDITS = {
 }
 
 
+def find_record(annotation):
+    """The record within an annotation, also in a list or a table."""
+    if isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := find_record(one))), None)
+
+
 def list_keys():
     """Every key of these files and of the tables within them, by the table that states it."""
     found = {}
 
     def walk(record):
         for name, field in record.model_fields.items():
-            owner, inner = find_owner(record, name), find_record(field.annotation)
+            owner = next(one for one in record.__mro__ if name in vars(one).get("__annotations__", ()))
+            inner = find_record(field.annotation)
             if name == "units":  # it has one value
                 continue
             if name in UNDECIDING or inner is None:
