@@ -530,12 +530,13 @@ def test_an_interrupted_run_goes_on_with_the_same_identity_alone(project, tmp_pa
 
 @pytest.fixture
 def validated(world, tmp_path, monkeypatch):
-    """A copy of the project with a study that was validated."""
-    result = world.find("cross_validation")
+    """A copy of the project with a study that was validated, and a fit."""
     folder = tmp_path / "project"
+    for kind in ("cross_validation", "fit"):  # before figures are blank: other tests read these runs
+        result = world.find(kind)
+        shutil.copytree(result, folder / "reports" / result.name)
     for part in ("configs", "data", "studies"):
         shutil.copytree(world.folder / part, folder / part)
-    shutil.copytree(result, folder / "reports" / result.name)
     monkeypatch.chdir(folder)
     draw_blank(monkeypatch)
     predict_by_few_draws(monkeypatch)
@@ -583,8 +584,7 @@ def test_a_result_of_an_earlier_version_is_reported_and_its_verdict_is_not_repea
     assert run("diff", "reports/held_out", "reports/held_out") == 0
 
 
-def test_a_posterior_of_another_fit_is_not_used(validated, world, capsys):
-    shutil.copytree(world.find("fit"), validated / "reports/gel")
+def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
     words = ("predict", "gel", "--scene", "ahead", "--quiet", "--jobs", 1)
     result = Path("reports/predict-gel-ahead/run.json")
     assert run(*words) in (0, 5)
