@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from inspect import isclass
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
@@ -27,7 +28,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint, release_checkpoint
 from needlefit.project.folders import sha256, write_manifest
 from needlefit.project.toml import dumps
-from needlefit.project.toml_reference import find_owner, find_record
 from needlefit.schemas.dataset import DatasetRecord, TrackDatasetRecord
 from needlefit.schemas.deciding import UNDECIDING
 from needlefit.schemas.medium import MaterialRecord, MediumRecord
@@ -369,13 +369,21 @@ EDITS = {
 }
 
 
+def find_record(annotation):
+    """The record within an annotation, also in a list or a table."""
+    if isclass(annotation) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := find_record(one))), None)
+
+
 def list_keys():
     """Every key of these files and of the tables within them, by the table that states it."""
     found = {}
 
     def walk(record):
         for name, field in record.model_fields.items():
-            owner, inner = find_owner(record, name), find_record(field.annotation)
+            owner = next(one for one in record.__mro__ if name in vars(one).get("__annotations__", ()))
+            inner = find_record(field.annotation)
             if name == "units":  # it has one value
                 continue
             if name in UNDECIDING or inner is None:
@@ -522,12 +530,13 @@ def test_an_interrupted_run_goes_on_with_the_same_identity_alone(project, tmp_pa
 
 @pytest.fixture
 def validated(world, tmp_path, monkeypatch):
-    """A copy of the project with a study that was validated."""
-    result = world.find("cross_validation")
+    """A copy of the project with a study that was validated, and a fit."""
     folder = tmp_path / "project"
+    for kind in ("cross_validation", "fit"):  # before figures are blank: other tests read these runs
+        result = world.find(kind)
+        shutil.copytree(result, folder / "reports" / result.name)
     for part in ("configs", "data", "studies"):
         shutil.copytree(world.folder / part, folder / part)
-    shutil.copytree(result, folder / "reports" / result.name)
     monkeypatch.chdir(folder)
     draw_blank(monkeypatch)
     predict_by_few_draws(monkeypatch)
@@ -575,8 +584,7 @@ def test_a_result_of_an_earlier_version_is_reported_and_its_verdict_is_not_repea
     assert run("diff", "reports/held_out", "reports/held_out") == 0
 
 
-def test_a_posterior_of_another_fit_is_not_used(validated, world, capsys):
-    shutil.copytree(world.find("fit"), validated / "reports/gel")
+def test_a_posterior_of_another_fit_is_not_used(validated, capsys):
     words = ("predict", "gel", "--scene", "ahead", "--quiet", "--jobs", 1)
     result = Path("reports/predict-gel-ahead/run.json")
     assert run(*words) in (0, 5)
