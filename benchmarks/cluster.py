@@ -16,7 +16,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from needlefit.project.cluster import connect
+from needlefit.project.cluster import connect_cluster
 from needlefit.project.tasks import LocalPool, TaskPool
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
@@ -59,7 +59,7 @@ def main() -> None:
                         address, _ = running.enter_context(start_scheduler(Path(folder)))
                         for _ in range(size):
                             running.enter_context(start_worker(address))
-                        pool = running.enter_context(connect(address))
+                        pool = running.enter_context(connect_cluster(address))
                         pool.client.wait_for_workers(size)
                     found.append(measure(pool, options.tasks, options.seconds))
             (one, alone), (two, both) = found

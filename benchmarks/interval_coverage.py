@@ -2,7 +2,8 @@
 
     python benchmarks/interval_coverage.py [--datasets 20] [--quick] [--out reports/interval_coverage.csv]
 
-Intervals of held-out tips, shapes and parameters are those of the stored calibrations (reports/reference).
+Intervals of held-out tips, shapes and parameters are those of the kept rows of
+`studies/calibration_synthetic.py`.
 For the others each study is fitted to synthetic datasets of its own, with tissues, specimens and needle drawn
 anew. Then the deepest held-out insertion is predicted as a planned one, a path is planned to a target beside
 it, tried with the specimen's true moduli and bevel, and, in a new specimen, its tip is added to the fit.
@@ -34,23 +35,26 @@ from needlefit.viewer.plans import begin_insertion
 
 SEED, LEVELS, TARGET_RADIUS_MM = 7800, (50, 95), 1.0
 MEDIA = {"study2": ["phantom2"], "study3": ["phantom1", "phantom2"], "study5": ["chicken"]}
-REFERENCE = Path(__file__).parent.parent / "reports/reference"
-#: quantities of the stored calibrations, and what they are called
-STORED = {"tip": "held-out tip", "shape": "shape, simultaneous band", "points": "shape, pointwise band"}
+KEPT = Path(__file__).parent.parent / "docs/figures/calibration_synthetic.csv"
+#: quantities of its rows that are no parameters, and what they are called
+HELD_OUT = {
+    "held-out tip": "held-out tip",
+    "simultaneous band": "shape, simultaneous band",
+    "pointwise band": "shape, pointwise band",
+}
 PLAN = "target reached by `plan`"
 
 
-def read_calibration(study: str) -> pd.DataFrame:
-    """Return the rows of the stored calibration of a study."""
-    folder = REFERENCE / f"calibrate-{study}-synthetic"
-    tips, known = (pd.read_csv(folder / f"{name}.csv") for name in ("tips", "parameters"))
-    tips = tips.assign(interval=tips["quantity"].map(STORED), level=100 * tips["level"])
-    tips["width_mm"] = tips["high_mm"] - tips["low_mm"]
-    parts = [tips.dropna(subset="interval")]
-    for level in LEVELS:
-        inside = ((known["pit"] - 0.5).abs() <= level / 200).groupby(known["replicate"]).mean()
-        parts.append(pd.DataFrame({"interval": "parameter", "level": level, "covered": inside.astype(float)}))
-    return pd.concat(parts)[["interval", "level", "covered", "width_mm"]].assign(study=study)
+def read_calibration() -> pd.DataFrame:
+    """Return the kept rows of studies/calibration_synthetic.py: of a truth the share covered."""
+    kept = pd.read_csv(KEPT)
+    kept["interval"] = kept["quantity"].map(HELD_OUT).fillna("parameter")
+    kept = kept.melt(
+        ["study", "seed", "interval", "width_mm"], [f"in_{one}" for one in LEVELS], "level", "covered"
+    )
+    kept["level"] = kept["level"].str.removeprefix("in_").astype(int)
+    keys = ["interval", "study", "seed", "level"]
+    return kept.groupby(keys, as_index=False)[["covered", "width_mm"]].mean()
 
 
 def test_study(study: str, seed: int, folder: str) -> list[dict]:
@@ -148,9 +152,8 @@ def main() -> None:
             done[study] = rows.loc[rows["study"] == study, "seed"].nunique()
         seed += 1
         print(f"datasets: {done}", flush=True)
-    stored = pd.concat([read_calibration(f"study{n}") for n in range(1, 6)])
-    order = {name: place for place, name in enumerate((*STORED.values(), "parameter"))}
-    stored = stored.sort_values("interval", key=lambda names: names.map(order), kind="stable")
+    order = {name: place for place, name in enumerate((*HELD_OUT.values(), "parameter"))}
+    stored = read_calibration().sort_values("interval", key=lambda names: names.map(order), kind="stable")
     print(tabulate(pd.concat([stored, rows], ignore_index=True)))
 
 

@@ -88,8 +88,8 @@ AREAS = {
         ("inference/specimens.py",), ("inference_specimens", "validation_heldout", "validation_forecast")
     ),
     "bands": Area(
-        ("inference/curve_bands.py", "inference/rank_statistics.py"),
-        ("validation_forecast", "validation_calibration"),
+        ("inference/curve_bands.py", "inference/ecdf_band.py"),
+        ("validation_forecast", "ecdf_band"),
     ),
     "coverage": Area(
         ("studies/coverage.py", "studies/prediction_scores.py", "studies/scored_groups.py"),
@@ -129,11 +129,10 @@ AREAS = {
     "studies": Area(
         ("studies", "planning"),
         (
-            *("validation_run", "validation_heldout", "validation_forecast", "validation_calibration"),
+            *("validation_run", "validation_heldout", "validation_forecast", "simulated_data"),
             *("validation_analyses", "validation_differences", "fit_warnings", "planning"),
             *("reference", "reporting_tables", "reporting_files", "reporting_slicer"),
             *(
-                "analysis_cohort",
                 "cli_studies",
                 "cli_tracks",
                 "cli_analyses",

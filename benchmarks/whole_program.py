@@ -31,7 +31,6 @@ COMMANDS = {
     "tune": ("tune", "phantom1", "-q", "--out", "reports"),
     "design": ("tune", "study1", "--design", "-q", "--out", "reports"),
     "predict": ("predict", "study2", "--scene", "study2", "-q", "--out", "reports"),
-    "calibrate": ("calibrate", "study1", "--truth", "synthetic", "--replicates", "20", "-q", "--out", "r"),
     "all": ("validate", "all", "-q", "--out", "reports"),
 }
 """By name; `report` rewrites the result of `study3`."""

@@ -25,25 +25,29 @@ from needlefit.datasets.folds import divide_insertions
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.ecdf_band import ecdf_band as ecdf_band
 from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameter_changes import change_fit, read_priors, set_priors
-from needlefit.inference.predict import thin_posterior
+from needlefit.inference.predict import Draws, thin_posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling import sample as ensemble
 from needlefit.inference.sampling.importance import (
     MAX_PARETO_K,
     WeightedDraws,
     leave_out_parts,
+    resample_draws,
     sample_about_fit,
 )
 from needlefit.project.checkpoint import remove_checkpoint
+from needlefit.project.cluster import connect_cluster as connect_cluster
 from needlefit.project.input_files import is_dir
 from needlefit.project.json_values import to_json_values
 from needlefit.project.locate import find_file, find_run, find_studies
 from needlefit.project.processes import count_cores
 from needlefit.project.progress import Progress, Stop, never_stop, no_progress
 from needlefit.project.random_streams import random_stream
-from needlefit.project.tasks import THIS_PROCESS, TaskPool
+from needlefit.project.tasks import LocalPool as LocalPool
 from needlefit.project.toml import IN_MEMORY, add_file_context, check, dumps, read_given, spell_name
 from needlefit.schemas.analyses import SyntheticDataRecord
 from needlefit.schemas.base import FileRecord
@@ -51,6 +55,7 @@ from needlefit.schemas.medium import MaterialRecord, MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.schemas.scene import SceneRecord
 from needlefit.schemas.study import FitRecord, SelectionRecord
+from needlefit.studies import simulated_data
 from needlefit.studies.job import Inputs, Job, Settings
 from needlefit.studies.judge import NOISE_GUARD as NOISE_GUARD
 from needlefit.studies.judge import REFERENCES as REFERENCES
@@ -170,7 +175,7 @@ def make_twin(folder: Name, seed: int, media: Sequence[str] = (), *, population:
     media : sequence of str
         Insertions into these media only, such as `["chicken"]`.
     population : bool
-        Whether tissues and specimens differ as widely as `needlefit calibrate --truth synthetic` draws them.
+        Whether the tissues, too, are drawn, from a wide population, instead of the paper's values.
 
     Raises
     ------
@@ -231,10 +236,10 @@ def simulate_dataset(data: Table, medium: Medium, seed: int) -> Dataset:
     ConfigError
         If a key is wrong, or an insertion has no solution.
     """
-    from needlefit.studies.simulated_data import simulate_dataset
-
     record = check(_plain(None, data), SyntheticDataRecord, "needlefit.api.simulate_dataset")
-    return simulate_dataset("simulated", record, read_given("medium", medium, MediumRecord)[0], seed)
+    return simulated_data.simulate_dataset(
+        "simulated", record, read_given("medium", medium, MediumRecord)[0], seed
+    )
 
 
 def load_run(folder: Name) -> Run:
@@ -401,7 +406,6 @@ def validate(
     dataset: Name | Dataset | None = None,
     medium: Medium | None = None,
     recipe: Recipe | None = None,
-    pool: TaskPool = THIS_PROCESS,
     **options: Unpack[RunOptions],
 ) -> Run:
     """Run a study of any kind: fit and score held-out insertions, or whatever else its file asks.
@@ -417,9 +421,6 @@ def validate(
         Another tissue model: `load_medium("phantom2") | {"tangent_part": 0.5}`.
     recipe : str, Path, RecipeRecord or table, optional
         How to search and sample, in place of what the study names; a table changes keys of `default`.
-    pool : TaskPool
-        Where tasks of analyses run; by default in this process. `LocalPool(N)` starts
-        N processes: the script then needs `if __name__ == "__main__"`.
     name, seed, jobs, progress, checkpoint
         As of `fit`.
 
@@ -433,7 +434,7 @@ def validate(
         With Ctrl-C.
     """
     changed = _replace_inputs(_load_study(study), dataset, medium, recipe)
-    return _run(changed, pool=pool, **options)
+    return _run(changed, **options)
 
 
 def score_study(
@@ -592,6 +593,97 @@ def estimate_evidence(
     found = _integrate(job, problem, ("evidence",), jobs)
     values = (found.log_evidence, found.log_evidence_se, found.k, found.effective_sample_size)
     return pd.Series(values, index=["log_evidence", "se", "k", "ess"])
+
+
+def make_problem(
+    target: Name | Dataset | Run,
+    medium: Medium | None = None,
+    **changes: Unpack[FitChanges],
+) -> Problem:
+    """Return the statistical problem of a fit: its density and residuals, and their exact derivatives.
+
+    Parameters
+    ----------
+    target, medium, tune, recipe, priors, free, fix
+        As of `fit`; the dataset may have no files.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As of `fit`.
+    """
+    changed = _change_fit(_open_fit(target, medium, stored=False), **changes)
+    job, _ = _prepare(changed, None, None)
+    return job.problem(job.folds[0])
+
+
+def simulate_from_prior(problem: Problem, seed: int) -> tuple[Floats, Problem]:
+    """Draw parameters from the prior, and simulate and measure the insertions of a problem with them.
+
+    Depths, poses and points err as the dataset states, whatever the likelihood neglects. Parameters for
+    which a needle has no solution are drawn again.
+
+    Returns
+    -------
+    theta : (P,) array
+        The true parameters.
+    Problem
+        That of inferring them: the same one, with other measured shapes.
+
+    Raises
+    ------
+    ConfigError
+        If the dataset states no noise, or has tip tracks.
+    FitError
+        If there are hardly any parameters with a solution.
+    """
+    return simulated_data.simulate_from_prior(problem, random_stream(seed, "prior"))
+
+
+def draw_posterior(
+    problem: Problem, count: int, seed: int, *, recipe: Recipe = "default", jobs: int | None = None
+) -> Draws:
+    """Fit a problem, and draw from its posterior.
+
+    Draws are by importance sampling, and by MCMC from these where their weights are not reliable.
+
+    Parameters
+    ----------
+    problem : Problem
+        As from `make_problem`; its dataset states its noise.
+    count : int
+        Number of draws.
+    seed : int
+        Of all random numbers.
+    recipe : str, Path, RecipeRecord or table
+        How to search and sample; a table changes keys of the recipe `default`.
+    jobs : int, optional
+        Threads; by default as many as there are cores.
+
+    Returns
+    -------
+    Draws
+        `thetas` (count, P), the `mode` (P,), and `faults`, empty if the draws are reliable.
+        `problem.values(theta)` are a draw's values in Pa and mm.
+
+    Raises
+    ------
+    ConfigError
+        If anything that is named is missing or wrong.
+    FitError
+        If the search finds no point that can be solved.
+    """
+    _check_types(seed=seed, jobs=jobs)
+    chosen, _ = _read_recipe(recipe)
+    rng, callbacks = random_stream(seed, "posterior"), Callbacks(jobs=count_cores() if jobs is None else jobs)
+    fit = minimize(problem, chosen.model_copy(update={"minimize": "posterior"}), rng, callbacks)
+    found = sample_about_fit(problem, fit, rng, callbacks.jobs)
+    draws = resample_draws(found, count, rng)
+    if not found.certified:
+        chains = ensemble.sample(problem.holding(fit.held), found, chosen.sample, rng, callbacks)
+        assert chains is not None  # nothing stops it
+        draws = thin_posterior(chains, problem.parameters, count, found.k)
+    return replace(draws, mode=np.array(fit.theta))
 
 
 def write_prior(
@@ -855,7 +947,6 @@ def _is_same(one: Insertion, other: Insertion) -> bool:
 def _run(
     study: _Study,
     *,
-    pool: TaskPool = THIS_PROCESS,
     sample: bool = False,
     name: str | None = None,
     seed: int | None = None,
@@ -870,7 +961,6 @@ def _run(
         settings = Settings(
             seed=seed,
             jobs=count_cores() if jobs is None else jobs,
-            pool=pool,
             checkpoint=checkpoint,
             resume=checkpoint is not None and is_dir(checkpoint),
             sample=sample,

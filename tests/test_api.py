@@ -300,7 +300,7 @@ def test_errors_of_a_study_are_those_of_validate_and_change_with_the_tissue_mode
     fitted = ("validate", "needle-3", "fitted")
     assert changed.loc[fitted] != pytest.approx(scored.loc[fitted, "te_mm"], rel=1e-3)
     with pytest.raises(ConfigError):
-        api.score_study("cohort")
+        api.score_study("design")
     with pytest.raises(ConfigError):
         needlefit.validate("plan", medium=stiffer)
 

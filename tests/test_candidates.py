@@ -37,7 +37,7 @@ def test_a_deep_insertion_adds_more_than_a_shallow_one(monkeypatch) -> None:
     few = tuple(one for one in job.dataset.insertions if one.id in ("chicken-01", "chicken-04", "chicken-06"))
     job = replace(job, dataset=replace(job.dataset, insertions=few))
     values, _ = choose_reference_values(job)
-    problem = simulate_design(job, job.folds[0], values)
+    problem = simulate_design(job.problem(job.folds[0]), values)
     found = rank_candidates(job, job.folds[0], problem, problem.parameters.theta(values), Settings())
     assert tuple(found.columns) == CANDIDATE_COLUMNS
     assert found["nats"].is_monotonic_decreasing and np.isfinite(found["nats"]).all()

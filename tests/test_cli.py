@@ -24,7 +24,6 @@ from needlefit.errors import ConfigError, DataError, FitError, ModelError
 from needlefit.project.locate import find_file
 from needlefit.project.toml import dumps
 from needlefit.reporting.table import TableColumn, TableLayout
-from needlefit.studies.kinds import calibration
 
 FULL = Path("/dev/full")
 posix = pytest.mark.skipif(os.name != "posix", reason="redirections of a POSIX shell")
@@ -73,7 +72,6 @@ def test_a_command_imports_what_it_uses(words, libraries):
         (("tune", "study2", "--sample"), 2, "--sample"),
         (("simulate",), 2, "Usage: needlefit"),
         (("simulate", "phantom1", "--depth", "deep"), 2, "Usage: needlefit"),
-        (("calibrate", "study2", "--truth", "nothing"), 2, "Usage: needlefit"),
         (("--h\u202eut",), 2, r"\\u202e"),
         (("report", "--o\u202eut"), 2, r"\\u202e"),
         (("simulate", "x", "y\x1b[2J"), 2, r"\\x1b"),
@@ -144,22 +142,6 @@ def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     captured = capsys.readouterr()
     assert captured.out == "" and "unexpected" not in captured.err
     assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
-
-
-@pytest.mark.usefixtures("blank_figures")
-def test_the_exit_code_of_a_calibration_says_whether_it_passed(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    words = ("calibrate", "study2", "--replicates", "1", "--jobs", "1", "-q", "--json")
-    assert run(*words) == 5  # too few
-    assert json.loads(capsys.readouterr().out)["verdicts"][0]["numbers"]["replicates"] == 1
-    judge = calibration.judge_ranks
-    monkeypatch.setattr(
-        calibration,
-        "judge_ranks",
-        lambda frames: judge(frames) | {"passes": False, "conclusive": True, "not_calibrated": ["mu1_pa"]},
-    )
-    assert run(*words) == 6
-    assert json.loads(capsys.readouterr().out)["verdicts"][0]["status"] == "fail"
 
 
 # --- streams that are closed, full, broken, or of few characters --------------------
@@ -267,7 +249,7 @@ def test_a_shipped_study_has_no_faults(name, kind, folds, capsys):
         ({"recipe": "none"}, "mine.toml"),
         ({"tune": {"medium": "pork"}}, "mine.toml"),
         ({"tune": {"medium": "phantom1"}, "medium": "phantom1"}, 'leave_out = "insertion"'),
-        ({"kind": "cohort"}, "mine.toml"),
+        ({"kind": "identification"}, "mine.toml"),
         ({"dataset": None, "medium": None, "leave_out": None}, "mine.toml"),
         ("schema = 1\nlayers = 1\n", "mine.toml"),  # of a tissue
     ],

@@ -60,9 +60,6 @@ CASES = {
         "validate held_out --reference --out out -q", "held_out held_out.partial reference/held_out"
     ),
     "tune --design": Case("tune held_out --design --out out -q", "held_out-design held_out-design.partial"),
-    "calibrate": Case(
-        "calibrate meat --replicates 2 --jobs 1 --out out -q", "calibrate-meat calibrate-meat.partial", 5
-    ),
     "predict": Case("predict held_out --scene ahead --out out -q", "predict-held_out-ahead"),
     "report": Case("report ./out/run --out out/again", "again"),
     "reconstruct": Case(f"reconstruct {SCANS} --out out/rr -q", "rr rr.partial"),

@@ -93,5 +93,5 @@ def test_the_folder_of_a_run_names_the_fit_that_was_made_there(world):
             name, record, _, path, _ = load_target(str(world.find(kind)))
             assert (name, record) == load_target(named)[:2]
             assert path == world.find(kind) / "run.json"
-        with pytest.raises(ConfigError, match="calibration"):
-            load_target(str(world.find("calibration")))
+        with pytest.raises(ConfigError, match="identification"):
+            load_target(str(world.find("identification")))

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from contextlib import chdir
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -93,13 +92,6 @@ def test_a_moved_run_is_opened_with_its_measured_needle_and_draws(places):
     shutil.rmtree(places.project)
     shown = open_target("../moved/held_out/needle-2")
     assert shown.measured.id == "needle-2" and shown.spread is not None
-
-
-@pytest.mark.sweep
-def test_a_moved_run_is_calibrated(world, places):
-    with chdir(world.folder):
-        assert run("tune", "meat", "--no-sample", "--out", places.moved, *OPTIONS) in (0, 5)
-    assert run("calibrate", "../moved/meat-tune", "--replicates", 2, *OPTIONS) == 5
 
 
 def test_a_moved_run_predicts_what_it_predicted_where_it_was(world, places):

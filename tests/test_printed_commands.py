@@ -18,7 +18,6 @@ from needlefit.project.help_pages import read_sections
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.studies.advice import COMMANDS, TEXT, advise, classify_doubt, find_failures, list_doubts
 from needlefit.studies.answer import Check, Finding
-from needlefit.studies.kinds import calibration
 from needlefit.studies.kinds.cross_validation import run as cross_validation
 
 PRINTED = re.compile(r"(?:cd [^\n&]+ && )?needlefit (?!warning|unexpected)[a-z]+ [^`;()\n]*[^`;()\n.: ]")
@@ -31,14 +30,14 @@ START = {
     "a table": ("check", "data/needles/insertions.csv"),
     "a table alone": ("check", "points.csv"),
     "a fit": ("validate", "gel"),
-    "a study": ("tune", "cohort"),
+    "a study": ("tune", "design"),
 }
 """Command lines that print others."""
 VALUES = {
     "specimen": "others",
     **{"dataset": "needles", "doubt": "copy", "doubt_title": "two insertions are the same"},
     **{"other_medium": "phantom1", "curve": "a straight line", "width": 13.0, "gain": 3.6},
-    **{"target": "meat", "replicates": 2, "tip": "31.5,1.0", "scan": "sample"},
+    **{"target": "meat", "tip": "31.5,1.0", "scan": "sample"},
     "best": {"insertion": "needle-2", "depth_mm": 30.0, "nats": 0.2},
 }
 
@@ -47,13 +46,10 @@ VALUES = {
 def project(world, tmp_path, monkeypatch):
     """A copy of the tiny world's project with its runs, as the working folder.
 
-    Its recipe is the tiny one by the name `default`, too. Figures and pages are empty, and a
-    calibration is that of the world.
+    Its recipe is the tiny one by the name `default`, too. Figures and pages are empty.
     """
     for kind in KIND_COMMANDS:
         world.find(kind)  # before anything is light: other tests read them
-    calibrated = world.restore("calibration")
-    monkeypatch.setattr(calibration, "run", lambda name, *_: replace(calibrated, name=name))
     monkeypatch.setattr("needlefit.viewer.server.serve", lambda *_, **__: None)
     for name in ("compile_pdf", "compile_html"):
         monkeypatch.setattr(f"needlefit.reporting.document.{name}", lambda _: b"a page")

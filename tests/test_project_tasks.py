@@ -1,6 +1,7 @@
 """Tasks in processes, copied or begun anew, and on a cluster: the same bytes everywhere."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,11 +10,15 @@ import time
 from functools import partial
 from pathlib import Path
 
+import pandas as pd
 import pytest
+from made_again import read_files
+from test_cli import run
 
 from needlefit.errors import ConfigError
 from needlefit.project import cluster, tasks
-from needlefit.project.cluster import connect, require_secured
+from needlefit.project.cluster import connect_cluster, require_secured
+from needlefit.project.locate import shipped_folder
 from needlefit.project.processes import THREAD_VARIABLES
 from needlefit.project.tasks import LocalPool, compute_beside
 from tests.cluster_processes import start_scheduler, start_worker
@@ -199,28 +204,67 @@ def address(tmp_path_factory):
 
 def test_results_are_those_of_this_machine_in_order(address):
     work, items = partial(square, offset=0.1), [3.0, 1.0, 2.0, 1.0]
-    with connect(address) as pool:
+    with connect_cluster(address) as pool:
         assert run_in_order(work, items, pool) == run_in_order(work, items, LocalPool())
 
 
 def test_a_worker_that_dies_costs_its_task_alone(address, tmp_path):
     work = partial(kill_once, folder=str(tmp_path))
-    with connect(address) as pool:
+    with connect_cluster(address) as pool:
         assert run_in_order(work, list(range(6)), pool) == list(range(6))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed"]
+
+
+def test_scans_reconstructed_on_workers_are_those_of_this_machine(address, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scan = shipped_folder() / "data/sample_scan/volumes/sample.nrrd"
+    for name in ("a.nrrd", "b.nrrd"):
+        shutil.copyfile(scan, name)
+    for out, where in (("here/scans", ()), ("there/scans", ("--scheduler", address))):
+        assert run("reconstruct", "a.nrrd", "b.nrrd", *where, "--out", out, "-q") == 0
+    assert read_files(Path("here/scans")) == read_files(Path("there/scans"))
+
+
+def test_a_cohort_fitted_on_workers_is_that_of_this_machine(address, world, tmp_path):
+    """Of four datasets one is broken; a run that is repeated keeps its rows."""
+    for name in ("a", "b", "c"):
+        shutil.copytree(world.folder / "data/needles", tmp_path / name)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken/dataset.toml").write_text("schema = 1\n")
+    words = [sys.executable, str(shipped_folder() / "studies/cohort.py"), "configs/media/gel.toml"]
+    words += [*map(str, sorted(tmp_path.glob("*"))), "--recipe", "configs/recipes/tiny.toml", "--out"]
+    found = {}
+    for name, where in (("here", "--jobs=1"), ("there", f"--scheduler={address}"), ("there", "--jobs=1")):
+        out = tmp_path / f"{name}.png"
+        done = subprocess.run(
+            [*words, str(out), where], cwd=world.folder, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0 and out.stat().st_size > 5_000, done.stderr
+        rows = pd.read_csv(out.with_suffix(".csv"))
+        found[name] = rows.sort_values(["dataset", "specimen", "parameter"], ignore_index=True)
+    pd.testing.assert_frame_equal(found["here"], found["there"])
+    fits, failed = (found["here"][found["here"]["parameter"].isna() == lost] for lost in (False, True))
+    assert [Path(name).name for name in failed["dataset"]] == ["broken"]
+    counts = fits.groupby("specimen")["insertions"].unique().map(list)
+    assert counts.to_dict() == {"piece1": [2], "piece2": [1]}
+    assert (fits["interval_low"] < fits["value"]).all() and (fits["value"] < fits["interval_high"]).all()
 
 
 @pytest.mark.sweep
 def test_a_worker_of_other_versions_is_refused(address, monkeypatch):
     monkeypatch.setattr(cluster, "describe_code", lambda: {"numpy": "0.1"})
-    with connect(address) as pool, pytest.raises(ConfigError, match=r"numpy .* instead of"):
+    with connect_cluster(address) as pool, pytest.raises(ConfigError, match=r"numpy .* instead of"):
         list(pool.run(square, [1.0]))
 
 
 @pytest.mark.sweep
 @pytest.mark.parametrize(("seconds", "running"), [(0.5, False), (30.0, True)])
 def test_a_lost_scheduler_is_an_error_that_names_resume(tmp_path, seconds, running):
-    with start_scheduler(tmp_path) as (address, server), start_worker(address), connect(address) as pool:
+    with (
+        start_scheduler(tmp_path) as (address, server),
+        start_worker(address),
+        connect_cluster(address) as pool,
+    ):
         pool.client.wait_for_workers(1)
         results = pool.run(nap, [seconds] * 8)
         if not running:
@@ -255,5 +299,5 @@ def test_an_address_is_secured(address, secured):
 @pytest.mark.sweep
 def test_no_scheduler_answers(monkeypatch):
     monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
-    with pytest.raises(ConfigError, match="no scheduler answers"), connect(f"{LOOPBACK}:9"):
+    with pytest.raises(ConfigError, match="no scheduler answers"), connect_cluster(f"{LOOPBACK}:9"):
         pass

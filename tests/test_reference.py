@@ -24,8 +24,7 @@ def test_every_study_of_the_paper_has_its_evidence():
     folders = {folder.name: folder for folder in REFERENCE.iterdir()}
     assert folders.keys() >= {*PAPER_STUDIES, *PAPER_FITS}
     for name, folder in folders.items():
-        study = name.removeprefix("calibrate-").removesuffix("-synthetic")
-        assert read_run(folder)["name"] == study
+        assert read_run(folder)["name"] == name
         for file in folder.glob("*.csv"):
             evidence = pd.read_csv(file)
             assert set(evidence["origin"]) == {"synthetic"}

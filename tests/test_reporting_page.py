@@ -15,7 +15,7 @@ from needlefit.reporting.table import Table, TableColumn, TableLayout
 from needlefit.reporting.text import KindText
 from needlefit.studies import advice, fit_sentences, fit_warnings, report
 from needlefit.studies.fit_figures import draw_overlays
-from needlefit.studies.kinds import calibration, cohort, identification, prediction
+from needlefit.studies.kinds import identification, prediction
 from needlefit.studies.kinds.reconstruction import report as reconstruction
 from needlefit.studies.report import compose_run_report
 
@@ -171,8 +171,6 @@ TEXTS = [
     report.CHECKS,
     advice.TEXT,
     fit_warnings.TEXT,
-    calibration.TEXT,
-    cohort.TEXT,
     identification.TEXT,
     prediction.TEXT,
     reconstruction.TEXT,

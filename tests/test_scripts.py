@@ -11,7 +11,10 @@ from needlefit.project.locate import shipped_folder
 
 FOLDER = shipped_folder() / "studies"
 SCRIPTS = [*sorted(FOLDER.glob("*.py")), shipped_folder() / "docs/examples/openigtlink.py"]
-ANALYSES = ("adaptation", "comparison", "next_insertion", "seeds", "sensitivity")
+ANALYSES = (
+    *("adaptation", "calibration", "calibration_synthetic", "comparison", "next_insertion", "seeds"),
+    "sensitivity",
+)
 PUBLIC = {"needlefit", "needlefit.api"}
 
 

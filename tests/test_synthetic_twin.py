@@ -25,7 +25,7 @@ from needlefit.synthetic.scans import WHOLE_BOX_SETUP
 
 TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
-MAKE_TWINS = {"api", "calibration", "specimens", "simulated_data"}
+MAKE_TWINS = {"api", "simulated_data"}
 
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""
@@ -126,7 +126,7 @@ def test_counts_and_depth_ranges_are_the_papers(row):
     assert len(set(depths)) == len(depths)
 
 
-# ---- the population of calibration truths
+# ---- the population of truths
 
 
 def test_media_of_truths_are_drawn_from_the_stated_population():

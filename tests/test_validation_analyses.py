@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from needlefit.studies.runner import run_tasks
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import PreparedModel, predict
@@ -16,7 +17,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file
 from needlefit.studies.job import Settings
-from needlefit.studies.runner import run_tasks
 from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import select_designs
 from tests.inference_cases import NEEDLE, insertion, medium

@@ -73,7 +73,7 @@ def test_rows_and_columns_of_one_run_only_are_listed(first, tmp_path):
 
 def test_runs_of_different_kinds_are_not_compared(first, tmp_path, world):
     with pytest.raises(DataError):
-        compare_runs(first, world.find("calibration"))
+        compare_runs(first, world.find("identification"))
 
 
 def test_the_command_prints_a_row_for_each_difference(first, tmp_path, capsys):

@@ -182,7 +182,7 @@ def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_p
     put(results.with_metadata(identity=other), tmp_path)
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
-    pack({"kind": "calibration"}, tmp_path)
+    pack({"kind": "identification"}, tmp_path)
     with pytest.raises(DataError, match="fitted needle"):
         open_target(str(tmp_path))
 

@@ -52,8 +52,6 @@ def _validate(name: str, *codes: int) -> Command:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
-        "calibration": Command(("calibrate", "meat", "--replicates", "2"), "calibrate-meat", (5,)),
-        "cohort": _validate("cohort", 0),
         "cross_validation": _validate("held_out", 0),
         "fit": Command(("tune", "gel"), "gel", (0, 5)),
         "identification": Command(("tune", "gel", "--design"), "gel-design", (0,)),

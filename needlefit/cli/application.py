@@ -23,7 +23,6 @@ COMMANDS: tuple[tuple[str, Callable[..., None], str], ...] = (
     ("reconstruct", reconstruct.reconstruct, "scans.csv --out data/mine"),
     ("new project", data.new_project, "myproject"),
     ("new workbook", data.new_workbook, "needles.xlsx"),
-    ("calibrate", studies.calibrate, "phantom1 --replicates 100"),
 )
 """Name, function and words of an example; those most used come first."""
 

@@ -89,11 +89,10 @@ class Execution:
         from needlefit.studies.kind import kind_of
 
         asked = self.invocation
-        with show_progress(asked.quiet) as report, open_pool(asked) as pool:
+        with show_progress(asked.quiet) as report:
             settings = Settings(
                 seed=asked.seed,
                 jobs=asked.jobs or count_cores(),
-                pool=pool,
                 checkpoint=self.checkpoint(name),
                 resume=asked.resume,
                 sample=sample,
@@ -165,18 +164,18 @@ def begin(context: typer.Context) -> Iterator[Execution]:
 
 
 @contextmanager
-def open_pool(asked: Invocation, usual: int | None = None) -> "Iterator[TaskPool]":
-    """Open the pool that the options name: processes (`usual`: how many at most, where nothing is stated; a
-    core each), or the workers of a cluster.
+def open_pool(asked: Invocation, usual: int) -> "Iterator[TaskPool]":
+    """Open the pool that the options name: processes (`usual`: how many at most, where nothing is stated), or
+    the workers of a cluster.
     """
     from needlefit.project.tasks import LocalPool
 
     if asked.scheduler is None:
-        yield LocalPool(asked.jobs or min(usual or count_cores(), count_cores()))
+        yield LocalPool(asked.jobs or min(usual, count_cores()))
         return
-    from needlefit.project.cluster import connect
+    from needlefit.project.cluster import connect_cluster
 
-    with connect(asked.scheduler, asked.insecure, print_remark) as pool:
+    with connect_cluster(asked.scheduler, asked.insecure, print_remark) as pool:
         yield pool
 
 

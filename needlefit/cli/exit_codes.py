@@ -60,7 +60,7 @@ class Invocation:
         return f"needlefit: interrupted; to go on: {self.resuming()}"
 
 
-UNEXPECTED, NOT_CONVERGED, CALIBRATION_FAILED, INTERRUPTED = 1, 5, 6, 130
+UNEXPECTED, NOT_CONVERGED, INTERRUPTED = 1, 5, 130
 
 EXIT_CODES = {
     0: "ok",
@@ -69,7 +69,6 @@ EXIT_CODES = {
     ConfigError.exit_code: "bad data or configuration",
     FitError.exit_code: "the solver failed",
     NOT_CONVERGED: "not converged, or a warning with --strict (result written)",
-    CALIBRATION_FAILED: "a calibration failed",
     INTERRUPTED: "interrupted",
 }
 

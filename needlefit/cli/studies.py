@@ -1,12 +1,12 @@
-"""Commands that run studies: tune, calibrate, validate, predict."""
+"""Commands that run studies: tune, validate, predict."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from needlefit.cli import exit_codes, options, screen
+from needlefit.cli import options, screen
 from needlefit.cli.execution import StudyTask, begin, require_no_faults, run_studies, show_json_of, show_runs
 from needlefit.cli.options import (
     argument,
@@ -18,7 +18,6 @@ from needlefit.cli.options import (
     split_pair,
     split_values,
 )
-from needlefit.schemas.limits import DEFAULT_REPLICATES, MAX_REPLICATES
 
 
 def tune(
@@ -96,67 +95,6 @@ def tune(
     require_no_faults(f"{results.name}: {fault}" for fault in results.faults)
 
 
-def calibrate(
-    context: typer.Context,
-    target: options.Target,
-    replicates: Annotated[
-        int, option("Number of simulated datasets.", "N", min=1, max=MAX_REPLICATES)
-    ] = DEFAULT_REPLICATES,
-    truth: Annotated[
-        Literal["prior", "synthetic"],
-        option(
-            "True parameters: drawn from the prior, or synthetic (simulated by another model than the "
-            "fitted one)."
-        ),
-    ] = "prior",
-    seed: options.Seed = None,
-    jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
-    out: options.Out = None,
-    reference: options.Reference = False,
-    resume: options.Resume = False,
-    strict: options.Strict = False,
-    explain: options.Explain = False,
-    json: options.Json = False,
-    quiet: options.Quiet = False,
-    plugins: options.Plugins = None,
-) -> None:
-    """Test whether the intervals of a TARGET are right.
-
-    Simulation-based calibration: parameters are drawn from their prior; the needles of TARGET are simulated
-    with them, measured with the stated errors, and fitted as `tune` does. The ranks of the true values among
-    the draws must be uniform. This tests the computation, not the model.
-
-    With --truth synthetic, the needles are simulated with friction, layers and a needle that the fitted model
-    does not have, and held-out tips are predicted. This tests the model.
-
-    Results go to OUT/calibrate-TARGET/ (or -synthetic; default: ./reports). Exit code 6: ranks are not
-    uniform. Exit code 5: a posterior has not converged, or there are too few replicates for a verdict.
-    """
-    with begin(context) as execution:
-        from needlefit.schemas.run_metadata import CalibrationMetadata
-        from needlefit.studies.study_files import load_target
-
-        about = load_target(target)
-        ending = "-synthetic" if truth == "synthetic" else ""
-        name = f"calibrate-{about.name.removesuffix('-tune')}{ending}"
-        if about.run is not None:  # with what it holds out, which a synthetic truth predicts
-            fit = about.run.record if truth == "synthetic" else about.record
-            execution = replace(execution, inputs=replace(about.inputs, target=(about.name, fit)))
-        execution.prepare([name], [name])
-        execution.prepare_result(name, about.sources)
-        found = execution.run_kind("calibration", name, target=target, truth=truth, replicates=replicates)
-        execution.write_reference([found])
-    show_runs(execution, [found])
-    stated = found.knows(CalibrationMetadata)
-    if stated.conclusive and not stated.passes:
-        screen.print_note(f"needlefit: {execution.folder(name)}: {found.verdicts[0].sentence}")
-        raise typer.Exit(exit_codes.CALIBRATION_FAILED)
-    if found.faults or not stated.conclusive:
-        raise typer.Exit(exit_codes.NOT_CONVERGED)
-
-
 def validate(
     context: typer.Context,
     study: Annotated[
@@ -168,8 +106,6 @@ def validate(
     ],
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
     out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,

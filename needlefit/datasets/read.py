@@ -393,7 +393,7 @@ def require_shapes(dataset: Dataset) -> Dataset:
     if dataset.pose == "tracker":
         raise refusal(f"""holds tip tracks, no shapes
             expected: a dataset with [centerlines]
-            fix: tune, calibrate and predict take it; this does not
+            fix: tune and predict take it; this does not
             where: {dataset.path}""")
     return dataset
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
-from needlefit.errors import NeedlefitError, refusal
+from needlefit.errors import refusal
 from needlefit.project.folders import list_all_files, sha256
 from needlefit.project.input_files import is_dir, is_file
-from needlefit.project.locate import read_toml
 from needlefit.schemas.dataset import SourceRecord
 
 
@@ -133,20 +132,3 @@ class DatasetFiles:
 
     def _others(self) -> list[Path]:
         return [self.root / name for name in self.names]
-
-
-def digest_folders(path: Path) -> str:
-    """Return a SHA-256 over a dataset's file and all files in the folders of its data.
-
-    It needs no dataset that can be read.
-    """
-    try:
-        root = read_toml(path).get("root")
-    except NeedlefitError:
-        root = None
-    roots = _match_folders(root, path)[1] if isinstance(root, str) else ()
-    total = hashlib.sha256()
-    for folder in (path.parent, *roots):
-        files = (file for file in folder.rglob("*") if is_file(file) and file != path)
-        total.update(compute_digest(path, folder, files).encode())
-    return total.hexdigest()

@@ -42,6 +42,7 @@ class DatasetDescription:
     license: str = "not stated"
     source: str = "needlefit reconstruct"
     truth_seed: int | None = None
+    truth_population: bool = False
     notes: str = ""
     media: Mapping[str, str] | None = None
 
@@ -129,6 +130,7 @@ def _dataset_record(
         license=description.license,
         source=description.source,
         truth_seed=description.truth_seed,
+        truth_population=description.truth_population,
         notes=description.notes,
         frame=FrameRecord(name="world" if reconstructions[0].registration else "patient (LPS)", pose="known"),
         needle=NeedleRecord(

@@ -122,7 +122,7 @@ def _lost_scheduler() -> ConfigError:
 
 
 @contextmanager
-def connect(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
+def connect_cluster(scheduler: str, insecure: bool = False, note: Note = no_note) -> Iterator[ClusterPool]:
     """Connect to a scheduler, `tls://HOST:PORT` or on this machine `tcp://HOST:PORT`; disconnect in the end.
 
     `insecure` also accepts an unencrypted scheduler on another machine. ConfigError if the address is wrong

@@ -88,7 +88,7 @@ class LocalPool:
                 return event.is_set()
 
             def submit(n: int) -> "Future[tuple[Result, bool]]":
-                return pool.submit(_run_task, data, items[n], self.size // count)
+                return pool.submit(_run_task, data, items[n])
 
             try:
                 for n, future in as_finished(submit, len(items), lambda: count, ask_to_stop):
@@ -210,7 +210,6 @@ class _Surroundings:
 
     stop: Event | None = None
     stopped = False
-    threads = 1
     work: Sequence[Callable[[], bytes]] = ()  # what this process was copied for
 
 
@@ -219,11 +218,6 @@ def stop_requested() -> bool:
     if _Surroundings.stop is not None and _Surroundings.stop.is_set():
         _Surroundings.stopped = True
     return _Surroundings.stopped
-
-
-def threads_of_task() -> int:
-    """Return how many threads a task may use in a process of a pool."""
-    return _Surroundings.threads
 
 
 def can_fork() -> bool:
@@ -269,9 +263,9 @@ def _begin_process(stop: Event, parent: int | None) -> None:
     _Surroundings.stop = stop
 
 
-def _run_task(data: bytes, item: object, threads: int) -> tuple[Any, bool]:
+def _run_task(data: bytes, item: object) -> tuple[Any, bool]:
     """Return a result, and whether nothing made the task end early."""
-    _Surroundings.stopped, _Surroundings.threads = False, threads
+    _Surroundings.stopped = False
     result = _read_work(data)(item)
     return result, not _Surroundings.stopped
 

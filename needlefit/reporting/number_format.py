@@ -7,7 +7,7 @@ from typing import Any
 
 from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.mechanics.laws import list_shape_parameters
-from needlefit.metrics import METRICS, Metric
+from needlefit.metrics import Metric
 
 MISSING = "–"
 _PARAMETER_PATTERN = re.compile(
@@ -116,17 +116,6 @@ def format_metric(metric: Metric, value: float | None, digits: int = 2) -> str:
     if metric.unit == "mm":
         return format_mm(value, digits)
     return format_percent(value) if metric.unit == "%" else format_number(value) or MISSING
-
-
-def join_metrics(values: Mapping[str, float | None]) -> str:
-    """Return errors by metric as text, "0.12 and 0.34 mm"."""
-    texts = [format_metric(METRICS[name], value) for name, value in values.items()]
-    units = [METRICS[name].unit for name in values]
-    each = [
-        text if unit in units[k + 1 : k + 2] else f"{text} {unit}"
-        for k, (text, unit) in enumerate(zip(texts, units, strict=True))
-    ]
-    return join_words(each)
 
 
 NO_BREAK = "\u00a0"  #: the space at which no line is broken

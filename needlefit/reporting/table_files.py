@@ -67,7 +67,6 @@ _PATTERNS = {
     rf"(?P<quantity>{_QUANTITIES})_(?P<name>{_PREDICTED})": "{name}",
     r"(?P<name>low|high)_(?P<level>50|95)(?P<unit>_mm|)": "{name}{unit}",
     r"p(?P<probability>\d+(?:[._]\d)?)": "value",
-    r"rank_(?P<quantity>.+)": "rank",
 }
 """By pattern of a wide name: the tidy one. Groups are index columns, but for `name` and `unit`."""
 

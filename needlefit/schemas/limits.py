@@ -21,6 +21,4 @@ MAX_STARTS = 10_000  #: of a search
 MAX_EVALUATIONS = 10_000_000  #: of one start
 MAX_WALKERS = 2000  #: of a sampler
 MAX_DENSITIES = 1_000_000  #: of a sampler: a draw of ten parameters takes 80 bytes, of which there are copies
-#: truths of a calibration, at most and by default: study 1 takes some minutes on two cores
-MAX_REPLICATES, DEFAULT_REPLICATES = 10_000, 100
 MAX_SEED = 2**63 - 1  #: of all randomness: the largest whole number of a TOML file

@@ -55,7 +55,7 @@ class FrameTable(_StoredTable):
 class FaultTable(_StoredTable):
     """A fault of a stored result."""
 
-    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED", "INCOMPLETE"]
+    kind: Literal["NOT_CONVERGED", "NOT_CERTIFIED"]
     what: str
 
 

@@ -221,19 +221,6 @@ class IdentificationMetadata(AnalysisMetadata):
     depths_mm: list[float]
 
 
-class CalibrationMetadata(AnalysisMetadata):
-    """What a calibration knows; without a replicate it has no outcome."""
-
-    draws: int
-    stiff_design: dict[str, float] = {}
-    replicates: int = 0
-    passes: bool = False
-    conclusive: bool = False
-    not_calibrated: list[str] = []
-    untrusted: int = 0  #: replicates whose draws are not certified
-    not_predicted: int = 0  #: held-out insertions
-
-
 class PredictionMetadata(AnalysisMetadata):
     """What a prediction knows: how its draws were made, and what was found of the fit."""
 
@@ -256,10 +243,3 @@ class PredictionMetadata(AnalysisMetadata):
     #: where the median is reported, parameters of the draw whose tip is nearest to it
     nearest: dict[str, float] | None = None
     drawn: dict[str, list[float]] | None = None  #: parameters of certified draws, evenly chosen, for its page
-
-
-class CohortMetadata(RunMetadata):
-    """What a cohort knows."""
-
-    parts: list[Table]  #: tissue model, recipe and rules of the fits
-    datasets_sha256: dict[str, str]

@@ -47,12 +47,6 @@ COMMANDS: Mapping[str, str] = {
     "fit_untested": "explain held-out",
     "prediction_wide": "tune {run} --design",
     "tip_predicted": "plan {run} --target {tip}",
-    # of calibrations
-    "truths_too_few": "calibrate {target} --replicates {replicates}",
-    "synthetic_truths_too_few": "calibrate {target} --truth synthetic --replicates {replicates}",
-    "not_calibrated": "",
-    "computation_calibrated": "calibrate {target} --truth synthetic",
-    "prior_calibrated": "explain held-out",
     # of designs
     "repeat_best": "",
     "insertion_best": "",

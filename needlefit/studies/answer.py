@@ -41,7 +41,6 @@ class FaultKind(StrEnum):
 
     NOT_CONVERGED = "NOT CONVERGED"
     NOT_CERTIFIED = "NOT CERTIFIED"
-    INCOMPLETE = "INCOMPLETE"
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,7 @@ def rank_candidates(
             break
         row: Row = {"role": role, "insertion": insertion.id, "depth_mm": insertion.depth}
         thin = OBSERVATIONS[insertion.observed].thin(insertion, MEASURED_POINTS)
-        planned = simulate_design(job, Fold("candidate", (thin,), ()), values)
+        planned = simulate_design(replace(job.problem(fold), insertions=(thin,)), values)
         if planned is None:
             rows.append(row | {"note": "no solution, or outside the medium"})
             continue

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.rank_statistics import ecdf_band
+from needlefit.inference.ecdf_band import ecdf_band
 from needlefit.reporting import labels
 from needlefit.reporting.figures import Drawing
 from needlefit.reporting.figures import fit_forms as forms

@@ -1,6 +1,6 @@
 """What a study or fit works on, and how it is executed."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.tasks import LocalPool, TaskPool, stop_requested, threads_of_task
 from needlefit.project.toml import locate_key
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import RecipeRecord
@@ -42,14 +41,10 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Settings:
-    """How a run is executed; only `seed`, `sample` and `inputs` change its result.
-
-    In another process it has these, and of the rest what that process has: its request to stop, its threads.
-    """
+    """How a run is executed; only `seed`, `sample` and `inputs` change its result."""
 
     seed: int | None = None  #: replaces the recipe's
-    jobs: int = 1  #: threads of a fit, or processes where the work falls into tasks
-    pool: TaskPool | None = None  #: where tasks run; None: in processes of this machine
+    jobs: int = 1  #: threads
     checkpoint: Path | None = None  #: folder that keeps finished fits
     resume: bool = False  #: go on from the checkpoint
     sample: bool = False  #: also sample the posterior
@@ -59,19 +54,6 @@ class Settings:
     note: Note = no_note  #: given a line about what was damaged in the checkpoint
     file: Path | None = None  #: the study's, which warnings about it name
     inputs: Inputs = Inputs()  #: what is not read from files
-
-    def task_pool(self) -> TaskPool:
-        return self.pool or LocalPool(self.jobs)
-
-    def __reduce__(self) -> tuple[Callable[..., "Settings"], tuple[object, ...]]:
-        return _settings_of_task, (self.seed, self.sample, self.file, self.inputs)
-
-
-def _settings_of_task(seed: int | None, sample: bool, file: Path | None, inputs: Inputs) -> Settings:
-    """Return the settings of a task in a process of a pool."""
-    return Settings(
-        seed=seed, jobs=threads_of_task(), sample=sample, stop=stop_requested, file=file, inputs=inputs
-    )
 
 
 @dataclass(frozen=True)

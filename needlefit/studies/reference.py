@@ -44,7 +44,6 @@ def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
 
 REVIEWED_TABLES = {
     **dict.fromkeys(FIT_KINDS, ("checks", "validation", "tuning", "parameters", "errors", "predictive")),
-    "calibration": ("parameters", "tips"),
 }
 """Tables that are kept, by kind; of other kinds all are."""
 

@@ -14,7 +14,7 @@ from needlefit.studies.store import restore_run
 KEYS = {
     *("dataset", "study", "fold", "fit", "role", "run", "insertion", "hole", "specimen", "medium"),
     *("method", "boundaries", "comparison", "grouping", "layers", "layer", "specimen_treatment"),
-    *("parameter", "metric", "quantity", "level", "replicate", "seed"),
+    *("parameter", "metric", "quantity", "level", "seed"),
     *("start", "curve", "draw", "scan", "marker", "name", "mark"),
 }
 RUN_JSON, IDENTITY = "run.json", "identity"

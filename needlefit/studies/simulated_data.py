@@ -9,11 +9,10 @@ import numpy as np
 import scipy
 
 from needlefit.arrays import Floats, pad_axis
-from needlefit.datasets.folds import Fold
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import make_noise
 from needlefit.datasets.select import list_bevels
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.curves import select_compared
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.smoothing_spline import design_matrix
@@ -26,15 +25,17 @@ from needlefit.inference.likelihood.observations.curvature import SENSOR_STEP_MM
 from needlefit.inference.likelihood.observations.sections import SectionData, select_sections
 from needlefit.inference.parameter_names import BEVEL_SPREAD, NOISE_SCALE, dimension, find_bevel_factors
 from needlefit.inference.planned_layers import with_planned_layers
+from needlefit.inference.predict import draw_from_prior
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.json_values import digest_values
 from needlefit.project.random_streams import random_stream
+from needlefit.project.toml import locate_key
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
 from needlefit.schemas.medium import MediumRecord
 from needlefit.studies.job import Job
-from needlefit.synthetic.design import TrueSpread, bevel_offset, draw_deviations, draw_specimen, list_designs
+from needlefit.synthetic.design import POPULATION, bevel_offset, draw_deviations, draw_specimen, list_designs
 
 MIN_WEIGHT = 1e-12  #: of a cross-section that counts for nothing: its noise must stay finite
 FREE_POSE_SHIFT_SD_MM = 10.0  #: standard deviation of where a shape lies whose pose is free, mm
@@ -226,20 +227,22 @@ def _make_straight_insertion(
     )
 
 
-def find_true_value(problem: Problem, name: str, seed: int, population: TrueSpread | None = None) -> float:
+def find_true_value(problem: Problem, name: str, seed: int, drawn: bool = False) -> float:
     """Return the mean of a parameter over specimens, layers and bevels that a fit learns from.
 
     The geometric mean, of exponents the arithmetic one. NaN for what the truth has not: hyperparameters, the
-    angle of a cut, needles of other data; and for exponents of a population, which does not draw them.
+    angle of a cut, needles of other data; and for exponents where media are `drawn` from the population,
+    which has none.
     """
+    population = POPULATION if drawn else None
     planned = {one.id: one for one in list_designs()}
     if any(one.id not in planned for one in problem.insertions):
         return math.nan
     tuned = [planned[one.id] for one in problem.insertions]
     specimens = [draw_specimen(seed, one.medium, one.specimen, population) for one in tuned]
     if name == "bevel_mm":
-        drawn = zip(specimens, tuned, strict=True)
-        known = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in drawn]
+        pairs = zip(specimens, tuned, strict=True)
+        known = [bevel_offset(specimen, one, draw_deviations(seed, one)) for specimen, one in pairs]
         return float(np.exp(np.mean(np.log(known))))
     same = [name, *(tied for tied, (_, source) in problem.parameters.ties.items() if source == name)]
     quantity = dimension(name)
@@ -258,22 +261,66 @@ def _list_true(names: Sequence[str], prefix: str, specimens: Sequence[Floats]) -
     return [float(own[layer]) for own in specimens for layer in layers if layer < len(own)]
 
 
-def simulate_design(job: Job, fold: Fold, values: Mapping[str, float]) -> Problem | None:
-    """Return the fit's problem with every measured shape replaced by the one that `values` (Pa, mm) give.
+def simulate_design(problem: Problem, values: Mapping[str, float]) -> Problem | None:
+    """Return the problem with every measured shape replaced by the one that `values` (Pa, mm) give.
 
     Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
     poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
     """
     made = list[Insertion]()
-    for one in fold.tune:
-        met = with_planned_layers(one, values, job.medium)
-        shape = None if met is None else predict(values, job.medium, met)
+    for one in problem.insertions:
+        met = with_planned_layers(one, values, problem.medium)
+        shape = None if met is None else predict(values, problem.medium, met)
         if met is None or shape is None or not shape.converged:
             return None
         points = OBSERVATIONS[one.observed].simulate_places(one, shape)
         measured = one.with_points(points)
         made.append(replace(measured, boundaries=met.boundaries, sequence=met.sequence))
-    return replace(job.problem(fold), insertions=tuple(made))
+    return replace(problem, insertions=tuple(made))
+
+
+MAX_PRIOR_DRAWS = 1000  #: draws of the prior among which one must have a solution
+
+
+def simulate_from_prior(problem: Problem, rng: np.random.Generator) -> tuple[Floats, Problem]:
+    """Return theta (P,) drawn from the prior, and the problem of inferring it from needles simulated with it.
+
+    Raises ConfigError if the dataset states no noise, or holds tip tracks; FitError if the prior hardly holds
+    parameters that the design has a solution for.
+    """
+    dataset = problem.dataset
+    if not dataset.noise.stated:
+        raise ConfigError(
+            f"the dataset `{dataset.name}` states no noise: nothing can be drawn from it",
+            where=locate_key(dataset.path, "noise.point_sd_mm"),
+            expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
+        )
+    if any(OBSERVATIONS[one.observed].on_the_way for one in problem.insertions):
+        raise ConfigError(
+            f"the dataset `{dataset.name}` holds tip tracks, which are not simulated",
+            expected="measured shapes",
+        )
+    for _ in range(MAX_PRIOR_DRAWS):
+        theta = draw_from_prior(problem.parameters, 1, rng)[0]
+        values = problem.values(theta)
+        design = simulate_design(problem, values)
+        if design is None:
+            continue
+        true = {NOISE_SCALE: problem.density.scale, **values}
+        shared = draw_bevels(dataset, design.insertions, rng) if problem.bevels_differ else {}
+        made = [
+            simulate_measurement(dataset, one, true, problem.medium, rng, shared) for one in design.insertions
+        ]
+        known = tuple(one for one in made if one is not None)
+        if len(known) < len(made):
+            continue
+        simulated = replace(problem, insertions=known)
+        if np.isfinite(simulated.log_posterior(theta)):
+            return theta, simulated
+    raise FitError(
+        f"of {MAX_PRIOR_DRAWS} parameter sets drawn from the prior the design has a solution for none",
+        fix="narrow the bounds of the medium",
+    )
 
 
 def choose_reference_values(job: Job) -> tuple[dict[str, float], str]:

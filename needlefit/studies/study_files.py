@@ -29,7 +29,7 @@ from needlefit.studies.run import Run
 from needlefit.studies.store import RUN_FILE, restore_run
 from needlefit.studies.stored_fit import reopen_fit
 
-PATH_KEYS = frozenset(["dataset", "datasets", "medium", "recipe", "priors", "target", "fits", "studies"])
+PATH_KEYS = frozenset(["dataset", "medium", "recipe", "priors", "target", "fits", "studies"])
 """Keys of study files whose values may be paths, alone, in a list or a table."""
 
 

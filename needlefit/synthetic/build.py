@@ -53,8 +53,8 @@ def describe_dataset(seed: int, scanned: str, population: TrueSpread | None = No
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
         source=f"needlefit.api.make_twin, seed {seed}",
-        # of a population the truth does not follow from the seed alone
-        truth_seed=None if population else seed,
+        truth_seed=seed,
+        truth_population=population is not None,
         notes=DATASET_NOTES.format(scanned),
         media=_LAYER_NOTES,
     )

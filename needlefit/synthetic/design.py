@@ -1,7 +1,7 @@
 """The design of the synthetic dataset: its phantoms, the insertions planned into them, the true parameters.
 
-Drawn are the needle, the specimens, and the deviations of insertions from plan; of the truths of a
-calibration also the media (`TrueSpread`).
+Drawn are the needle, the specimens, and the deviations of insertions from plan; of another
+population also the media (`TrueSpread`).
 """
 
 import math
@@ -267,7 +267,7 @@ TRUE_MEDIA = {
 
 @dataclass(frozen=True)
 class TrueSpread:
-    """The population from which the media of each truth of a calibration are drawn, gel and muscle apart.
+    """The population from which the media of a truth may be drawn, gel and muscle apart.
 
     A factor f stands for the standard deviation ln f of a logarithm. Of one truth the moduli are those of
     `TRUE_MEDIA`, times a factor for each of the two materials; so phantom 1 keeps its stiffer third layer.

@@ -2,17 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 import pandas as pd
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from needlefit.inference.parameter_names import is_logarithmic
 from needlefit.reporting.figures.looks import Look, Panel
 from needlefit.reporting.figures.style import GAP_IN, TEXT_WIDTH_IN, add_legend, draw_grid, set_margins
-from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK, SERIES_COLOURS
-from needlefit.reporting.number_format import choose_printed_unit
+from needlefit.reporting.labels import INK, SERIES_COLOURS
 
 MAX_NAMED_SERIES = 8  # more series than these are not named one by one
 
@@ -63,51 +60,3 @@ def lighten(colour: str, share: float) -> tuple[float, float, float]:
     """Return a colour with this share of white: opaque, so that it is the same over every background."""
     red, green, blue = (share + (1 - share) * part for part in to_rgb(colour))
     return red, green, blue
-
-
-def steps_in_bands(frame: pd.DataFrame, x_label: str, y_label: str, across: int = 4) -> Figure:
-    """Draw a step line about 0 on a band, a panel for each `panel` (its title).
-
-    `frame` has the columns `x` (0 to 1), `low`, `high`, `y`, `inside` (of the band), and `passes`: the title
-    of a panel that does not pass is coloured.
-    """
-    panels = list(frame.groupby("panel", sort=False))
-    down = -(-len(panels) // across)
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.35 + 1.45 * down))
-    drawn = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
-    for n, axes in enumerate(drawn.flat):
-        if n >= len(panels):
-            axes.set_axis_off()
-            continue
-        title, rows = panels[n]
-        axes.fill_between(rows["x"], rows["low"], rows["high"], color=GREY, alpha=0.22, lw=0)
-        axes.axhline(0, color=GREY, lw=0.5)
-        axes.step(rows["x"], rows["y"], where="post", color=SERIES_COLOURS[0], lw=1.0)
-        outside = rows[~rows["inside"]]
-        axes.plot(outside["x"], outside["y"], ".", color=ALARM_COLOUR, ms=2.5)
-        axes.set_title(title, loc="left", color=INK if rows["passes"].all() else ALARM_COLOUR)
-        axes.set_xlim(0, 1)
-        axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
-        if n + across >= len(panels):
-            axes.set_xlabel(x_label)
-            axes.tick_params(labelbottom=True)
-        if n % across == 0:
-            axes.set_ylabel(y_label)
-    return figure
-
-
-def histograms(bins: pd.DataFrame, counts: str) -> Figure:
-    """Draw histograms of the column `counts` by `parameter`; `low` and `high` are edges in units of files."""
-    groups = list(bins.groupby("parameter", sort=False))
-    figure = Figure(figsize=(TEXT_WIDTH_IN, 1.9))
-    panels = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
-    for axes, (name, rows) in zip(panels, groups, strict=True):
-        label, unit = choose_printed_unit(str(name), rows["high"])
-        edges = np.append(rows["low"], rows["high"].iloc[-1]) / unit
-        axes.stairs(rows[counts], edges, fill=True, color=SERIES_COLOURS[0])
-        if is_logarithmic(str(name)) and edges[-1] > 10 * edges[0]:
-            axes.set_xscale("log")
-        axes.set_xlabel(label)
-        draw_grid(axes, "y")
-    figure.axes[0].set_ylabel(counts)
-    return figure

@@ -34,7 +34,7 @@ number that is not whole needs a filter: all formats of `columns.FORMATS` (`mm`,
 `significant(n)`, `words`; `bare` is the symbol of a parameter, `symbols` inserts all of a sentence.
 
 `needlefit.studies.report.StudyReport` makes a report of a text, its values, tables and figures;
-`needlefit/studies/kinds/calibration.py` is an example.
+`needlefit/studies/kinds/identification.py` is an example.
 """
 
 import re

@@ -72,7 +72,7 @@ def run(name: str, record: IdentificationRecord, settings: Settings) -> Run:
             fix="give at least one parameter bounds instead of `fixed`",
         )
     values, place = choose_reference_values(job)
-    problem = simulate_design(job, fold, values)
+    problem = simulate_design(job.problem(fold), values)
     if problem is None:
         raise FitError(
             f"the planned insertions have no solution at {place}",

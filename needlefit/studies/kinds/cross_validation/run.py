@@ -123,7 +123,8 @@ def _find_truth(job: Job) -> dict[str, float]:
     if not isinstance(seed, int):
         return {name: float(known[name]) for name in job.parameters.names if name in known}
     problem = job.problem(job.folds[0])
-    known = {name: find_true_value(problem, name, seed) for name in job.parameters.names}
+    drawn = bool(stated.get("truth_population"))
+    known = {name: find_true_value(problem, name, seed, drawn) for name in job.parameters.names}
     return {name: value for name, value in known.items() if math.isfinite(value)}
 
 

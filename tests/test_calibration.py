@@ -1,0 +1,116 @@
+"""The scripts of calibrations: right posteriors pass, and wrong ones are noticed."""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+import scipy
+from test_simulated_data import small_problem
+
+from needlefit import api
+from needlefit.inference.predict import Draws, draw_from_prior
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "studies"))
+import calibration  # noqa: E402
+
+LEVELS = [0.5, 0.8, 0.9, 0.95]
+
+
+def summarize(rows: pd.DataFrame) -> pd.DataFrame:
+    figure, ax = plt.subplots()
+    plt.close(figure)
+    return calibration.summarize(rows.assign(study="study"), ax)
+
+
+def place_all(pits: dict[str, np.ndarray]) -> pd.DataFrame:
+    """Rows of truths (N,) or, of several rows each, (N, K)."""
+    rows = [
+        calibration.place(name, float(pit)) | {"seed": seed}
+        for name, each in pits.items()
+        for seed, truth in enumerate(each)
+        for pit in np.atleast_1d(truth)
+    ]
+    return pd.DataFrame(rows)
+
+
+@pytest.mark.parametrize("count", [60, 100, 200, 400])
+def test_the_limits_of_ten_quantities_share_one_percent(count):
+    table = summarize(place_all({f"q{number}": np.full(count, 0.5) for number in range(10)}))
+    limits = [[int(n) for n in re.findall(r"\d+", head)[1:]] for head in table.columns[:4]]
+    # 0.01 over ten quantities, of each four levels and an ECDF: half of it at either end
+    error = 0.01 / (10 * 5)
+    expected = [scipy.stats.binom.ppf(end, count, LEVELS) for end in (error / 2, 1 - error / 2)]
+    np.testing.assert_array_equal(limits, np.transpose(expected))
+
+
+def test_exact_posteriors_pass_and_narrow_ones_fail():
+    """A Gaussian toy: data with sd 1 about a truth with sd 1, the posterior known exactly."""
+    rng = np.random.default_rng(3)
+    truth = rng.normal(size=500)
+    middle = 0.5 * (truth + rng.normal(size=500))
+    exact, narrow, wide = (
+        scipy.stats.norm.cdf((truth - middle) / (width * np.sqrt(0.5))) for width in (1.0, 0.7, 1.4)
+    )
+    passes = summarize(place_all({"exact": exact, "narrow": narrow, "wide": wide}))["passes"]
+    assert passes.to_dict() == {"exact": True, "narrow": False, "wide": False}
+
+
+def test_rows_of_one_truth_count_as_one_trial():
+    """Copies of the same places change no count; half of each truth covered is half of the truths."""
+    alone = np.random.default_rng(1).random(60)
+    pits = {"a": alone, "b": np.column_stack([alone] * 7), "half": np.tile([0.5, 0.99], (60, 1))}
+    table = summarize(place_all(pits)).iloc[:, :4]
+    np.testing.assert_allclose(table.loc["a"], table.loc["b"])
+    assert table.loc["half"].tolist() == [30.0] * 4
+
+
+def test_the_rows_of_the_documents_pass_from_the_prior_and_cover_tips_of_other_truths():
+    rows = pd.read_csv(ROOT / "docs/figures/calibration.csv")
+    for study, some in rows.groupby("study"):
+        assert some["seed"].nunique() == 60 and summarize(some)["passes"].all(), study
+    tips = pd.read_csv(ROOT / "docs/figures/calibration_synthetic.csv").query("quantity == 'held-out tip'")
+    assert tips.groupby("study")["seed"].nunique().tolist() == [40] * 5
+    assert tips.groupby("study")["in_95"].mean().between(0.91, 1.0).all()
+
+
+def rank_small(count: int, monkeypatch) -> pd.DataFrame:
+    monkeypatch.setattr(api, "make_problem", lambda _: small_problem())
+    rows = [calibration.rank_truth("small", seed) for seed in range(count)]
+    return pd.DataFrame([one | {"seed": seed} for seed, each in enumerate(rows) for one in each])
+
+
+@pytest.mark.sweep
+def test_needles_of_the_model_itself_are_calibrated(monkeypatch):
+    table = summarize(rank_small(25, monkeypatch))
+    assert list(table.index) == ["mu1_pa", "bevel_mm", "tip", "log likelihood"]
+    assert table["passes"].all()
+
+
+DRAW = api.draw_posterior
+
+
+def infer_with_understated_errors(problem, count, seed):
+    noise = replace(problem.dataset.noise, registration_mean=0.7 * problem.dataset.noise.registration_mean)
+    sure = tuple(replace(one, pose_angle_sd=0.7 * one.pose_angle_sd) for one in problem.insertions)
+    likelihood = problem.likelihood.model_copy(update={"noise_scale": 0.7})
+    wrong = replace(problem, dataset=replace(problem.dataset, noise=noise), insertions=sure)
+    return DRAW(replace(wrong, likelihood=likelihood), count, seed)
+
+
+def take_the_prior(problem, count, seed):
+    thetas = draw_from_prior(problem.parameters, 2 * count, np.random.default_rng(seed))
+    thetas = thetas[np.isfinite(problem.log_posteriors(thetas))][:count]
+    return Draws(thetas, "importance")
+
+
+@pytest.mark.sweep
+@pytest.mark.parametrize(("wrong", "count"), [(infer_with_understated_errors, 80), (take_the_prior, 20)])
+def test_a_wrong_posterior_is_noticed(wrong, count, monkeypatch):
+    monkeypatch.setattr(api, "draw_posterior", wrong)
+    assert not summarize(rank_small(count, monkeypatch))["passes"].all()

@@ -1,0 +1,103 @@
+"""Needles simulated in memory: measured as the likelihood says, of the truth that is stated."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference_cases import insertion, measure, medium
+from track_cases import GUIDE, track
+
+from needlefit import api
+from needlefit.datasets.insertion import Dataset, Noise
+from needlefit.errors import ConfigError
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import Problem
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.studies.simulated_data import find_true_value, simulate_from_prior, simulate_measurement
+from needlefit.synthetic.design import POPULATION, draw_deviations, draw_specimen, list_designs
+
+SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
+
+
+def small_problem(count: int = 2, scale: float | str = 1.0, **changed: object) -> Problem:
+    """One or two short needles in one layer whose depths are certain, mu and b free."""
+    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
+    made = tuple(
+        replace(measure(SEEN, record, insertion(depth), points=21), **changed)
+        for depth in (13.0, 19.0)[:count]
+    )
+    noise = Noise(registration_mean=0.19, point_sd=0.02, correlated_sd=0.02)
+    data = Dataset("small", "small", "synthetic", made, ("test",), noise, "known", 0.0, Path(), "0")
+    recipe = RecipeRecord.model_validate({"schema": 1, "likelihood": {"noise_scale": scale}})
+    parameters = Parameters.from_record(record)
+    return Problem(data, made, record, parameters, recipe.weights, likelihood=recipe.likelihood)
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
+    """Its residuals are 0: arc lengths and deflections are what the likelihood takes them for."""
+    problem = small_problem()
+    noise = replace(problem.dataset.noise, registration_mean=0.0)
+    still = replace(problem.dataset, noise=noise, pose=pose)
+    for one in problem.insertions:
+        sure = replace(one, pose_angle_sd=0.0)
+        quiet = {**SEEN, "noise_scale": 1e-9}
+        seen = simulate_measurement(still, sure, quiet, problem.medium, np.random.default_rng(2))
+        known = replace(problem, dataset=still, insertions=(seen,))
+        residuals = known.compute_misfits(known.parameters.theta(SEEN))
+        assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
+
+
+def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
+    problem = small_problem(scale="estimated", depth_sd=0.4)
+    one = problem.insertions[0]
+    quiet = replace(problem.dataset, noise=Noise(point_sd=1e-6))
+    sure = replace(one, pose_angle_sd=0.0)
+    rng = np.random.default_rng(5)
+    ends = [simulate_measurement(quiet, sure, SEEN, problem.medium, rng).points[0, 0] for _ in range(300)]
+    assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
+
+
+def test_a_truth_from_the_prior_differs_by_seed_and_keeps_the_design():
+    problem = small_problem()
+    drawn = [api.simulate_from_prior(problem, seed) for seed in (1, 1, 2)]
+    (one, first), (again, same), (other, second) = drawn
+    assert one.tolist() == again.tolist() != other.tolist()
+    assert np.all((problem.lower <= one) & (one <= problem.upper))
+    for ours, theirs, planned in zip(first.insertions, same.insertions, problem.insertions, strict=True):
+        np.testing.assert_array_equal(ours.points, theirs.points)
+        assert ours.depth == planned.depth and ours.pose_angle_sd == planned.pose_angle_sd
+    assert first.insertions[0].deflection != second.insertions[0].deflection
+
+
+def test_tip_tracks_and_data_without_noise_are_refused():
+    problem = small_problem()
+    with pytest.raises(ConfigError, match="tip tracks"):
+        guided = Parameters.from_record(medium(1, guide_distance_mm={"fixed": 20.0}))
+        tracks = replace(problem, parameters=guided, insertions=(track("run", GUIDE),))
+        simulate_from_prior(tracks, np.random.default_rng(1))
+    with pytest.raises(ConfigError, match="no noise"):
+        silent = replace(problem, dataset=replace(problem.dataset, noise=Noise()))
+        simulate_from_prior(silent, np.random.default_rng(1))
+
+
+def test_the_true_value_of_a_tied_modulus_is_that_of_its_own_layers():
+    problem = api.make_problem("study1")
+    mu = 1e6 * draw_specimen(7, "phantom2", "phantom2").mu
+    assert find_true_value(problem, "mu1_pa", 7) == pytest.approx(mu[0])
+    assert find_true_value(problem, "mu4_pa", 7) == pytest.approx(mu[3])
+    assert find_true_value(problem, "bevel_mm", 7) == pytest.approx(0.103)
+    assert np.isnan(find_true_value(problem, "bevel_spread", 7))
+
+
+def test_the_true_bevel_offset_of_a_drawn_truth_is_the_mean_of_the_insertions_fitted_to():
+    problem = api.make_problem("study1")
+    specimen = draw_specimen(9, "phantom2", "phantom2", POPULATION)
+    planned = {one.id: one for one in list_designs()}
+    deviations = [draw_deviations(9, planned[one.id]).bevel for one in problem.insertions]
+    expected = specimen.bevel * np.exp(specimen.insertion_bevel_sd * np.mean(deviations))
+    found = find_true_value(problem, "bevel_mm", 9, drawn=True)
+    assert found == pytest.approx(expected) and found != pytest.approx(specimen.bevel, rel=1e-4)
+    found = find_true_value(problem, "mu2_pa", 9, drawn=True)
+    assert found == pytest.approx(1e6 * specimen.mu[1])
