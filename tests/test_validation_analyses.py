@@ -1,11 +1,9 @@
-"""What every inquiry rests on: pieces that are kept, answers that are stored, evidence that is rounded."""
+"""Simulated needles: of a dataset that is not scanned, and of a base that moves."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from needlefit.studies.runner import run_tasks
 
 from needlefit.datasets.read import read
 from needlefit.inference.forward_model import PreparedModel, predict
@@ -14,43 +12,10 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.checkpoint import open_checkpoint
 from needlefit.project.locate import find_file
-from needlefit.studies.job import Settings
 from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import select_designs
 from tests.inference_cases import NEEDLE, insertion, medium
-
-THIRD = 1 / 3
-
-
-def _pieces(done: list[str]):
-    def piece(key: str, value: float):
-        def compute():
-            done.append(key)
-            return {
-                "errors": [{"of": key, "te_mm": value}],
-                **({"more": [{"of": key}]} if key == "b" else {}),
-            }
-
-        return compute
-
-    values = {"a": THIRD, "b": np.float64(2 / 3), "c": float("inf"), "d": float("nan")}
-    return {key: piece(key, value) for key, value in values.items()}
-
-
-def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
-    whole = list(run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {})))
-    assert [part["errors"][0]["of"] for part in whole] == ["a", "b", "c", "d"]
-    assert whole[0]["errors"][0]["te_mm"] == THIRD and type(whole[1]["errors"][0]["te_mm"]) is float
-    first: list[str] = []
-    kept = open_checkpoint(tmp_path, False, {"work": 1})
-    part = list(run_tasks(_pieces(first), "x", Settings(stop=lambda: len(first) >= 3), kept))
-    assert part == whole[:2]  # the third was caught half done
-    second: list[str] = []
-    again = list(run_tasks(_pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})))
-    assert second == ["c", "d"]
-    assert json.dumps(again) == json.dumps(whole)
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):

@@ -106,8 +106,6 @@ def validate(
     ],
     seed: options.Seed = None,
     jobs: options.Jobs = None,
-    scheduler: options.Scheduler = None,
-    insecure: options.Insecure = False,
     out: options.Out = None,
     reference: options.Reference = False,
     resume: options.Resume = False,

@@ -7,7 +7,7 @@ import copy
 import difflib
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -269,37 +269,31 @@ def _parse_value(text: str, where: str) -> object:
 # ---- write
 
 
-def dumps(tables: Mapping[str, Any]) -> str:
-    """Return `tables` as TOML: values first, then sub-tables; None and empty values are left out."""
-    return "\n".join(_write_table(tables, ())).lstrip("\n") + "\n"
+def dumps(tables: Mapping[str, Any], arrays: Collection[str] = ()) -> str:
+    """Return `tables` as TOML: values first, then sub-tables; None and empty values are left out.
+
+    `arrays`: names of lists of tables that hold tables; each table of such a list is written as `[[name]]`.
+    """
+    lines = _write_table({key: value for key, value in tables.items() if key not in arrays}, ())
+    for name in arrays:
+        for member in tables.get(name, ()):
+            values = {key: value for key, value in member.items() if not isinstance(value, Mapping)}
+            lines += ["", f"[[{name}]]", *_write_table(values, ())]
+            for key, table in member.items():
+                lines += _write_table({key: table}, (name,)) if table and isinstance(table, Mapping) else []
+    return "\n".join(lines).lstrip("\n") + "\n"
 
 
 def _write_table(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     kept = {key: value for key, value in table.items() if value is not None and value not in ("", {}, (), [])}
-    members = {key: value for key, value in kept.items() if _holds_tables(value)}
-    values = {k: value for k, value in kept.items() if not isinstance(value, Mapping) and k not in members}
+    values = {key: value for key, value in kept.items() if not isinstance(value, Mapping)}
     lines = [f"{_key(key)} = {_value(value)}" for key, value in values.items()]
     if path and (lines or not kept):
         lines = ["", f"[{'.'.join(map(_key, path))}]", *lines]
     for key, value in kept.items():
         if isinstance(value, Mapping):
             lines += _write_table(value, (*path, key))
-    for key, value in members.items():
-        name = ".".join(map(_key, (*path, key)))
-        for member in value:
-            inner = {k: v for k, v in member.items() if not isinstance(v, Mapping)}
-            lines += ["", f"[[{name}]]", *_write_table(inner, ())]
-            for k, table in member.items():
-                lines += _write_table({k: table}, (*path, key)) if isinstance(table, Mapping) else []
     return lines
-
-
-def _holds_tables(value: object) -> bool:
-    """Whether a value is a list of tables that hold tables: each is written as `[[name]]`."""
-    return isinstance(value, list | tuple) and any(
-        isinstance(member, Mapping) and any(isinstance(inner, Mapping) for inner in member.values())
-        for member in value
-    )
 
 
 def _value(value: Any) -> str:  # noqa: ANN401 - whatever a record holds

@@ -92,10 +92,11 @@ def _dataset(path: Path) -> object:
 
 
 def _import(path: Path) -> object:
-    answers = _late("datasets.importing.answers.Answers")({"pose": "1,0,0", "bevel": "0,1,0"})
-    content, plan = import_module("import_cases").plan_import([path], answers)
+    stated = [("pose", "1,0,0"), ("bevel", "0,1,0")]
+    prepared = _late("datasets.importing.prepare.prepare_import")([path], stated)
     with _late("project.folders.replace_folder")(path.parent / "made", False) as fresh:
-        _late("datasets.importing.writing.write_plan")(fresh, content, plan, answers)
+        write_plan = _late("datasets.importing.writing.write_plan")
+        write_plan(fresh, prepared.content, prepared.plan, prepared.mapping)
     return _late("datasets.read.read")(path.parent / "made")
 
 

@@ -93,7 +93,7 @@ def write_mapping(file: Path, mapping: MappingRecord) -> None:
     keys = {"schema": mapping.schema_} | mapping.model_dump(
         mode="json", exclude_defaults=True, exclude={"schema_"}
     )
-    file.write_bytes(dumps(keys).encode("utf-8"))
+    file.write_bytes(dumps(keys, arrays=("tables",)).encode("utf-8"))
 
 
 def _list_places(curves: Sequence[ImportedCurve]) -> dict[str, list[_Place]]:
