@@ -598,16 +598,7 @@ def estimate_evidence(
 def make_problem(
     target: Name | Dataset | Run,
     medium: Medium | None = None,
-<<<<<<< HEAD
-    *,
-    tune: Table | None = None,
-    recipe: Recipe | None = None,
-    priors: Mapping[int, Name] | None = None,
-    free: Sequence[str] = (),
-    fix: Mapping[str, float] | None = None,
-=======
     **changes: Unpack[FitChanges],
->>>>>>> cohort
 ) -> Problem:
     """Return the statistical problem of a fit: its density and residuals, and their exact derivatives.
 
@@ -621,11 +612,7 @@ def make_problem(
     ConfigError, DataError
         As of `fit`.
     """
-<<<<<<< HEAD
-    changed = _change_fit(_open_fit(target, medium, stored=False), tune, recipe, priors, free, fix)
-=======
     changed = _change_fit(_open_fit(target, medium, stored=False), **changes)
->>>>>>> cohort
     job, _ = _prepare(changed, None, None)
     return job.problem(job.folds[0])
 

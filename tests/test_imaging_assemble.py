@@ -91,7 +91,7 @@ def test_any_surface_name_gives_a_valid_file_and_media_share_none(tmp_path):
     one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
     assemble_dataset(tmp_path, [one], RECIPE, ABOUT)
     found = sorted(file.name for file in (tmp_path / "layers").iterdir())
-    assert found == ["gel_Fett_au_en_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
+    assert found == ["gel_Fett_außen_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
     assert check(tmp_path) == []
     with pytest.raises(DataError, match=r" layers/gel_b_c\.stl") as error:
         assemble_dataset(
