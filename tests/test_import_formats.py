@@ -402,6 +402,11 @@ def test_an_rt_plan_is_named_with_what_to_export():
     assert "open contours" in error.fix and "x, y, z" in error.fix
 
 
+def test_a_structure_set_names_the_package_that_reads_it(monkeypatch):
+    monkeypatch.setattr("needlefit.datasets.formats.rtstruct.find_spec", lambda name: None)
+    assert "needlefit[ct]" in refusal(DataError, "pydicom", prepare, [CASES / "needles_rs.dcm"]).fix
+
+
 @pytest.mark.parametrize("ending", ["bag", "db3", "mcap", "vtk", "vtp", "VTU"])
 def test_files_that_are_not_read_are_named_with_what_to_export(tmp_path, ending):
     (tmp_path / f"a.{ending}").write_text("x")

@@ -3,6 +3,7 @@
 pydicom reads it in a child process: a damaged file may provoke anything.
 """
 
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 
@@ -26,8 +27,12 @@ _PLAN_FIX = f"{_FIX}, or the channels as a CSV file with columns channel, x, y, 
 def read_curves(path: Path) -> tuple[dict[str, Points], list[str]]:
     """Return every open contour by the name of its region, LPS, mm, and what is left out.
 
-    DataError if the file is missing, is no structure set, or holds no open contour.
+    DataError if the file is missing, is no structure set, or holds no open contour, or pydicom is missing.
     """
+    if find_spec("pydicom") is None:
+        raise refusal(f"""is a DICOM file, and pydicom, which reads it, is not installed
+            fix: pip install 'needlefit[ct]'
+            where: {path}""")
     data = read_bytes(path, MAX_FILE_BYTES)
     reader, seconds = f"{__name__}:read_contours", len(data) / BYTES_PER_SECOND
     (names, left), found = read_in_process(reader, path, {"path": str(path)}, READER_BYTES, seconds)
