@@ -130,7 +130,7 @@ AREAS = {
         ("studies", "planning"),
         (
             *("validation_run", "validation_heldout", "validation_forecast", "simulated_data"),
-            *("validation_analyses", "validation_differences", "fit_warnings", "planning"),
+            *("validation_differences", "fit_warnings", "planning"),
             *("reference", "reporting_tables", "reporting_files", "reporting_slicer"),
             *(
                 "cli_studies",
