@@ -57,10 +57,6 @@ def simulate_needles(
     return np.abs(off - np.sqrt(1 - registration) * own - np.sqrt(registration) * shared)
 
 
-#: outcomes that say more than is counted here: that one needle decides, or which error is smaller
-WITHOUT_NEEDLES = {"closer by one needle": "closer than both", "not clearly closer": "as close"}
-
-
 def judge_needles(tips: np.ndarray, stated: float = 1.0) -> np.ndarray:
     """Return the outcomes of `compare_with_references`, by code of its own for many simulations.
 
@@ -90,7 +86,8 @@ def judge_one_fit(count: int) -> pd.DataFrame:
         tips = simulate_needles(rng, count, *setting, case)
         words = judge_needles(tips)
         one = api.compare_with_references(tabulate_needles(tips[0]), "fitted", NOISE_FLOOR)
-        if WITHOUT_NEEDLES.get(one.outcome, one.outcome) != words[0]:
+        more = {"closer by one needle": "closer than both", "not clearly closer": "as close"}
+        if more.get(one.outcome, one.outcome) != words[0]:
             raise SystemExit(f"the program has another rule: {one.outcome}, not {words[0]}")
         shares = {word: (words == word).mean() for word in ("closer than both", "as close", "worse than one")}
         shares["as close, margin stated"] = (judge_needles(tips, api.NOISE_GUARD) == "as close").mean()
