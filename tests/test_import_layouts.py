@@ -134,7 +134,7 @@ def test_the_needles_of_the_workbook_in_another_layout_are_the_same_dataset(tmp_
     source.mkdir()
     write(source)
     stated = {name.replace(" ", "_"): value for name, value in REST.items()}
-    found = import_folder([source], tmp_path / "gel", **stated, unit="mm", origin="example")
+    found = import_folder([source], tmp_path / "gel", **stated | {"unit": "mm", "origin": "example"})
     names = sorted(path.relative_to(wanted) for path in wanted.rglob("*") if path.is_file())
     assert names == sorted(path.relative_to(found) for path in found.rglob("*") if path.is_file())
     for name in (one for one in names if one.name not in ("dataset.toml", "mapping.toml", "import.png")):

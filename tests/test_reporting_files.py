@@ -65,7 +65,7 @@ def test_a_metric_that_was_added_since_has_no_value_in_a_stored_result(folder, t
 def test_every_table_is_marked_synthetic(folder):
     assert json.loads((folder / "timing.json").read_text()) == {"out": "somewhere", "seconds": 12.5}
     for path in folder.glob("*.tex"):
-        assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
+        assert path.read_text().count(r"\caption{SYNTHETIC data.") == path.read_text().count(r"\caption{")
 
 
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
