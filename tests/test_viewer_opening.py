@@ -179,7 +179,8 @@ def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_p
     results = restore_run(project / "reports/small")
     first, *_ = (identity := results.metadata.identity).insertions
     other = identity.model_copy(update={"insertions": identity.insertions | {first: "0"}})
-    put(results.with_metadata(identity=other), tmp_path)
+    files = results.metadata.dataset.model_copy(update={"sha256": "0"})
+    put(results.with_metadata(identity=other, dataset=files), tmp_path)
     with pytest.raises(DataError, match="changed"):
         open_target(str(tmp_path))
     pack({"kind": "identification"}, tmp_path)

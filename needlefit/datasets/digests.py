@@ -5,8 +5,10 @@ machines, on which a result is to be known again.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
+
+import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.columns import NEEDLE_COLUMN, InsertionRow
@@ -35,13 +37,21 @@ def digest_insertion(
         "medium": select_deciding(medium, ("file",)),
         "surfaces": [digest_file(one.file_of(row.id)) for one in medium.surfaces],
         "needle": select_deciding(record.all_needles[row.needle]),
-        "row": vars(replace(row, line=0, patient=None)),
+        "row": _list_stated(replace(row, line=0, patient=None)),
         "scan": patient and [_round(patient.origin), _round(patient.rotation)],
         "points": _round(points.values),
         "sd": points.sd,
         "sections": sections and vars(sections),
     }
     return digest_values(values)
+
+
+def _list_stated(row: InsertionRow) -> dict[str, Any]:
+    """Return the fields of a row that differ from those of empty cells."""
+    pairs = ((field, getattr(row, field.name)) for field in fields(row))
+    return {
+        field.name: value for field, value in pairs if isinstance(value, np.ndarray) or value != field.default
+    }
 
 
 def _round(values: Floats) -> Floats:

@@ -13,7 +13,7 @@ UNDECIDING: Mapping[str, str] = {
     "margin_for": "words beside `margin_mm`",
     "paper_study": "numbers of the paper, printed beside ours",
     "preliminary": "label of verdicts",
-    **dict.fromkeys(("truth", "truth_seed"), "true parameters, which no fit knows"),
+    **dict.fromkeys(("truth", "truth_seed", "truth_population"), "true parameters, which no fit knows"),
     "sha256": "checksum of the table that a prior is from",
     "import_": "how values were found; the values decide",
     "checksums": "compared with the files when they are read",
@@ -21,16 +21,21 @@ UNDECIDING: Mapping[str, str] = {
 
 
 def select_deciding(value: Any, but: Collection[str] = ()) -> Any:  # noqa: ANN401 - any value of a key
-    """Return the keys of a table that decide, with defaults filled in, and those of the tables within it.
+    """Return the keys of a table that decide, and those of the tables within it, but for defaults.
+
+    So a key that states its default is as one that is left out, and one that a later version adds changes
+    nothing where it is not stated.
 
     Keys in `but`, wherever they stand, are left out too: what follows from them is known by itself.
     """
     if isinstance(value, BaseModel):
-        fields = ((name, getattr(value, name)) for name in type(value).model_fields)
         return {
-            name: select_deciding(one, but)
-            for name, one in fields
-            if name not in UNDECIDING and name not in but
+            name: stated
+            for name, field in type(value).model_fields.items()
+            if name not in UNDECIDING
+            and name not in but
+            and (stated := select_deciding(getattr(value, name), but))
+            != select_deciding(field.get_default(call_default_factory=True), but)
         }
     if isinstance(value, Mapping):
         return {key: select_deciding(one, but) for key, one in value.items()}

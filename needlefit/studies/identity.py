@@ -23,7 +23,7 @@ from needlefit.schemas.run_metadata import FitIdentity, RunMetadata
 from needlefit.schemas.study import StudyRecord
 from needlefit.studies.job import Job
 
-VERSION = 1  #: of what files mean; it is raised when the same files mean another fit
+VERSION = 1  #: of what files mean; raise it when the same files mean another fit, as by another default
 PART_DIGITS = 16  #: of the digests of parts, which are only looked at where the whole ones differ
 
 #: keys of a study of which what follows counts: the contents of files, and the insertions selected
@@ -110,8 +110,9 @@ def describe_change(before: FitIdentity | None, after: FitIdentity | None) -> st
 
 
 def has_data(recorded: RunMetadata, dataset: Dataset) -> bool:
-    """Return whether a dataset has the data of all insertions of a result; of earlier versions, its files."""
-    if (identity := recorded.identity) is None:
-        return recorded.dataset is not None and dataset.digest == recorded.dataset.sha256
+    """Return whether a dataset has the files of a result, or at least the data of all its insertions."""
+    if recorded.dataset is not None and dataset.digest == recorded.dataset.sha256:
+        return True
     digests = {one.id: one.digest[:PART_DIGITS] for one in dataset.insertions}
-    return identity.insertions.items() <= digests.items()
+    identity = recorded.identity
+    return identity is not None and identity.insertions.items() <= digests.items()
