@@ -287,6 +287,22 @@ def test_columns_without_headers_are_asked_for(tmp_path):
     np.testing.assert_allclose(curves["a"].line, NEEDLES[0])
 
 
+def test_who_sees_the_draft_may_change_it(tmp_path):
+    file = write_long(tmp_path, NEEDLES, head=["Ort"], cells=[["A"], ["B"], ["A"]])
+    answers, seen = iter(["specimen.column = Ort", ""]), []
+
+    def review(columns, unused):
+        seen.append(({row["meaning"] for row in columns}, {what for what, _ in unused}))
+        return next(answers)
+
+    prepared = prepare_import([file], review=review)
+    assert seen == [
+        ({"needle", "x", "y", "z"}, {"column Ort"}),
+        ({"needle", "x", "y", "z", "specimen"}, set()),
+    ]
+    assert [row.specimen for row in prepared.plan.rows] == ["A", "B", "A"]
+
+
 def test_answers_and_proposals_of_a_terminal(tmp_path):
     asked = {}
 

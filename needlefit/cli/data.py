@@ -105,7 +105,7 @@ def import_data(
     from needlefit.project.folders import require_new, require_no_inputs_within
     from needlefit.reporting.dataset_import import (
         PICTURE_FILE,
-        describe_unused,
+        join_unused,
         tabulate_columns,
         tabulate_needles,
         tabulate_values,
@@ -120,7 +120,8 @@ def import_data(
     invocation = context.find_root().obj
     asks = not yes and not invocation.json and sys.stdin.isatty() and sys.stderr.isatty()
     assignments = [split_pair(text) for text in set_ or []]
-    prepared = prepare_import(files, assignments, mapping, _ask if asks else None)
+    prompt, review = (_ask, _review_columns) if asks else (None, None)
+    prepared = prepare_import(files, assignments, mapping, prompt, review)
     dataset = write_import(out, prepared)
     needles = tabulate_needles(dataset)
     if invocation.json:
@@ -134,14 +135,26 @@ def import_data(
         marked = f"{mark}. " if (mark := ORIGIN_MARKS[dataset.origin]) else ""
         screen.print_line(f"{marked}{out}: {imported}\n")
         screen.show_frame(needles, "Needles")
-        screen.show_frame(tabulate_columns(prepared), "Columns")
+        screen.show_frame(tabulate_columns(prepared.columns), "Columns")
         screen.show_frame(tabulate_values(prepared), "Values of all needles")
-        screen.print_text(describe_unused(prepared))
+        screen.print_text(join_unused(prepared.unused, prepared.content.left_out))
     screen.print_warnings(invocation, dataset.warnings)
     path = format_path(out)
     look = "" if dataset.pose == "tracker" else f"look at {out / PICTURE_FILE}, "
     screen.print_note(f"{look}then: {shlex.join(('needlefit', 'check', path))}")
     show_next_steps(dataset, out, SCENE_FILE)
+
+
+def _review_columns(columns: Sequence[dict[str, str]], unused: Sequence[tuple[str, str]]) -> str:
+    """Show what each column means; return a change, or an empty text."""
+    from needlefit.reporting.dataset_import import join_unused, tabulate_columns
+
+    screen.show_frame(tabulate_columns(columns), "Columns")
+    screen.print_text(join_unused(unused))
+    answer: str = typer.prompt(
+        "Enter takes it; KEY=VALUE changes it", default="", show_default=False, err=True
+    )
+    return answer
 
 
 def _ask(key: str, proposal: str, reason: str) -> str:

@@ -84,9 +84,9 @@ def _format_point(point: Floats) -> str:
     return ", ".join(f"{value:z.1f}" for value in point)
 
 
-def tabulate_columns(prepared: PreparedImport) -> pd.DataFrame:
+def tabulate_columns(columns: Sequence[dict[str, str]]) -> pd.DataFrame:
     """Return one row for each meaning of each table: its column, unit and first values in mm."""
-    frame = pd.DataFrame([*prepared.columns], columns=["table", "meaning", "column", "unit", "first values"])
+    frame = pd.DataFrame([*columns], columns=["table", "meaning", "column", "unit", "first values"])
     return frame.drop(columns=["table"]) if frame["table"].nunique() == 1 else frame
 
 
@@ -107,13 +107,16 @@ def tabulate_values(prepared: PreparedImport) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["key", "value", "from", "why"])
 
 
-def describe_unused(prepared: PreparedImport) -> str:
-    """Return what the files hold beside what was read, in one sentence; empty if nothing."""
+def join_unused(unused: Sequence[tuple[str, str]], left_out: Sequence[str] = ()) -> str:
+    """Return what files hold beside what is read, in one sentence; empty if nothing.
+
+    `unused`: what, and where it stands. `left_out`: points without a measured coordinate, counted.
+    """
     by_place = dict[str, list[str]]()
-    for what, where in prepared.unused:
+    for what, where in unused:
         by_place.setdefault(where, []).append(what)
     parts = [f"{join_names(names, MAX_LISTED_UNUSED)} ({where})" for where, names in by_place.items()]
-    parts += [f"points without a measured coordinate: {text}" for text in prepared.content.left_out]
+    parts += [f"points without a measured coordinate: {text}" for text in left_out]
     return f"Not used: {'; '.join(parts)}." if parts else ""
 
 

@@ -24,6 +24,8 @@ STATED_MM = (1.0, 2000.0)  # mm, that a stated unit may give
 MAX_FIRST_VALUES = 3  # of a column on the screen
 
 Prompt = Callable[[str, str, str], str]  #: key or question, proposal, reason -> answer; "" takes the proposal
+#: rows of the screen, what is not used and where -> `KEY=VALUE` that changes the mapping; "" takes it
+Review = Callable[[Sequence[dict[str, str]], Sequence[tuple[str, str]]], str]
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,13 @@ def prepare_import(
     assignments: Sequence[tuple[str, str]] = (),
     mapping: Path | None = None,
     prompt: Prompt | None = None,
+    review: Review | None = None,
 ) -> PreparedImport:
     """Return an import of files, ready to be written.
 
     `assignments`: keys of the mapping and their values, which are stated. `mapping`: a file that states all,
-    so that nothing is drafted. `prompt`: who is asked what is open or assumed; None: nobody.
+    so that nothing is drafted. `prompt`: who is asked what is open or assumed; None: nobody. `review`: who
+    sees the drafted columns before anything is read by them.
 
     DataError of what is open and nobody answers, and of what files and mapping contradict.
     """
@@ -56,7 +60,7 @@ def prepare_import(
         files = [*_list_named(paths)]
         content = read_mapped(record, files, str(mapping))
     else:
-        draft, files = complete_draft(paths, [*assignments], prompt)
+        draft, files = _review_draft(paths, [*assignments], prompt, review)
         record, unused = draft.to_record("the draft of the mapping"), draft.unused
         content = read_mapped(record, files, "the draft of the mapping")
     _require_lengths(content)
@@ -105,6 +109,21 @@ def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecor
 def _list_named(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
         yield from sorted(one for one in path.iterdir() if one.is_file()) if path.is_dir() else (path,)
+
+
+def _review_draft(
+    paths: Sequence[Path], assignments: list[tuple[str, str]], prompt: Prompt | None, review: Review | None
+) -> tuple[Draft, list[Path]]:
+    """Return a draft without open questions, as whoever sees it takes it."""
+    while True:
+        draft, files = complete_draft(paths, assignments, prompt)
+        if review is None:
+            return draft, files
+        columns = [*_describe_columns(draft.to_record("the draft of the mapping"), files)]
+        key, equals, value = review(columns, draft.unused).partition("=")
+        if not equals:
+            return draft, files
+        assignments.append((key.strip(), value.strip()))
 
 
 def complete_draft(
