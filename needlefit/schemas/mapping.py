@@ -88,7 +88,7 @@ class TableRecord(Record):
     if_missing: Literal["leave_out", "stop"] = "stop"
     """What happens at such a coordinate: the point is left out, or the import stops."""
     columns: dict[str, MeaningRecord] = {}
-    """By meaning (`needlefit explain mapping` lists them): its column."""
+    """Its column by each meaning: `x`, `y`, `depth`, `needle`, ... (docs/import.md lists them)."""
     unused: tuple[ColumnName, ...] = ()
     """Columns of numbers that mean nothing here."""
 
