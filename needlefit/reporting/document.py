@@ -20,6 +20,7 @@ import typst
 from markupsafe import Markup, escape
 
 from needlefit.reporting import needle_page
+from needlefit.reporting.fonts import open_fonts, spell
 from needlefit.reporting.needle_page import PageData
 from needlefit.reporting.number_format import bind_numbers
 from needlefit.reporting.sheet import compile_sheet
@@ -168,17 +169,17 @@ def compile_template(
 ) -> bytes:
     """Return the PDF of a template with its data and pictures; the keys are the names used in the template.
 
-    Only fonts of typst's own are used.
+    Fonts are typst's own and those of `fonts`: system fonts differ between machines.
     """
+    words = spell(json.dumps(payload, ensure_ascii=False))
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
         page = folder / template
         page.write_bytes((files("needlefit.reporting") / "templates" / template).read_bytes())
-        (folder / "data.json").write_text(json.dumps(payload), encoding="utf-8")
+        (folder / "data.json").write_text(words, encoding="utf-8")
         for known, picture in pictures.items():
             (folder / known).write_bytes(picture.read_bytes())
-        # System fonts differ between machines; without them the same inputs give the same bytes.
-        pdf = typst.compile(str(page), root=name, ignore_system_fonts=True)
+        pdf = typst.compile(str(page), root=name, font_paths=open_fonts(words), ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf
 

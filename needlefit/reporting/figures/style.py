@@ -8,24 +8,25 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache
 from io import BytesIO
 from pathlib import Path
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
 import numpy as np
 import pandas as pd
-from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from needlefit.errors import ConfigError
 from needlefit.project.folders import require_folder
+from needlefit.reporting.fonts import FAMILY, find_fonts, find_lacking, spell
 from needlefit.reporting.labels import ALARM_COLOUR, GREY, INK
 from needlefit.reporting.sheet import PLAIN_SHEET, compile_sheet
 from needlefit.reporting.table_files import write_csv
@@ -33,11 +34,6 @@ from needlefit.reporting.table_files import write_csv
 TEXT_WIDTH_IN = 7.16  # inches: the text width of the report, and of both columns of a paper together (IEEE)
 COLUMN_WIDTH_IN = 3.5  # inches: one column of a paper; two such figures stand side by side in the report
 FONT_SIZE_PT = 8.0  # points: letters of figures at the size in which they are printed
-# Fonts with letters that the font of matplotlib lacks, on Linux, Windows and macOS.
-FALLBACK_FAMILIES = (
-    *("Noto Sans CJK SC", "Noto Sans SC", "WenQuanYi Micro Hei", "WenQuanYi Zen Hei"),
-    *("Microsoft YaHei", "SimHei", "PingFang SC", "Hiragino Sans GB", "Arial Unicode MS"),
-)
 _fixed_width: ContextVar[float | None] = ContextVar("fixed width of figures", default=None)
 
 
@@ -61,7 +57,7 @@ _METADATA: dict[str, dict[str, None]] = {".svg": {"Date": None}, ".png": {"Softw
 _CANVASES = {".svg": FigureCanvasSVG, ".png": FigureCanvasAgg}
 _SAVED_DPI = 300  # as journals ask for
 RC_PARAMS = {
-    "font.family": "DejaVu Sans",  # ships with matplotlib
+    "font.family": FAMILY,
     "font.size": FONT_SIZE_PT,
     "axes.titlesize": FONT_SIZE_PT,
     "axes.titley": 1.0,  # else matplotlib looks for ticks above the axes, again and again: there are none
@@ -138,18 +134,24 @@ def draw(path: Path, paint: Callable[[], Figure], description: str = "") -> Path
 def _paint_bytes(
     paint: Callable[[], Figure], suffix: str, description: str = "", text_as_text: bool = False
 ) -> bytes:
-    style: dict[str, object] = {"svg.fonttype": "none"} if text_as_text or description else {}
-    style["font.family"] = _list_families()
-    with warnings.catch_warnings(), matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
-        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")  # no installed font has it: a box is drawn
-        return save_figure(paint(), suffix, description)
+    style = {"svg.fonttype": "none"} if text_as_text or description else {}
+    with matplotlib.style.context(["default", {**RC_PARAMS, **style}]):
+        with warnings.catch_warnings():  # painters may lay out names before their letters have a font
+            warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+            figure = paint()
+        choose_fonts(figure)
+        return save_figure(figure, suffix, description)
 
 
-@cache
-def _list_families() -> list[str]:
-    """Return the fonts in which letters are looked for in turn: those of matplotlib, then installed ones."""
-    installed = {*font_manager.get_font_names()}
-    return [str(RC_PARAMS["font.family"]), *(name for name in FALLBACK_FAMILIES if name in installed)]
+def choose_fonts(figure: Figure) -> None:
+    """Give each text of a figure fonts that have its letters; those that no font has are spelled."""
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):  # of ticks with names
+            axis.set_major_formatter(FuncFormatter(lambda x, n, name=formatter.func: spell(name(x, n))))
+    for text in figure.findobj(Text):
+        if lacking := find_lacking(text.get_text()):
+            text.set_text(spell(text.get_text()))
+            text.set_fontfamily([FAMILY, *find_fonts(lacking).values()])
 
 
 def save_figure(figure: Figure, suffix: str, description: str = "") -> bytes:
