@@ -111,6 +111,12 @@ def find_record_warnings(
     needles = record.all_needles
     for name, needle in needles.items():
         yield from needle_warnings(needle, where, needle_key(name))
+    if record.import_ is not None and (examples := record.import_.examples):
+        yield ResultWarning.of(f"""simulated examples of the workbook are among the needles:
+                {join_names(examples, len(examples))}
+            fix: delete their rows in the imported file, and import it again
+            where: {where("import.examples")}
+            kind: examples""")
     if assumed:
         listed = "; ".join(f"{key} ({why})" for key, why in assumed.items())
         yield ResultWarning.of(f"""the import assumed {listed}

@@ -251,6 +251,8 @@ class ImportRecord(Record):
     """What a person has confirmed of a scan, as `entry of SCAN`, and what was doubted."""
     mapping: str | None = None
     """File that states how they were read, and what was assumed (`needlefit explain mapping`)."""
+    examples: tuple[Name, ...] = ()
+    """Insertions that are simulated examples of the workbook, among others."""
 
 
 class SourceRecord(FileRecord):

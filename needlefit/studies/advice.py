@@ -79,7 +79,7 @@ def advise(
 #: kinds of warnings about data that cannot all be right: no verdict on them is one on the model
 CONTRADICTIONS = (
     *("point_outlier", "axis_unit", "common_pose", "entry_offset"),
-    *("bevel_side", "length", "reversed", "copy"),
+    *("bevel_side", "length", "reversed", "copy", "examples"),
 )
 #: kinds of warnings that `needlefit check` prints, of a dataset alone; the others are about a result
 _OF_DATASETS = (*CONTRADICTIONS, "needle_outlier", "assumed", "curvature", "no_noise", "noise", "surfaces")

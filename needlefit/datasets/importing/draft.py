@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
@@ -519,6 +519,8 @@ def _draft_kind(
 ) -> None:
     """Propose what the rows of a table are, and add its entries to the draft."""
     holds = stated.table.get("holds", "")
+    if (groups or columns.keys() & {"y", "deflection"}) and "fill_down" not in stated.table:
+        table = _fill_down(table, columns.get("needle", {}).get("column", ""), keys, draft)
     entries = list[dict[str, Any]]()
     for (_, name), axes in groups.items():
         own = {axis: _spell(table, axis, [n], headers) for axis, n in axes.items()}
@@ -694,8 +696,6 @@ def _complete(
 ) -> dict[str, Any]:
     """Return columns with their units, labels of points divided, and the parts that are stated."""
     for meaning, record in columns.items():
-        if meaning == "needle" and "column" in record and "fill_down" not in stated.table:
-            _fill_down(table, record["column"], keys, draft)
         record.update(
             {key: value for key, value in stated.columns.get(meaning, {}).items() if key != "column"}
         )
@@ -720,13 +720,24 @@ def _complete(
     return columns
 
 
-def _fill_down(table: Table, name: Any, keys: dict[str, Any], draft: Draft) -> None:  # noqa: ANN401 - a column
-    """Propose that a blank name is the one above, where the first row of points has a name."""
+def _fill_down(table: Table, name: Any, keys: dict[str, Any], draft: Draft) -> Table:  # noqa: ANN401 - a column
+    """Propose that a blank name is the one above, and return the table with these names.
+
+    Names then stand in the first row of each block of points, or come again; else they are of single rows.
+    """
     column = table.find(name) if not isinstance(name, list) else None
     texts = [row[column] for row in table.rows] if column is not None else []
-    if texts and texts[0] and not all(texts) and keys.get("holds") in ("shapes", "tips", "tracks"):
-        keys["fill_down"] = [name]
-        draft.assumed["fill_down"] = f"a blank {name} is the one above"
+    named = [n for n, text in enumerate(texts) if text]
+    are_first = all(b - a > 1 for a, b in pairwise([*named, len(texts)]))
+    is_repeated = len({*texts}) <= len(named)
+    if column is None or named[:1] != [0] or all(texts) or not (are_first or is_repeated):
+        return table
+    keys["fill_down"] = [name]
+    draft.assumed["fill_down"] = f"a blank {name} is the one above"
+    rows = list[list[str]]()
+    for row in table.rows:
+        rows.append([*row[:column], row[column] or rows[-1][column], *row[column + 1 :]])
+    return replace(table, rows=rows)
 
 
 def _add_unused(

@@ -75,7 +75,8 @@ def _score(lines: Sequence[str], path: Path, separator: str, decimal: str) -> in
     """Return how well a separator and a decimal sign explain lines: numbers in rows, less other cells."""
     total = 0
     try:
-        rows = split_text("\n".join(lines), path, separator).rows
+        # line by line: quotes that are not closed are refused once the separator is known
+        rows = [row for line in lines for row in split_text(line, path, separator).rows]
     except DataError:
         return -1
     for row in rows[-SAMPLE_ROWS:]:  # a header may be long, the numbers stand at the end

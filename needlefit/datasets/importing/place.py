@@ -58,6 +58,7 @@ class ImportPlan:
     needle: NeedleRecord  # of the rows that name none
     point_sd_mm: float
     needles: Mapping[str, NeedleRecord] = field(default_factory=dict)  # by the names in the rows
+    examples: tuple[str, ...] = ()  # needles of the workbook that ships, where others are not
 
 
 class Planner(CurveAnswers):

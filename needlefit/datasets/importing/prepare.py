@@ -1,7 +1,7 @@
 """Prepare an import: a mapping that is given, or drafted and completed; what it reads; and the plan."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -64,29 +64,31 @@ def prepare_import(
         record, unused = draft.to_record("the draft of the mapping"), draft.unused
         content = read_mapped(record, files, "the draft of the mapping")
     _require_lengths(content)
-    record = _mark_examples(record, content)
+    examples = find_examples(content.curves)
+    record = _settle_origin(record, examples, prompt)
     values, assumed = dict(record.values), dict(record.assumed)
     settler = Settler(values, assumed, prompt, is_complete=mapping is not None)
     columns = [*_describe_columns(record, files)]
     plan = Planner(content, settler).make_plan()
     record = record.model_copy(update={"values": values, "assumed": assumed})
+    others = len(content.curves) - len(examples)
+    plan = replace(plan, examples=tuple(examples) if others else ())
     return PreparedImport(record, content, plan, unused, settler.notes, columns)
 
 
-def _mark_examples(record: MappingRecord, content: ImportContent) -> MappingRecord:
+def _settle_origin(record: MappingRecord, examples: Sequence[str], prompt: Prompt | None) -> MappingRecord:
     """Return the mapping with the origin of its needles: examples of the workbook are known by their points.
 
-    The workbook to fill in states `example`: needles that are none of them are measured.
+    The workbook to fill in states `example`: of needles that are none of them a person is asked.
     """
-    examples, assumed = find_examples(content.curves), dict(record.assumed)
-    if not examples and record.origin == "example":
-        assumed["origin"] = "measured: no needle is an example of the workbook"
-        return record.model_copy(update={"origin": "measured", "assumed": assumed})
-    if not examples:
+    if examples:
+        return record.model_copy(update={"origin": "example"})
+    if record.origin != "example":
         return record
-    if len(examples) < len(content.curves):
-        assumed["origin"] = f"example: {', '.join(examples)} are simulated needles of the workbook"
-    return record.model_copy(update={"origin": "example", "assumed": assumed})
+    reason = "as the workbook states it, yet no needle is one of its examples; origin=measured if measured"
+    if prompt is not None and (answer := prompt("origin", record.origin, reason)):
+        return check(record.model_dump(by_alias=True) | {"origin": answer}, MappingRecord, "the answer")
+    return record.model_copy(update={"assumed": {**record.assumed, "origin": f"example: {reason}"}})
 
 
 def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecord:

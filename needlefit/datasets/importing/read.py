@@ -212,7 +212,7 @@ def _read_surfaces(mapping: MappingRecord, paths: Sequence[Path]) -> list[Surfac
         if faults:
             raise as_error(faults, path)
         taken = {one.name for one in surfaces}
-        surfaces.append(replace(surface, name=_make_unique(surface.name[:MAX_NAME_CHARS], taken)))
+        surfaces.append(replace(surface, name=make_unique(surface.name[:MAX_NAME_CHARS], taken)))
     return surfaces
 
 
@@ -487,11 +487,11 @@ def _name_curves(curves: list[ImportedCurve]) -> None:
         if not curve.is_named and counts[name] > 1:  # several blocks of one table
             numbers[name] += 1
             name = f"{name}-{numbers[name]}"
-        curve.name = _make_unique(make_id(name, "curve")[:MAX_NAME_CHARS], taken)
+        curve.name = make_unique(make_id(name, "curve")[:MAX_NAME_CHARS], taken)
         taken[curve.name] = name
 
 
-def _make_unique(name: str, taken: Iterable[str]) -> str:
+def make_unique(name: str, taken: Iterable[str]) -> str:
     """Return a name, numbered from 2 where it is taken."""
     names, count, unique = {*taken}, 1, name
     while unique in names:

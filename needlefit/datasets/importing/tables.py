@@ -4,9 +4,10 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, time, timedelta
+from functools import partial
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import Any
@@ -286,27 +287,22 @@ def split_text(text: str, path: Path, separator: str) -> Grid:
         rows = [_split_blanks(line) for line in lines]
         starts: list[int] = []
     else:
-        reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=True)
-        rows, starts = [], []
+        read = partial(csv.reader, delimiter=separator, skipinitialspace=True)
+        reader, rows, starts, end = read(f"{line}\n" for line in lines), [], [], 0
         try:
-            for cells in _iterate_rows(reader, starts):
+            for cells in reader:
+                starts.append(end + 1)
+                if reader.line_num > end + 1:  # quotes that are not closed would take in all that follows
+                    list(read(lines[end : reader.line_num], strict=True))
+                end = reader.line_num
                 rows.append([cell.strip()[:MAX_CELL_CHARS] for cell in cells])
         except csv.Error as error:
-            raise refusal(f"""cannot be read: {error}
-                expected: a text table
-                fix: save it again as CSV
-                where: {path}:{reader.line_num}""") from None
+            raise refusal(f"""a row cannot be divided into cells: {error}
+                expected: quotes around whole cells, which are closed
+                fix: close the quotes, or remove them
+                where: {path}:{end + 1}""") from None
     check_extent(len(rows), max(map(len, rows), default=0), str(path), MAX_TABLE_CELLS)
     return Grid(path, rows, lines=starts)
-
-
-def _iterate_rows(reader: Any, starts: list[int]) -> Iterator[list[str]]:  # noqa: ANN401 - csv's
-    """Yield the rows of a reader; add the line on which each begins."""
-    end = 0
-    for cells in reader:
-        starts.append(end + 1)
-        end = reader.line_num
-        yield cells
 
 
 def _split_blanks(line: str) -> list[str]:

@@ -1,6 +1,5 @@
 """Write an import as a dataset; its faults are those of the imported files."""
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -8,14 +7,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.columns import make_id
 from needlefit.datasets.dataset_warnings import MAPPING_FILE, PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.importing.curves import ImportContent, ImportedCurve
 from needlefit.datasets.importing.place import ImportPlan
+from needlefit.datasets.importing.read import make_unique
 from needlefit.datasets.importing.stated import name_set
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.read import inspect
 from needlefit.datasets.write import write_dataset
+from needlefit.geometry.surfaces import Surface
 from needlefit.project.toml import check as check_record
 from needlefit.project.toml import dumps
 from needlefit.schemas.dataset import DatasetRecord, ImportRecord, TrackDatasetRecord
@@ -45,6 +47,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     DataError listing the faults that `check` finds, at their places in the imported files.
     """
     first = content.curves[0].points.path
+    imported = ImportRecord(files=dict(content.files), mapping=MAPPING_FILE, examples=plan.examples)
     draft: dict[str, object] = {
         "schema": 1,
         "name": folder.name,
@@ -54,7 +57,7 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
         "source": f"{PLACEHOLDER}: who measured this, when, how",
         "needle": plan.needle.model_dump(),
         "noise": {"point_sd_mm": plan.point_sd_mm, "note": f"see {MAPPING_FILE}"},
-        "import": ImportRecord(files=dict(content.files), mapping=MAPPING_FILE).model_dump(),
+        "import": imported.model_dump(),
         **{key: mapping.values[key] for key in TEXTS if key in mapping.values},
     }
     if plan.needles:
@@ -63,7 +66,10 @@ def write_plan(folder: Path, content: ImportContent, plan: ImportPlan, mapping: 
     if plan.pose == "tracker":
         file = _write_tracks(folder, content, plan, draft)
     else:
-        surfaces = {f"layers/{re.sub(r'[^A-Za-z0-9_-]+', '_', one.name)}.stl": one for one in plan.surfaces}
+        stems = dict[str, Surface]()
+        for one in plan.surfaces:
+            stems[make_unique(make_id(one.name, "surface"), stems)] = one
+        surfaces = {f"layers/{stem}.stl": one for stem, one in stems.items()}
         parts = [{"file": name, "kind": one.kind, "into": one.into} for name, one in surfaces.items()]
         draft["media"] = {
             medium: {"surfaces": parts} if parts else {"boundaries_mm": [*depths]}
