@@ -73,14 +73,14 @@ def test_a_direction_that_needles_do_not_run_along_is_refused_with_the_measured_
 
 
 def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
-    write_surfaces(tmp_path, "1_skin", "fat", "muscle")
+    write_surfaces(tmp_path, "1_skin", "上", "下")
     write_long(tmp_path, [with_shaft(one) for one in NEEDLES])
     plan, _ = planned([tmp_path], point_sd="0.1", pose="shaft", entry_point="1_skin")
     row = plan.rows[1]
     np.testing.assert_allclose(row.entry, [0.0, 3.0, 0.0], atol=0.01)
     np.testing.assert_allclose(row.direction, [1.0, 0.0, 0.0], atol=1e-6)
     assert (row.pose_source, row.layers) == ("first_point", 3)  # a point of the bent needle
-    assert [(one.name, one.into) for one in plan.surfaces] == [("fat", 2), ("muscle", 3)]
+    assert [(one.name, one.into) for one in plan.surfaces] == [("上", 2), ("下", 3)]
     x = np.array([*np.arange(-18.0, -2.0, 3.0), 0.0])  # beside the error of a line, that of its bend
     assert 3 * 0.1 / np.linalg.norm(x - x.mean()) < plan.rows[0].pose_angle_sd < np.radians(2.0)
     assert plan.rows[0].pose_shift_sd == 0.1
@@ -90,6 +90,8 @@ def test_a_needle_is_cut_at_a_surface_and_its_shaft_gives_the_pose(tmp_path):
     refusal(DataError, "--set entry_point", planned, [tmp_path], pose="1,0,0")  # is the first surface a skin?
     refusal(DataError, "--set pose", planned, [tmp_path])
     refusal(DataError, "--set pose", planned, [tmp_path], pose="free")
+    written = write_placed(tmp_path / "gel", [tmp_path], **options)
+    assert {one.name for one in (written / "layers").iterdir()} == {"上.stl", "下.stl"}
 
 
 def test_a_skin_whose_entry_face_is_missing_is_named(tmp_path):

@@ -26,6 +26,7 @@ from needlefit.datasets.importing.tables import read_sheets
 from needlefit.datasets.read import inspect, read
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import read_toml
+from needlefit.studies.advice import CONTRADICTIONS
 
 NEEDLES = [needle(n, 16) for n in range(3)]
 CASES = Path(__file__).with_name("imports")
@@ -148,17 +149,25 @@ def test_names_of_any_script_and_cells_with_line_breaks_are_kept(tmp_path):
     quoted = ['"needle\nname",x,y,z', *(",".join(map(str, row)) for row in rows)]
     file.write_text("\n".join(quoted), encoding="utf-8")
     assert_read([file], names=names)
+    assert prepare([file]).content.curves[0].points.lines[0] == 3
+    quoted[20] = f'"{quoted[20]}'  # on line 22, as the first row has two
+    file.write_text("\n".join(quoted), encoding="utf-8")
+    assert refusal(DataError, "", prepare, [file]).where.endswith("a.csv:22")
 
 
-def test_a_label_in_the_first_row_of_a_block_is_filled_down_where_that_is_stated(tmp_path):
+@pytest.mark.parametrize("count", [3, 8])
+def test_a_label_in_the_first_row_of_a_block_is_filled_down(tmp_path, count):
+    needles = [needle(n) for n in range(count)]
     rows = [
-        [name if n == 0 else "", *point]
-        for name, one in zip("abc", NEEDLES, strict=True)
-        for n, point in enumerate(one)
+        [f"V{k}" if n == 0 else "", *point] for k, one in enumerate(needles) for n, point in enumerate(one)
     ]
     file = write_rows(tmp_path / "a.csv", [["Nadel", "x", "y", "z"], *rows])
-    draft = assert_read([file], names=["a", "b", "c"])
-    assert draft.tables[0]["fill_down"] == ["Nadel"]
+    draft = assert_read([file], needles, names=[f"V{k}" for k in range(count)])
+    assert (draft.tables[0]["fill_down"], draft.tables[0]["holds"]) == (["Nadel"], "shapes")
+    assert "fill_down" in draft.assumed
+    rows = [[f"P{n}" if n != 7 else "", *point] for n, point in enumerate(needles[0])]  # a label is lacking
+    file = write_rows(tmp_path / "b.csv", [["Nadel", "x", "y", "z"], *rows])
+    assert "fill_down" not in assert_read([file], needles[:1], holds="shapes").tables[0]
 
 
 # ---- missing values
@@ -252,6 +261,23 @@ def test_the_workbook_to_fill_in_is_read(tmp_path):
     assert prepared.plan.point_sd_mm == 0.2 and not prepared.mapping.assumed
     assert prepared.mapping.origin == "example"
     assert {what for what, _ in prepared.unused} >= {"sheet points", "sheet needles"}
+
+
+def test_examples_of_the_workbook_are_never_measured(tmp_path):
+    examples = next(one for one in read_sheets(WORKBOOK_FILE) if one.sheet == "example points").rows
+    own = [[f"own {n}", *point] for n in (1, 2) for point in needle(n).tolist()]
+    file = write_rows(tmp_path / "mixed.csv", [*examples, *own])
+    found = inspect(write_placed(tmp_path / "mixed", [file], origin="measured"))
+    assert found.dataset.origin == "example"
+    (warning,) = (one for one in found.warnings if one.kind == "examples")
+    assert warning.kind in CONTRADICTIONS and "n1, n2, n3, n4, n5, n6, n7, n8" in warning.what
+    file = write_rows(tmp_path / "own.csv", [examples[0], *own])
+    unsure, sure = (prepare([file], origin=origin).mapping for origin in ("example", "measured"))
+    assert (unsure.origin, sure.origin) == ("example", "measured")
+    assert "origin" in unsure.assumed and "origin" not in sure.assumed
+    answers = {"origin": "measured"}
+    asked = prepare_import([file], [("origin", "example")], None, lambda key, *_: answers.get(key, ""))
+    assert asked.mapping.origin == "measured" and "origin" not in asked.mapping.assumed
 
 
 def test_a_unit_may_stand_in_the_name_of_a_value(tmp_path):

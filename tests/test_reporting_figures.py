@@ -11,6 +11,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from reporting_results import stereo, study, with_draws, with_predictions
 
+from needlefit.reporting import fonts
 from needlefit.reporting.figures import style
 from needlefit.studies.fit_figures import draw_predictive_check
 from needlefit.studies.kinds.cross_validation import report
@@ -22,6 +23,24 @@ WHAT = {
 }
 """Which axes of which panels hold data; the others hold places: of groups, baselines, intervals,
 parameters."""
+
+
+def test_letters_that_no_font_has_are_written_as_their_numbers(tmp_path, monkeypatch):
+    assert fonts.find_lacking("Nädel, игла, μ₁ − 针1") == {"针"}
+    monkeypatch.setattr(fonts, "find_fonts", lambda _: {})  # whatever is installed
+    assert fonts.spell("针A 针一") == "[U+9488]A [U+9488][U+4E00]"
+
+    def paint() -> Figure:
+        figure = Figure(figsize=(4, 2))
+        axes = figure.add_subplot(title="针二")
+        axes.set_yticks([0.0, 1.0], ["针一", "игла"])
+        figure.draw_without_rendering()
+        return figure
+
+    drawn = style.draw(tmp_path / "a.svg", paint, "words that can be edited").read_text(encoding="utf-8")
+    for name in ("[U+9488][U+4E00]", "[U+9488][U+4E8C]", "игла"):
+        assert name in drawn
+    assert "针" not in drawn
 
 
 @pytest.fixture

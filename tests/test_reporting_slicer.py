@@ -103,17 +103,17 @@ def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):
     file.write_text(file.read_text().replace("[frame]", f"[frame]\n{motion}"))
     results = run("needles", study(), Settings())
     out, again = tmp_path / "slicer", tmp_path / "again"
-    write_needles(results.frames["needles"], results.synthetic, out)
-    write_needles(results.frames["needles"], results.synthetic, again)
+    write_needles(results.frames["needles"], results.origin_mark, out)
+    write_needles(results.frames["needles"], results.origin_mark, again)
     names = sorted(path.name for path in out.iterdir())
     assert names == sorted(f"needle-{n}.mrk.json" for n in range(1, 5))
     assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
     measured, predicted, _, low, high = read_markups(out / "needle-3.mrk.json")
     assert [one.name for one in (measured, predicted)] == [
-        "needle-3 measured (synthetic)", "needle-3 predicted (synthetic)"
+        "needle-3 measured (SYNTHETIC data)", "needle-3 predicted (SYNTHETIC data)"
     ]  # fmt: skip
     assert "95 % band, low" in low.name and "95 % band, high" in high.name
-    assert read_markups(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
+    assert read_markups(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (SYNTHETIC data)"
     assert (measured.labels[0], measured.labels[-1]) == ("entry", "tip")
     for curve, there in ((measured, world["needle-3"].measured), (predicted, world["needle-3"].fitted)):
         np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
