@@ -194,7 +194,8 @@ def recall(run: Run) -> str:
     opening = re.split(r"[:.] ", answer.verdicts[0].sentence)[0]
     failed = [_word_check(one, _find_failed(one)) for one in answer.checks if one.passed is False]
     words = f" Failed checks: {'; '.join(failed)}." if failed else ""
-    return f"{run.name}: {mark_faults(run.faults)}{opening.rstrip('.')}.{words}"
+    marked = f"{run.origin_mark}. " if run.origin_mark else ""
+    return f"{run.name}: {marked}{mark_faults(run.faults)}{opening.rstrip('.')}.{words}"
 
 
 def _find_failed(one: Finding) -> str:
