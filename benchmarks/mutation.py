@@ -117,7 +117,7 @@ AREAS = {
         ("metrics", "geometry/curves.py"), ("inference_problem", "plugins", "geometry", "reporting_tables")
     ),
     "registration": Area(
-        ("imaging/registration", "geometry/frames.py"),
+        ("imaging/registration.py", "geometry/frames.py"),
         ("geometry", "imaging_registration", "imaging_golden"),
     ),
     "resume": Area(

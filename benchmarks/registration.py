@@ -21,12 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.pairing import search_pairings
-from needlefit.imaging.registration.register import (
+from needlefit.imaging.registration import (
     Registration,
+    align,
+    list_pairings,
+    make_marker_sets,
     predict_mean_target_error,
     register,
-    scan_frame,
     target_covariance,
 )
 
@@ -76,7 +77,8 @@ def draw(
 def count_turns(layout: Floats) -> int:
     """Return how many turns map a layout onto itself so nearly that noise hides it; 1: none."""
     count = len(layout)
-    return len(search_pairings(layout, layout, np.full((count, count), SD**2), count, HIDDEN_CHI2))
+    sets = make_marker_sets(layout, layout, SD, 0.0)
+    return sum(align(sets, pairs).chi2 <= HIDDEN_CHI2 for pairs in list_pairings(sets, count, HIDDEN_CHI2))
 
 
 def asymmetric(rng: np.random.Generator, left_out: list[int]) -> Floats:
@@ -122,10 +124,10 @@ def accuracy(cases: int, rng: np.random.Generator) -> dict[str, object]:
             continue
         wrong += not right(result, case)
         local = case.pose.to_local(TARGETS)
-        realised.append(np.linalg.norm(scan_frame(result).to_world(local) - TARGETS, axis=1))
+        realised.append(np.linalg.norm(result.frame.to_world(local) - TARGETS, axis=1))
         predicted.append(predict_mean_target_error(result, local))
         squares.append(np.trace(target_covariance(result, local), axis1=1, axis2=2))
-        turn = result.rotation
+        turn = result.frame.rotation
         proper.append([np.linalg.det(turn) - 1, np.abs(turn @ turn.T - np.eye(3)).max()])
         inside.append(result.fre / result.expected_fre)
     real, mean, square = np.array(realised), np.array(predicted), np.array(squares)

@@ -30,7 +30,7 @@ from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.reconstruct import check_layers, refuse_tunnels
 from needlefit.imaging.reconstruction import EntryPose, MaterialRun
-from needlefit.imaging.registration.register import register
+from needlefit.imaging.registration import register
 from needlefit.imaging.scans import LayerSource, StagePose
 from needlefit.schemas.reconstruction import ReconstructionRecord
 

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration import pairing
-from needlefit.imaging.registration.register import check_axis_signs, register, scan_frame
+from needlefit.imaging.registration import check_axis_signs, register, target_covariance
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -34,10 +33,8 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     pose, order = pose_of(rng), rng.permutation(6)
     registration = register(pose.to_local(LAYOUT)[order], LAYOUT, 0.1)
     assert registration.pairs[:, 1].tolist() == order.tolist()
-    np.testing.assert_allclose(
-        scan_frame(registration).to_world(pose.to_local(3 * SQUARE)), 3 * SQUARE, atol=1e-9
-    )
-    turn = registration.rotation
+    np.testing.assert_allclose(registration.frame.to_world(pose.to_local(3 * SQUARE)), 3 * SQUARE, atol=1e-9)
+    turn = registration.frame.rotation
     assert abs(np.linalg.det(turn) - 1) < 1e-12 and np.allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert registration.fre < 1e-9
     assert registration.warnings == ()
@@ -60,26 +57,19 @@ def test_missing_spurious_and_moved_markers_are_left_out_and_named():
 # predicted errors
 
 
-def root_mean_square(alignment, point):
-    (moved,) = pairing.motion_jacobian([point - alignment.centre])
-    return np.sqrt(np.trace(moved @ alignment.covariance @ moved.T))
-
-
-def test_the_error_of_a_square_is_the_closed_form():
-    """Half-side a: f_1^2 = f_2^2 = a^2, f_3^2 = 2 a^2; at height h over the centre d_1 = d_2 = h, d_3 = 0.
-
-    TRE^2 = 3 sigma^2 / 4 (1 + 2 h^2 / (3 a^2)).
-    """
-    sigma, a = 0.2, 20.0
-    sets = pairing.make_marker_sets(SQUARE, SQUARE, sigma, 0.0)
-    alignment = pairing.align_pairs(sets, np.array([[n, n] for n in range(4)]))
-    for height in (0.0, 20.0, 75.0):
-        expected = np.sqrt(3 * sigma**2 / 4 * (1 + 2 * height**2 / (3 * a**2)))
-        assert root_mean_square(alignment, [0, 0, height]) == pytest.approx(expected)
-    # in the plane, at distance d along x: d_1 = 0, d_2 = d_3 = d
-    d = 60.0
-    expected = np.sqrt(3 * sigma**2 / 4 * (1 + (d**2 / a**2 + d**2 / (2 * a**2)) / 3))
-    assert root_mean_square(alignment, [d, 0, 0]) == pytest.approx(expected)
+def test_the_error_of_a_target_is_the_closed_form():
+    """Fitzpatrick 1998: TRE^2 = 3 sigma^2 / N (1 + sum d_k^2 / f_k^2 / 3); d, f: from principal axes."""
+    sigma, target = 0.2, np.array([75.0, 4.0, -30.0])
+    registration = register(LAYOUT, LAYOUT, sigma)
+    middle = LAYOUT.mean(axis=0)
+    axes = np.linalg.svd(LAYOUT - middle)[2]
+    squares = ((np.vstack([LAYOUT, target]) - middle) @ axes.T) ** 2
+    from_axes = squares.sum(axis=1, keepdims=True) - squares
+    ratio = from_axes[-1] / from_axes[:-1].mean(axis=0)
+    expected = 3 * sigma**2 / len(LAYOUT) * (1 + ratio.sum() / 3)
+    (covariance,) = target_covariance(registration, [target])
+    assert np.trace(covariance) == pytest.approx(expected)
+    assert registration.expected_fre == pytest.approx(sigma * np.sqrt(3 - 6 / len(LAYOUT)))
 
 
 # ---- what is refused: every fault is named and can be fixed
@@ -129,7 +119,7 @@ def test_mirrored_and_flat_markers_are_reported_and_ras_read_as_lps_is_a_turn():
         assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
-    assert np.linalg.det(registration.rotation) == pytest.approx(1)
+    assert np.linalg.det(registration.frame.rotation) == pytest.approx(1)
     assert any("mirrored scan" in remark for remark in registration.warnings)
     flipped = FOUND * [-1, -1, 1]
     assert register(flipped, LAYOUT, 0.1).fre < 1e-9

@@ -18,7 +18,7 @@ from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import AXIS_SIGNS
 from needlefit.imaging.needle.follow import MIN_POINTS
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.registration.pairing import MIN_MARKERS
+from needlefit.imaging.registration import MIN_MARKERS
 from needlefit.imaging.scans import Corrections, Scan
 
 LIST_NAME = "corrections"  # what a list of control points is called, after the id of its scan

@@ -22,7 +22,7 @@ from needlefit.geometry.shaft import fit_shaft_axis
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.materials import MIN_SIDE_LENGTH_MM, find_rises, find_runs, list_materials
 from needlefit.imaging.reconstruction import EntryPose, IntensityProfile, MaterialRun
-from needlefit.imaging.registration.register import Registration, target_covariance
+from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import StagePose
 
 MIN_SHAFT_LENGTH_MM = 10.0  # length of shaft outside the tissue, mm, below which no axis is drawn through it

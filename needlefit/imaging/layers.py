@@ -35,7 +35,7 @@ from needlefit.geometry.surfaces import (
     transform_surface,
 )
 from needlefit.imaging.reconstruction import EntryPose, Layers
-from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
+from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels
 from needlefit.imaging.volume import VoxelGrid, require_same_frame, to_index, to_patient
@@ -247,7 +247,7 @@ def estimate_layer_errors(
     between = None if layers_in_scan(scan) else registration
     along = pose.along_sd if scan.stage is None else scan.stage.shift_sd
     if scan.stage is None and between is not None and not any(s.into == 1 for s in scan.surfaces):
-        here = scan_frame(between).to_local(pose.origin[None])
+        here = between.frame.to_local(pose.origin[None])
         covariance = target_covariance(between, here)[0]
         along = float(np.sqrt(along**2 + pose.direction @ covariance @ pose.direction))
     return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
@@ -280,7 +280,7 @@ def find_crossed_layers(
     # sin^2 of the angle between needle and normal
     variances = errors.surface**2 + across**2 * (1 - cosines**2)
     if errors.registration is not None:
-        in_patient = scan_frame(errors.registration).to_local(places)
+        in_patient = errors.registration.frame.to_local(places)
         covariances = target_covariance(errors.registration, in_patient)
         sideways = normals - cosines[:, None] * tangents
         variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)

@@ -18,8 +18,7 @@ from needlefit.imaging.bright_voxels import BrightVoxels, list_bright_voxels
 from needlefit.imaging.needle.segmentation import MIN_METAL_CONTRAST_HU, median_tissue_hu
 from needlefit.imaging.point_spread import MAX_BLUR_MM, average_spreads
 from needlefit.imaging.reconstruction import MarkerResult
-from needlefit.imaging.registration.pairing import MIN_MARKERS
-from needlefit.imaging.registration.register import check_axis_signs
+from needlefit.imaging.registration import MIN_MARKERS, check_axis_signs
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, find_outside, to_index, to_patient
 from needlefit.schemas.reconstruction import ReconstructionRecord

@@ -68,12 +68,12 @@ from needlefit.imaging.reconstruction import (
     Reconstruction,
     render_views,
 )
-from needlefit.imaging.registration.pairing import FOUND_SET, KNOWN_SET
-from needlefit.imaging.registration.register import (
+from needlefit.imaging.registration import (
+    FOUND_SET,
+    KNOWN_SET,
     Registration,
     predict_mean_target_error,
     register,
-    scan_frame,
 )
 from needlefit.imaging.scans import Corrections, Scan
 from needlefit.imaging.spheres import Blob, SphereFit, fit_sphere
@@ -333,7 +333,7 @@ class Examination:
     @property
     def patient(self) -> Frame:
         """The scan's LPS axes and origin in the world."""
-        return IDENTITY_FRAME if self.registration is None else scan_frame(self.registration)
+        return IDENTITY_FRAME if self.registration is None else self.registration.frame
 
     @property
     def world(self) -> Floats:

@@ -13,7 +13,7 @@ from needlefit.geometry.smoothing_spline import SplineSections
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.point_spread import PointSpread
-from needlefit.imaging.registration.register import Registration
+from needlefit.imaging.registration import Registration
 from needlefit.imaging.scans import Scan
 from needlefit.imaging.volume import Volume, to_index
 from needlefit.schemas.scan_files import Confirmable

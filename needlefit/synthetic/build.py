@@ -12,7 +12,7 @@ from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.needle.centerline import Centerline
 from needlefit.imaging.reconstruct import Examination, derive_reconstruction
 from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult, Reconstruction
-from needlefit.imaging.registration.register import register
+from needlefit.imaging.registration import register
 from needlefit.project.random_streams import random_stream
 from needlefit.synthetic.design import InsertionDesign, TrueSpread, list_designs
 from needlefit.synthetic.insertion import SyntheticInsertion, simulate_insertion

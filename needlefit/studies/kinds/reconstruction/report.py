@@ -68,7 +68,7 @@ TEXT = KindText(
 _SCAN_COLUMNS = (
     *("id", "origin", "medium", "specimen", "scan", "voxel_i_mm", "voxel_j_mm", "voxel_k_mm"),
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
-    *("fre_p_value", "wrong_pairing_probability", "target_error_entry_mm", "target_error_tip_mm"),
+    *("fre_p_value", "target_error_entry_mm", "target_error_tip_mm"),
     *("entry_pose_from", "entry_along_sd_mm", "entry_shift_sd_mm", "entry_angle_sd_deg"),
     *("bending_plane_from", "out_of_plane_rms_mm", "out_of_plane_max_mm", "depth_mm", "depth_sd_mm"),
     *("deflection_mm", *TIP_COLUMNS, "tip_along_sd_mm", "tip_across_sd_mm"),
@@ -206,7 +206,6 @@ def describe_scan(one: Reconstruction) -> Row:
         "fre_mm": fit.fre,
         "expected_fre_mm": fit.expected_fre,
         "fre_p_value": fit.p_value,
-        "wrong_pairing_probability": fit.wrong_pairing_probability,
         **dict(zip(("target_error_entry_mm", "target_error_tip_mm"), one.target_error, strict=True)),
     }
 

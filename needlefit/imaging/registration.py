@@ -1,0 +1,324 @@
+"""Register a scan to the world by its radiopaque markers, with the remaining error, or say why that fails.
+
+All pairings whose distances the stated noise allows are aligned; the likeliest is kept if it fits and no
+other is nearly as likely. Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2). The motion is
+a rotation and a translation. A reflection is looked for only to name it in an error. RAS read as LPS is a
+turn, which only another set of markers in the same frame shows (`check_axis_signs`).
+
+A small motion theta = (turn, shift) about a centre c moves a world point p by J theta, J = [-[p - c]x, I].
+Markers i of deviations sigma_i give to first order
+
+    cov(theta) = (sum J_i^T J_i / sigma_i^2)^-1,        cov(error at p) = J cov(theta) J^T,
+
+with equal deviations eq. 46 of J. M. Fitzpatrick et al., IEEE Trans. Med. Imaging 17 (1998) 694-702.
+"""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtrc, chdtri, elliprg
+
+from needlefit.arrays import Floats, Ints
+from needlefit.errors import refusal
+from needlefit.geometry.frames import AXIS_SIGNS, Frame
+
+MIN_MARKERS = 3  # markers that fix a rigid motion
+# Location named in errors of a single set.
+FOUND_SET = "markers found in the scan"
+KNOWN_SET = "known markers"
+# Fixes for a set with too few markers.
+TOO_FEW_FIXES = {
+    FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
+    KNOWN_SET: "list every marker of the layout; where there are no more, add markers and scan again",
+}
+# Probability that the noise as stated makes the right pairing look too bad to be believed.
+FALSE_ALARM_PROBABILITY = 1e-4
+# Probability of another pairing that is tolerated.
+MAX_WRONG_PAIRING_PROBABILITY = 1e-3
+# Chi-squared by which an alternative must be worse to leave no more than that doubt.
+MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
+# Share of the smaller set that must pair: few that agree among many are part of something else.
+MIN_PAIRED_FRACTION = 0.6
+MAX_PAIRINGS = 50_000  # pairings that are kept at once; beyond, the markers are too alike or too many
+MAX_TURN_SD_RAD = 0.1  # deviation of a turn, rad, from which on the markers count as lying on a line
+# By how much nearer everything must lie with the signs of x and y changed before they count as wrong.
+MIN_DISTANCE_RATIO = 4.0
+
+
+@dataclass(frozen=True)
+class MarkerSets:
+    """Markers in two frames, not yet paired."""
+
+    found: Floats  # (M, 3); centres in the scan, mm
+    known: Floats  # (N, 3); places in the world, mm
+    variance: Floats  # (M, N); of each pair in any one direction, mm^2
+
+    @property
+    def mirrored(self) -> "MarkerSets":
+        """The sets with the found markers reflected; any mirror plane is equivalent."""
+        return replace(self, found=-self.found)
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The fitted motion of paired points."""
+
+    pairs: Ints  # (P, 2); number of the found marker, number of the known one, counted from 0
+    frame: Frame  # the scan's axes and origin in the world
+    residuals: Floats  # (P, 3); known minus found, in the world, mm
+    chi2: float  # sum of squared residuals over their variances; 3 P - 6 on average
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The rigid motion from the scan to the world, with its covariance and quality."""
+
+    frame: Frame  # the scan's axes and origin in the world
+    pairs: Ints  # (P, 2); number of the found marker, number of the known one, counted from 0
+    residuals: Floats  # (P, 3); known minus registered place of each pair, world axes, mm
+    fre: float  # fiducial registration error: root mean square length of the residuals, mm
+    expected_fre: float  # what the stated noise leads one to expect of it, mm
+    p_value: float  # probability that the stated noise leaves residuals at least as large
+    known: int  # number of the known markers, paired or not
+    # (3,); the point of the world about which `covariance` counts: the mean of the paired known markers, mm.
+    centre: Floats
+    covariance: Floats  # (6, 6); of turn (rad) and shift (mm) about `centre`, world axes, first order
+    warnings: tuple[str, ...]  # what a person should know; empty if all is as expected
+
+
+def register(
+    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike = 0.0
+) -> Registration:
+    """Return the rigid motion that takes the markers found in the scan to their known positions.
+
+    `found`: (M, 3); centres found in the scan, LPS, mm; some may be missing, some may be no markers.
+    `known`: (N, 3); places in the world, mm, in any order.
+    `found_sd`, `known_sd`: float or (M,) array (of known: N); deviation in any one direction, mm.
+
+    DataError: fewer than three markers; markers on a line; no pairing within the noise (and whether they are
+    mirrored); several pairings as likely.
+    """
+    sets = make_marker_sets(found, known, found_sd, known_sd)
+    _refuse_collinear(sets.known, float(np.sqrt(np.median(sets.variance))))
+    best = select_pairing(sets)
+    i, j = best.pairs.T
+    # the residuals of markers on a line say nothing of the turn about it
+    variance = sets.variance[i, j]
+    _refuse_collinear(sets.known[j], float(np.sqrt(variance.max())))
+    count, centre = len(best.pairs), sets.known[j].mean(axis=0)
+    covariance: Floats = np.asarray(
+        np.linalg.inv(information_matrix(sets.known[j] - best.residuals - centre, variance)), np.float64
+    )
+    return Registration(
+        frame=best.frame,
+        pairs=best.pairs,
+        residuals=best.residuals,
+        fre=_root_mean_square(best.residuals),
+        expected_fre=float(np.sqrt((3 - 6 / count) * variance.mean())),
+        p_value=float(chdtrc(3 * count - 6, best.chi2)),
+        known=len(sets.known),
+        centre=centre,
+        covariance=covariance,
+        warnings=tuple(_list_warnings(sets, best)),
+    )
+
+
+def make_marker_sets(
+    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
+) -> MarkerSets:
+    """Return both sets of markers; arguments and errors as those of `register`."""
+    here, there = (np.asarray(given, dtype=np.float64).reshape(-1, 3) for given in (found, known))
+    for points, name in ((here, FOUND_SET), (there, KNOWN_SET)):
+        if len(points) < MIN_MARKERS:
+            raise refusal(f"""{len(points)} markers are too few
+                expected: at least three markers that are not on a line
+                fix: {TOO_FEW_FIXES[name]}
+                where: {name}""")
+    variance = np.square(np.broadcast_to(found_sd, len(here)))[:, None] + np.square(known_sd)
+    variance = np.broadcast_to(variance, (len(here), len(there)))
+    if variance.min() <= 0:
+        raise refusal("""the deviations of the markers are zero
+            expected: a positive deviation in the scan or in the world: it decides which pairing is believed
+            fix: state what finding a marker's centre leaves, about a tenth to a fifth of a voxel
+            where: deviations of the markers""")
+    return MarkerSets(here, there, variance)
+
+
+def select_pairing(sets: MarkerSets) -> Alignment:
+    """Return the likeliest pairing.
+
+    One of as many pairs that gives a marker, found or known, to a different one must be much less likely.
+    DataError if none fits or several do.
+    """
+    most, reached, reflected = min(len(sets.found), len(sets.known)), list[Alignment](), 0
+    # three among many agree by chance, unless one of the sets has no more
+    least = max(MIN_MARKERS + 1, int(np.ceil(MIN_PAIRED_FRACTION * most)))
+    for count in (most, *range(most - 1, least - 1, -1)):
+        limit = float(chdtri(3 * count - 6, FALSE_ALARM_PROBABILITY))  # that a right pairing hardly exceeds
+        listed = list_pairings(sets, count, limit + MIN_CHI2_GAP)
+        fitted = sorted((align(sets, pairs) for pairs in listed), key=lambda one: one.chi2)
+        if not reflected and any(align(sets.mirrored, pairs).chi2 <= limit for pairs in listed):
+            reflected = count
+        if fitted and fitted[0].chi2 <= limit:
+            reached = [one for one in fitted if one.chi2 <= limit + MIN_CHI2_GAP]
+            break
+    paired = len(reached[0].pairs) if reached else 0
+    if reflected > paired:
+        raise refusal(f"""the markers are mirrored: {reflected} fit reflected, {paired} as they are
+            expected: a scan of the same handedness as the world
+            fix: one axis of the scan or of the known markers has the wrong sign (x alone, y alone or z
+                alone): look at the direction of the slices and at the coordinate system of the markers'
+                file
+            where: markers""")
+    if not reached:
+        raise refusal(f"""no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers
+                fits within {np.sqrt(np.median(sets.variance)):.2f} mm
+            expected: three or more markers at distances as in the world, more if some are missing and others
+                spurious
+            fix: look at the markers found in the scan; check the known ones and their unit, mm, and the
+                spacing of the voxels; state larger deviations
+            where: markers""")
+    best = reached[0]
+    others = [one for one in reached[1:] if _contradict(best.pairs, one.pairs)]
+    share = sum(np.exp((best.chi2 - one.chi2) / 2) for one in others)
+    if share / (1 + share) > MAX_WRONG_PAIRING_PROBABILITY:
+        two = (best, others[0])
+        left, right = (_root_mean_square(one.residuals) for one in two)
+        pairs, instead = (", ".join(f"{i}->{j}" for i, j in one.pairs.tolist()) for one in two)
+        raise refusal(f"""{1 + len(others)} pairings of {len(best.pairs)} markers are likely,
+                the best two leave {left:.2f} and {right:.2f} mm: {pairs} or {instead}
+            expected: one pairing that is at least 1000 times as likely as all others together
+            fix: move or add a marker so that no two distances are alike
+            where: markers""")
+    return best
+
+
+def _contradict(pairs: Ints, others: Ints) -> bool:
+    """Whether two pairings give a marker, found or known, to different ones."""
+    shared = pairs[:, None] == others[None]
+    return bool((shared[..., 0] != shared[..., 1]).any())
+
+
+def list_pairings(sets: MarkerSets, count: int, bound: float) -> Sequence[Ints]:
+    """Return the pairings (count, 2) at which no distance of two markers costs more than `bound`.
+
+    A distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in chi-squared however the sets are
+    laid on each other. DataError if they are more than `MAX_PAIRINGS`.
+    """
+    changes = cdist(sets.found, sets.found)[:, None, :, None] - cdist(sets.known, sets.known)[:, None]
+    fits = changes**2 <= bound * (sets.variance[..., None, None] + sets.variance)  # (M, N, M, N)
+    rows: list[tuple[tuple[int, int], ...]] = [()]
+    for n in range(len(sets.found)):
+        left = len(sets.found) - n - 1  # found markers that may still be paired
+        grown = [row for row in rows if len(row) + left >= count]  # this one has no partner
+        for row in rows:
+            if len(row) < count:
+                free = set(range(len(sets.known))) - {j for _, j in row}
+                grown += [(*row, (n, m)) for m in free if all(fits[i, j, n, m] for i, j in row)]
+        rows = grown
+        if len(rows) > MAX_PAIRINGS:
+            raise refusal(f"""more than {MAX_PAIRINGS} pairings of {len(sets.found)} and {len(sets.known)}
+                    markers fit
+                expected: markers whose mutual distances differ by more than their noise
+                fix: leave out spurious markers, or state smaller deviations if they are
+                where: markers""")
+    return [np.array(row, dtype=np.int64) for row in rows if len(row) == count]
+
+
+def align(sets: MarkerSets, pairs: Ints) -> Alignment:
+    """Return the likeliest motion given the pairs."""
+    i, j = pairs.T
+    found, known, weights = sets.found[i], sets.known[j], 1 / sets.variance[i, j]
+    here, there = (np.average(points, axis=0, weights=weights) for points in (found, known))
+    with warnings.catch_warnings():  # of points on a line, which are refused later
+        warnings.simplefilter("ignore", UserWarning)
+        rotation = Rotation.align_vectors(known - there, found - here, weights)[0].as_matrix()
+    frame = Frame(there - rotation @ here, rotation)
+    residuals = known - frame.to_world(found)
+    return Alignment(pairs, frame, residuals, float(weights @ np.sum(residuals**2, axis=1)))
+
+
+def _list_warnings(sets: MarkerSets, best: Alignment) -> Iterator[str]:
+    """Yield the warnings about a pairing, the most important first."""
+    found = np.setdiff1d(np.arange(len(sets.found)), best.pairs[:, 0])
+    known = np.setdiff1d(np.arange(len(sets.known)), best.pairs[:, 1])
+    listed, missing = (", ".join(map(str, numbers.tolist())) for numbers in (found, known))
+    if found.size:
+        yield f"found markers {listed} (counted from 0) belong to no known one"
+    if known.size:
+        yield f"known markers {missing} (counted from 0) were not found"
+    # flat layouts always fit a mirrored scan nearly as well
+    if align(sets.mirrored, best.pairs).chi2 - best.chi2 <= MIN_CHI2_GAP:
+        yield "the paired markers are flat within the noise: a mirrored scan would pass unseen"
+
+
+def motion_jacobian(arms: ArrayLike) -> Floats:
+    """Return J (N, 3, 6): motion of points at `arms` (N, 3) from the centre by turn (rad) and shift (mm)."""
+    turned = np.cross(np.eye(3), np.asarray(arms, dtype=np.float64)[:, None])  # by each axis
+    shifted = np.broadcast_to(np.eye(3), turned.shape)
+    return np.concatenate([np.swapaxes(turned, 1, 2), shifted], axis=2)
+
+
+def information_matrix(arms: ArrayLike, variance: Floats) -> Floats:
+    """Return sum J^T J / variance (6, 6) of markers at `arms` (P, 3); `variance` (P,), mm^2."""
+    moved = motion_jacobian(arms)
+    return np.einsum("nia,n,nib->ab", moved, 1 / variance, moved)
+
+
+def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
+    """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
+    moved = motion_jacobian(registration.frame.to_world(points) - registration.centre)
+    return moved @ registration.covariance @ np.swapaxes(moved, -1, -2)
+
+
+def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
+    """Return the expected length (N,) of the error at scan `points` (N, 3), mm.
+
+    A Gaussian error is a length of mean sqrt(8 / pi) times a direction; the mean over directions of the root
+    of a quadratic form is Carlson's R_G of its eigenvalues.
+    """
+    a, b, c = np.maximum(np.linalg.eigvalsh(target_covariance(registration, points)), 0.0).T
+    return np.sqrt(8 / np.pi) * elliprg(a, b, c)
+
+
+def _root_mean_square(difference: Floats) -> float:
+    """Return the root mean square length of vectors (N, 3)."""
+    return float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
+
+
+def _refuse_collinear(points: Floats, sd: float) -> None:
+    """Refuse points (N, 3), each known to `sd` (mm), that leave the turn about a line open."""
+    # the turn about the line through them is known to their deviation over their distance from it
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    turn = sd / max(float(np.hypot(*spread[1:])), 1e-6 * float(spread[0]))
+    if turn <= MAX_TURN_SD_RAD:
+        return
+    raise refusal(f"""{len(points)} markers lie on a line, or their deviation of {sd:.3g} mm is large against
+            their layout: the turn about it is known to +- {np.degrees(min(turn, np.pi)):.0f} degrees only
+        expected: three or more markers, one of them well beside the line through the others
+        fix: use markers off that line, or correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per
+            direction)
+        where: markers""")
+
+
+def check_axis_signs(given: ArrayLike, detected: ArrayLike, sd: float) -> None:
+    """Raise DataError if markers `given` (P, 3) fit those `detected` (M, 3) only with RAS and LPS exchanged.
+
+    Both are stated in the frame of the scan: fiducials of a file, and markers or metal in the volume.
+    `sd` is the deviation of a distance between the two, mm. Sets that fit neither way pass: they may be of
+    different things.
+    """
+    points, tree = np.asarray(given, dtype=np.float64), cKDTree(np.asarray(detected, dtype=np.float64))
+    as_is, turned = (float(np.median(tree.query(points * AXIS_SIGNS[one])[0])) for one in ("LPS", "RAS"))
+    if as_is > MIN_DISTANCE_RATIO * max(turned, sd) and turned <= MIN_DISTANCE_RATIO * sd:
+        raise refusal(f"""RAS was read as LPS: the markers given lie {as_is:.1f} mm from those in the volume,
+                with the signs of x and y changed {turned:.1f} mm
+            expected: the coordinate system that the file states, turned to LPS at the reader
+            fix: state the coordinate system of the file (RAS or LPS)
+            where: markers given in the frame of the scan""")
