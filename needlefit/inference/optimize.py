@@ -281,15 +281,17 @@ def select_leaders(easier: ObjectiveFunction, ends: Sequence[Start]) -> set[int]
 
 
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Return `count` starts (n, P) spread over the box by a scrambled Halton sequence.
+    """Return `count` starts (n, P) spread evenly over the box by an additive recurrence with a random shift.
 
-    More starts extend fewer ones. Where nothing is free there is one start, without coordinates.
+    More starts extend fewer ones. Where nothing is free there is one start, without coordinates. The steps of
+    the P coordinates are the powers of 1 / phi, with phi^(P + 1) = phi + 1: M. Roberts, "The unreasonable
+    effectiveness of quasirandom sequences" (2018).
     """
     if len(lower) == 0:
         return np.empty((1, 0))
-    from scipy.stats.qmc import Halton  # late: scipy.stats takes 0.4 s to load
-
-    cube = Halton(len(lower), rng=rng).random(count)
+    phi = np.roots([1.0, *[0.0] * (len(lower) - 1), -1.0, -1.0]).real.max()
+    steps = phi ** -np.arange(1.0, len(lower) + 1)
+    cube = (rng.random(len(lower)) + np.arange(count)[:, None] * steps) % 1.0
     return lower + cube * (upper - lower)
 
 
