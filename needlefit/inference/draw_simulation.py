@@ -142,7 +142,6 @@ class DrawSimulation:
         self._s, self._deep, self._wrong, self._jobs = s, deep, wrong, jobs
         self._table: _SurfaceTable | None = None
         self._draws: _InterpolatedDraws | None = None  # None where each draw is simulated by itself
-        self._kept: dict[int, tuple[Floats, bool]] = {}  # needles of sets that were simulated by themselves
         self._prepare()
 
     def _prepare(self) -> None:
@@ -182,28 +181,24 @@ class DrawSimulation:
         pairs = zip(nodes, shapes, strict=True)
         return np.array([compute_batch_positions(shape, at) for (_, at), shape in pairs]), shapes[0].valid
 
-    def simulate(self, stride: int = 1, sd: float = 0.0) -> DrawnNeedles:
-        """Return the needles of every so many sets; `sd` is the deviation of a measured tip from one, mm."""
-        rows = np.arange(0, len(self._sets), stride)
-        if self._draws is None or self._draws.steps is None or self._table is None:
-            return self.simulate_each(rows)
-        whole, valid = self._draws.take(rows)
-        count, deep, wrong = len(self._reach), self._deep[rows], self._wrong[rows]
-        shifts, still = np.zeros((len(rows), count)), np.zeros(len(rows))
+    def simulate(self, sd: float = 0.0) -> DrawnNeedles:
+        """Return the needles of all sets; `sd` is the deviation of a measured tip from one, mm."""
+        if self._draws is None or self._draws.needles is None or self._table is None:
+            return self.simulate_each(np.arange(len(self._sets)))
+        whole, deep = self._draws.needles, self._deep
+        shifts, still = np.zeros((len(deep), len(self._reach))), np.zeros(len(deep))
         path = whole.take(slice(None, PATH_POINTS))
         for _ in range(CROSSING_ROUNDS if self._insertion.surfaces else 0):
             shifts = self._table.find_crossings(path.at(shifts, still)) - self._centre.boundaries
-        shifts = shifts + wrong[:, :count]
-        found = DrawnNeedles(whole.take(slice(PATH_POINTS, None)).at(shifts, deep), valid)
+        shifts = shifts + self._wrong[:, : len(self._reach)]
+        interpolated = whole.take(slice(PATH_POINTS, None)).at(shifts, deep)
 
-        def simulate(some: Ints) -> DrawnNeedles:
-            for n in some:
-                if rows[n] not in self._kept:
-                    moved = shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n])
-                    self._kept[rows[n]] = self._simulate_one(rows[n], *moved)
-            return self._join([self._kept[rows[n]] for n in some])
+        def simulate(rows: Ints) -> DrawnNeedles:
+            moved = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in rows]
+            return _join([self._simulate_one(n, *at) for n, at in zip(rows, moved, strict=True)])
 
-        return found.check(simulate, int(np.argmax(self._s)), sd)
+        drawn = DrawnNeedles(interpolated, self._draws.valid)
+        return drawn.check(simulate, int(np.argmax(self._s)), sd)
 
     def simulate_each(self, rows: Ints) -> DrawnNeedles:
         """Return the needles of some sets, each simulated by itself through its own layers."""
@@ -216,16 +211,17 @@ class DrawSimulation:
             else:
                 wrong = entry + self._wrong[row, : len(met.boundaries)]
                 found.append(self._simulate_one(row, *shift_depths(met, self._s, wrong, entry)))
-        return self._join(found)
+        return _join(found)
 
     def _simulate_one(self, row: int, insertion: Insertion, at: Floats) -> tuple[Floats, bool]:
         """Return the points (K, 3) of the needle of a set at beam coordinates (K,), and its validity."""
         shape = predict(self._sets[row], self._medium, insertion)
         return read_points(insertion, shape, at), shape.valid
 
-    def _join(self, needles: Sequence[tuple[Floats, bool]]) -> DrawnNeedles:
-        points, valid = zip(*needles, strict=True)
-        return DrawnNeedles(np.array(points), np.array(valid))
+
+def _join(needles: Sequence[tuple[Floats, bool]]) -> DrawnNeedles:
+    points, valid = zip(*needles, strict=True)
+    return DrawnNeedles(np.array(points), np.array(valid))
 
 
 def simulate_scene_draws(
@@ -267,10 +263,9 @@ def simulate_scene_draws(
         points, valid = zip(*each, strict=True)
         return DrawnNeedles(np.concatenate([one[0] for one in points]), np.concatenate(valid))
 
-    if draws.steps is None:
+    if draws.needles is None:
         return simulate(np.arange(len(sets)))
-    whole, valid = draws.take(np.arange(len(sets)))
-    return DrawnNeedles(whole.at(wrong, deep), valid).check(simulate, len(s) - 1, 0.0)
+    return DrawnNeedles(draws.needles.at(wrong, deep), draws.valid).check(simulate, len(s) - 1, 0.0)
 
 
 class _InterpolatedDraws:
@@ -281,35 +276,26 @@ class _InterpolatedDraws:
     """
 
     def __init__(self, sets: Sets, coordinates: Floats, move: Move, reach: Floats, depth_sd: float) -> None:
-        self._sets, self._move, self._middle = sets, move, (np.zeros(len(reach)), 0.0)
         entry = max(NODE_SD * depth_sd, MIN_NODE_MM) if depth_sd > 0 else 0.0
-        self._units = np.append(reach, entry) if entry else reach
-        self._coordinates = coordinates
-        chosen = choose_draws(self._coordinates)
+        chosen, middle = choose_draws(coordinates), (np.zeros(len(reach)), 0.0)
         moves = [(row, 0.0) for row in np.diag(reach)]
         moves += [(np.full(len(reach), entry), entry)] if entry else []
         nodes = [(at * shifts, at * deep) for shifts, deep in moves for at in NODE_PLACES]
-        points, valid = move([sets[n] for n in chosen], [self._middle, *nodes])  # (1 + 2 d, C, K, 2)
-        steps = (points[1:] - points[0]).swapaxes(0, 1).reshape(len(chosen), -1)
-        #: from coordinates (N, P) to what the nodes add to the points; None if too few have a solution
-        self.steps = interpolate_draws(self._coordinates, chosen, steps)
-        self._points = np.full((len(sets), *points.shape[2:]), np.nan)
-        self._valid, self._known = np.zeros((2, len(sets)), dtype=np.bool_)
-        self._keep(chosen, points[0], valid)
-
-    def take(self, rows: Ints) -> "tuple[_Interpolation, Bools]":
-        """Return some of the needles, to be read at any depths, and their validity."""
-        assert self.steps is not None
-        new = rows[~self._known[rows]]
-        if len(new):
-            (points,), valid = self._move([self._sets[n] for n in new], [self._middle])
-            self._keep(new, points, valid)
-        points = self._points[rows]
-        steps = self.steps(self._coordinates[rows]).reshape(len(rows), -1, *points.shape[1:])
-        return _Interpolation(points, steps, self._units), self._valid[rows]
-
-    def _keep(self, rows: Ints, points: Floats, valid: Bools) -> None:
-        self._points[rows], self._valid[rows], self._known[rows] = points, valid, True
+        at_nodes, valid = move([sets[n] for n in chosen], [middle, *nodes])  # (1 + 2 d, C, K, 3)
+        steps = (at_nodes[1:] - at_nodes[0]).swapaxes(0, 1).reshape(len(chosen), -1)
+        interpolate = interpolate_draws(coordinates, chosen, steps)
+        #: the needles of all sets; None if too few have a solution at the nodes
+        self.needles: _Interpolation | None = None
+        self.valid = np.zeros(len(sets), dtype=np.bool_)
+        if interpolate is None:
+            return
+        points = np.empty((len(sets), *at_nodes.shape[2:]))
+        points[chosen], self.valid[chosen] = at_nodes[0], valid
+        others = np.delete(np.arange(len(sets)), chosen)
+        if len(others):
+            (points[others],), self.valid[others] = move([sets[n] for n in others], [middle])
+        steps = interpolate(coordinates).reshape(len(sets), -1, *points.shape[1:])
+        self.needles = _Interpolation(points, steps, np.append(reach, entry) if entry else reach)
 
 
 def make_coordinates(sets: Sets, hidden: Collection[str] = ()) -> Floats:

@@ -52,9 +52,6 @@ from needlefit.studies.prediction_scores import (
 )
 from needlefit.studies.score import Row, predict_needle
 
-#: one in so many draws predicts a needle that is held out; all do where an end of the tip's 95 % interval has
-#: a Monte Carlo standard error above this part of the interval's width
-DRAW_STRIDE, MAX_END_ERROR = 2, 0.05
 MIN_SOLVED_DRAWS = 10  #: fewer solved draws make no distribution
 #: Of the table "predictive": the distribution of every insertion held out, and how the measurement fell in
 #: it. `tip_pit` is the probability predicted of a tip up to the measured one, `shape_pit` that of the
@@ -144,16 +141,7 @@ class _Predictor:
         needles = self._plan(insertion, stations, *self._vary(insertion, sets))
         factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
         sd = math.sqrt(_measurement_covariance(observation, factor)[-1, -1])  # of the tip
-        # the width after one more insertion is estimated from neighbouring draws, which takes all of them
-        if insertion.id not in self.representatives:
-            some, simulated = (
-                replace(draws, thetas=draws.thetas[::DRAW_STRIDE]),
-                needles.simulate(DRAW_STRIDE, sd),
-            )
-            found = self._predict(insertion, observation, some, simulated, MAX_END_ERROR)
-            if found is not None:
-                return found
-        return self._predict(insertion, observation, draws, needles.simulate(sd=sd))
+        return self._predict(insertion, observation, draws, needles.simulate(sd))
 
     def _vary(
         self, insertion: Insertion, sets: Sequence[Mapping[str, float]]
@@ -177,9 +165,8 @@ class _Predictor:
         observation: Observation,
         draws: Draws,
         found: DrawnNeedles,
-        max_end_error: float = math.inf,
     ) -> HeldOutPrediction | None:
-        """Return the prediction by some draws; None also where an interval's ends err by more than wanted."""
+        """Return the prediction by draws and their needles."""
         known, job, fold = self.known, self.known.job, self.known.fold
         rng = random_stream(job.recipe.seed, job.name, fold.name, "scored", insertion.id)
         tuned = any(insertion.specimen == one.specimen for one in fold.tune)
@@ -199,8 +186,6 @@ class _Predictor:
         measured = observation.stack(observation.measured)
         mixture = PredictiveMixture(observation.stack(aligned), np.sqrt(np.diag(covariance)))
         end_error = find_end_error(mixture, len(observation.measured))
-        if end_error > max_end_error:
-            return None
         row = {
             "fold": fold.name,
             "insertion": insertion.id,
@@ -294,7 +279,7 @@ class _Predictor:
         further = vary_bevels(sets, self.known.bevel_sd_in(insertion), rng)
         tip = len(observation.measured) - 1
         planned = self._plan(insertion, observation.nodes.s[0], further, rng)
-        found, again = planned.simulate(sd=float(first.sd[tip])), np.full(len(sets), np.nan)
+        found, again = planned.simulate(float(first.sd[tip])), np.full(len(sets), np.nan)
         points = select_compared(found.points[found.solved], job.dataset.compared)
         aligned = align(observation.pose, points, observation.measured)
         again[found.solved] = aligned[:, -1, 1]
