@@ -195,7 +195,7 @@ class DrawSimulation:
 
         def simulate(rows: Ints) -> DrawnNeedles:
             moved = [shift_depths(self._centre, self._s, shifts[n] + deep[n], deep[n]) for n in rows]
-            return _join([self._simulate_one(n, *at) for n, at in zip(rows, moved, strict=True)])
+            return _join([self._simulate_one(n, *at) for n, at in zip(rows.tolist(), moved, strict=True)])
 
         drawn = DrawnNeedles(interpolated, self._draws.valid)
         return drawn.check(simulate, int(np.argmax(self._s)), sd)
@@ -293,7 +293,7 @@ class _InterpolatedDraws:
         points[chosen], self.valid[chosen] = at_nodes[0], valid
         others = np.delete(np.arange(len(sets)), chosen)
         if len(others):
-            (points[others],), self.valid[others] = move([sets[n] for n in others], [middle])
+            (points[others],), self.valid[others] = move([sets[n] for n in others.tolist()], [middle])
         steps = interpolate(coordinates).reshape(len(sets), -1, *points.shape[1:])
         self.needles = _Interpolation(points, steps, np.append(reach, entry) if entry else reach)
 
