@@ -43,14 +43,11 @@ else:
         from needlefit.datasets.formats.mat import read_variables
         read_variables(kept, str(path))
     elif path.is_dir():
-        from needlefit.imaging.dicom.series import read_series
+        from needlefit.imaging.dicom import read_series
         read_series(kept, str(path), None, None)
     else:
-        if path.suffix == ".nii":
-            from needlefit.imaging.nifti_files import read_nifti as read
-        else:
-            from needlefit.imaging.image_files import read_image as read
-        read(kept, str(path), path.stat().st_size)
+        from needlefit.imaging.image_files import read_image
+        read_image(kept, str(path), path.stat().st_size)
 seconds = time.perf_counter() - begin
 status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
 memory = sum(int(status[name].split()[0]) for name in ("RssAnon", "RssShmem")) / 1024

@@ -98,13 +98,11 @@ def test_a_directory_names_its_folder(tmp_path):
 # ---- archives
 
 
-def test_archives_in_archives_and_of_image_files(tmp_path):
-    inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series())).read_bytes()
-    middle = pack(tmp_path / "middle.zip", [("a/inner.zip", inner), ("readme.txt", b"CT")]).read_bytes()
-    path = pack(tmp_path / "outer.zip", [("middle.zip", middle)])
-    assert np.array_equal(read_volume(path).values, NUMBERS)
-    deep = pack(tmp_path / "deep.zip", [("outer.zip", path.read_bytes())])
-    assert "too many" in refused(deep).what
+def test_archives_of_series_and_of_image_files(tmp_path):
+    inner = pack(tmp_path / "inner.zip", save(tmp_path / "series", series()))
+    assert np.array_equal(read_volume(inner).values, NUMBERS)
+    outer = pack(tmp_path / "outer.zip", [("a/inner.zip", inner.read_bytes())])
+    assert "inside" in refused(outer).what
     (tmp_path := tmp_path / "b").mkdir()
     volume = Volume(NUMBERS.astype(np.float32), np.zeros(3), np.ones(3), np.eye(3))
     write_volume(volume, tmp_path / "a.nrrd")

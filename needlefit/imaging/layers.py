@@ -38,7 +38,7 @@ from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration import Registration, target_covariance
 from needlefit.imaging.scans import LayerSource, Scan
 from needlefit.imaging.segmentations import Labels, read_labels
-from needlefit.imaging.volume import VoxelGrid, require_same_frame, to_index, to_patient
+from needlefit.imaging.volume import VoxelGrid, to_index, to_patient
 from needlefit.imaging.volume_files import explain_missing_packages
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -52,18 +52,15 @@ MAX_LOOSE_FRACTION = 0.02  # islands and cavities of at most this part of a laye
 MARGIN_CELLS = 3  # cells around the labels: what leaves the volume is closed there
 
 
-def extract_label_surfaces(
-    path: Path, names: Sequence[str] = (), frame_of_reference: str = ""
-) -> tuple[Surface, ...]:
+def extract_label_surfaces(path: Path, names: Sequence[str] = ()) -> tuple[Surface, ...]:
     """Return the surfaces of a segmentation, LPS, mm: one solid per layer, in order, `into` from 1.
 
-    `names` as in `read_labels`; `frame_of_reference`: that of the scan, in which it must have been drawn.
+    `names` as in `read_labels`.
 
     DataError if the segmentation has a fault, or a layer and those beyond it fall apart.
     """
     labels = read_labels(path, names)
     with located(path):
-        require_same_frame(labels.volume, frame_of_reference)
         order = np.zeros(int(labels.volume.values.max()) + 1, dtype=np.uint8)
         order[[segment.value for segment in labels.segments]] = np.arange(1, len(labels.segments) + 1)
         layers = order[labels.volume.values.astype(np.uint16)]  # (K, J, I), 0 outside
@@ -142,9 +139,7 @@ TANGENT_STEP_MM = 0.5  # distance to either side of a crossing over which the ne
 MIN_CROSSING_COSINE = 0.02
 
 
-def read_layers(
-    scan: Scan, patient: Frame, grid: VoxelGrid | None = None, frame_of_reference: str = ""
-) -> tuple[Surface, ...]:
+def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tuple[Surface, ...]:
     """Return the surfaces of the layers in the world.
 
     A mesh leads into layer 2, 3, ... by its place in the list, unless it says otherwise; it is a solid where
@@ -152,7 +147,6 @@ def read_layers(
 
     `patient`: the scan's LPS axes and origin in the world.
     `grid`: where the scan's voxels stand: surfaces of its own must not lie elsewhere.
-    `frame_of_reference`: UID of the scan's; contours must state the same.
 
     DataError: listing every fault of every file.
     """
@@ -169,7 +163,7 @@ def read_layers(
     elif segmented is not None:
         try:
             with explain_missing_packages():
-                surfaces += extract_label_surfaces(segmented.path, segmented.segments, frame_of_reference)
+                surfaces += extract_label_surfaces(segmented.path, segmented.segments)
         except DataError as error:
             found.append(error)
     else:

@@ -457,7 +457,7 @@ PlaneSource = Literal["stated", "bevel", "shape"]
 
 
 def derive_reconstruction(
-    found: Examination, recipe: ReconstructionRecord, grid: VoxelGrid, frame_of_reference: str = ""
+    found: Examination, recipe: ReconstructionRecord, grid: VoxelGrid
 ) -> Reconstruction:
     """Derive the reconstruction from what was found in the volume; without views.
 
@@ -466,7 +466,7 @@ def derive_reconstruction(
     DataError: whatever keeps the scan from being reconstructed; nothing is guessed.
     """
     scan = found.scan
-    surfaces = read_layers(scan, found.patient, grid, frame_of_reference)
+    surfaces = read_layers(scan, found.patient, grid)
     refuse_tunnels(surfaces, found.world)
     pose, shaft = estimate_first_contact(found, scan, surfaces, recipe)
     begin = find_entry_arc_length(found.world, pose)
@@ -626,7 +626,7 @@ def examine(
     if found.error is not None:
         return found
     with found.step(), located(scan.volume):
-        one = derive_reconstruction(found, recipe, volume.grid, volume.frame_of_reference)
+        one = derive_reconstruction(found, recipe, volume.grid)
         doubts = [*volume.warnings, *doubt_air(volume)]
         if (top := volume.resampled_top) is not None:
             doubts.append(

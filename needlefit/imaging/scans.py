@@ -6,7 +6,6 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +28,7 @@ from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
 from needlefit.errors import DataError, refusal
 from needlefit.geometry.frames import PARALLEL_SINE, normalize
 from needlefit.geometry.surfaces import SurfaceKind
-from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES, begins_as_dicom
+from needlefit.imaging.volume import ARCHIVE_SUFFIX, IMAGE_SUFFIXES, READABLE_VOLUMES
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 from needlefit.schemas.scan_files import NO_FILES, Confirmable, ScanFiles
@@ -195,12 +194,9 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
     if not is_file(path):
         return fault(f"there is no file {path}", "a surface or segmentation of layers", "check the path")
     mesh = path.suffix.lower() in MESH_SUFFIXES
-    readable = mesh or path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-    with suppress(DataError):  # one that may not be read; DICOM of archives has no ending
-        readable = readable or begins_as_dicom(path)
-    if not readable:
+    if not mesh and not path.name.lower().endswith((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX)):
         endings = ", ".join((*IMAGE_SUFFIXES, ARCHIVE_SUFFIX))
-        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}, RTSTRUCT"
+        expected = f"{', '.join(MESH_SUFFIXES)}, or a segmentation: {endings}"
         fix = "save the model as STL, or its segmentation as .seg.nrrd, in 3D Slicer"
         return fault(f"{path} has the ending {path.suffix!r}", expected, fix)
     if chosen and mesh:

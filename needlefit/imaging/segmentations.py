@@ -1,4 +1,4 @@
-"""Read segmentations: volumes in which every voxel holds the number of its layer, and contours of layers."""
+"""Read segmentations: volumes in which every voxel holds the number of its layer."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 
 from needlefit.errors import located, refusal
 from needlefit.imaging.volume import Volume
-from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file, read_structures
+from needlefit.imaging.volume_files import is_image_file, open_member, read_labels_file
 
 MAX_SEGMENTS = 64  # layers of a segmentation; a volume with more labels is a scan
 SEGMENTS_FIX = "name the layers from the outside inwards: FILE=segments:NAME,NAME"
@@ -35,7 +35,7 @@ class Labels:
 
 
 def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
-    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, RTSTRUCT, a .zip of one.
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, any label volume, a .zip of one.
 
     The layers are the segments that are named, in this order; by default all in the order in which the file
     lists them, or, where it names none, the labels in the order of their values. A label without a name is
@@ -46,8 +46,9 @@ def read_labels(path: Path, names: Sequence[str] = ()) -> Labels:
     """
     with open_member(path) as place, located(place):
         if not is_image_file(place):
-            volume, found = read_structures(place, names)
-            return _check_labels(volume, tuple(Segment(n, name) for n, name in enumerate(found, 1)))
+            raise refusal("""is no label map
+                expected: .seg.nrrd, or another volume of labels (NRRD, NIfTI, MetaImage)
+                fix: load it in 3D Slicer, contours (RTSTRUCT) too, and save the segmentation as .seg.nrrd""")
         volume, texts = read_labels_file(place)
         labels = _check_labels(volume, _parse_segments(texts))
         chosen = choose_segments([one.name or str(one.value) for one in labels.segments], names)

@@ -231,7 +231,6 @@ class Volume:
     spacing: Floats  # (3,); distance of centres along i, j, k, mm
     direction: Floats  # (3, 3); as that of a grid
     warnings: tuple[str, ...] = ()  # what a person should know of its files
-    frame_of_reference: str = ""  # UID of its DICOM frame of reference; empty for files that have none
 
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
@@ -272,16 +271,6 @@ def turn_slices(volume: Volume) -> Volume:
     order = [*np.delete(range(3), longest), longest]
     values = np.ascontiguousarray(volume.values.T.transpose(order).T)
     return replace(volume, values=values, spacing=volume.spacing[order], direction=volume.direction[:, order])
-
-
-def require_same_frame(part: Volume, frame_of_reference: str) -> None:
-    """Refuse what was drawn in another DICOM frame of reference than its scan's, where both are stated."""
-    own = part.frame_of_reference
-    if own and frame_of_reference and own != frame_of_reference:
-        raise refusal(f"""stands in another frame of reference than the scan: {own}, not {frame_of_reference}
-            expected: a segmentation that was drawn in this scan
-            fix: name the one that belongs to the scan; if both are in one place, though the identifiers
-                differ, save it as .seg.nrrd or NIfTI, which have none""")
 
 
 def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,9 +32,6 @@ CT_PACKAGES = ("SimpleITK", "pydicom", "nibabel")
 # A volume that is read more slowly, in processor time, is taken for one that never ends.
 READ_BYTES_PER_SECOND = 8 * 2**20
 SECONDS_PER_DICOM_HEADER = 0.1
-CONTOUR_BYTES = 2**30  # memory for the voxels of contours, which are as many as their reader chooses
-CONTOUR_SECONDS = 120  # processor time in which they are marked
-MAX_ARCHIVE_LEVELS = 2  # levels of archives inside an archive
 MAX_LISTED = 10
 UNPACKED_BYTES_PER_SECOND = 2**20  # the same for a DICOM header, and for compressed slices
 
@@ -82,7 +79,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
             raise unreadable_error(fault, DataError, str(folder)) from None
         seconds = len(sizes) * SECONDS_PER_DICOM_HEADER + sum(sizes) / UNPACKED_BYTES_PER_SECOND
         arguments = {"path": str(place), "series": series, "acquisition": acquisition}
-        reader = "needlefit.imaging.dicom.series:read_series"
+        reader = "needlefit.imaging.dicom:read_series"
         return _build_volume(
             *read_in_process(reader, place, arguments, max(sizes, default=0), seconds), place
         )
@@ -92,8 +89,7 @@ def read_volume(path: Path, series: str | None = None, acquisition: str | None =
 def unpacked(path: Path) -> Iterator[Path]:
     """Yield the path, or, of a .zip, a temporary folder with its files; errors then name the archive.
 
-    DataError if the archive is damaged, encrypted, too large or nested too deeply, or names a file outside
-    itself.
+    DataError if the archive is damaged, encrypted or too large, holds another, or names files outside itself.
     """
     if path.is_dir() or not path.name.lower().endswith(ARCHIVE_SUFFIX):
         yield path
@@ -121,7 +117,7 @@ def open_member(path: Path) -> Iterator[Path]:
 def unpack_scan(_arrays: Arrays, path: str, folder: str, total_bytes: int) -> None:
     """Unpack the archive of a scan; in the child process."""
     fix = f"pack it again, or unpack it and name the folder; {MEMORY_VARIABLE} grants more than the default"
-    unpack_archive(Path(path), Path(folder), total_bytes, MAX_ARCHIVE_LEVELS, fix)
+    unpack_archive(Path(path), Path(folder), total_bytes, fix)
 
 
 def _choose_member(folder: Path, series: str | None) -> tuple[Path, str | None]:
@@ -152,34 +148,6 @@ def read_labels_file(path: Path) -> tuple[Volume, dict[str, str]]:
     return _build_volume(parts, arrays, path), texts
 
 
-def read_structures(path: Path, names: Sequence[str] = ()) -> tuple[Volume, tuple[str, ...]]:
-    """Read a DICOM structure set: labels 1, 2, ..., and the name of each region.
-
-    `path`: an RTSTRUCT file, or a folder with one.
-    `names`: regions that are read, in this order; empty: all.
-
-    DataError, ConfigError: as `read_volume`; if a name is missing, regions overlap, or contours are open or
-    uneven.
-    """
-    with explain_missing_packages(*CT_PACKAGES):
-        size = sum(file.stat().st_size for file in ([path] if is_file(path) else list_files(path)))
-        seconds = CONTOUR_SECONDS + size / UNPACKED_BYTES_PER_SECOND
-        memory = CONTOUR_BYTES + 4 * size + 4 * max_voxels()
-        reader = "needlefit.imaging.dicom.contours:read_structures"
-        arguments = {"path": str(path), "names": list(names)}
-        parts, arrays = read_in_process(reader, path, arguments, memory, seconds)
-    return _build_volume(parts, arrays, path), tuple(map(str, parts.get("names", ())))
-
-
-def read_mask(path: Path) -> Volume:
-    """Read a volume that is above 0 in what it marks: an image file, an RTSTRUCT file, a .zip of one.
-
-    DataError, ConfigError: as `read_volume`.
-    """
-    with open_member(path) as place:
-        return read_volume(place) if is_image_file(place) else read_structures(place)[0]
-
-
 def is_image_file(place: Path) -> bool:
     """Return whether a path is, by its name, an image file rather than DICOM."""
     return not place.is_dir() and place.name.lower().endswith(IMAGE_SUFFIXES)
@@ -193,9 +161,7 @@ def _read_arrays(path: Path, labels: bool) -> tuple[Any, dict[str, NDArray[Any]]
         stored = sum(one.stat().st_size for one in path.parent.iterdir() if is_file(one))
     seconds = min(4 * max_voxels(), MAX_EXPANSION * stored) / READ_BYTES_PER_SECOND
     arguments = {"path": str(path), "stored": stored, "labels": labels}
-    nifti = path.name.lower().endswith((".nii", ".nii.gz"))
-    reader = "nifti_files:read_nifti" if nifti else "image_files:read_image"
-    return read_in_process(f"needlefit.imaging.{reader}", path, arguments, seconds=seconds)
+    return read_in_process("needlefit.imaging.image_files:read_image", path, arguments, seconds=seconds)
 
 
 def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
@@ -206,7 +172,7 @@ def _build_volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) ->
         values, warnings = arrays["values"], tuple(map(str, parts.get("warnings", ())))
         if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
             raise ValueError
-        return Volume(values, origin, spacing, direction, warnings, str(parts.get("frame_of_reference", "")))
+        return Volume(values, origin, spacing, direction, warnings)
     except (AttributeError, KeyError, TypeError, ValueError):
         raise refusal(f"""the process that read it gave no volume
             expected: {READABLE_VOLUMES}

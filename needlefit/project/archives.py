@@ -17,11 +17,11 @@ MAX_MEMBERS = 50_000  # files in an archive
 _ENCRYPTED = 1  # a bit of the flags of a member
 
 
-def unpack_archive(path: Path, folder: Path, total_bytes: int, levels: int, fix: str) -> int:
-    """Unpack an archive of at most `total_bytes` into a folder; return how many bytes were unpacked.
+def unpack_archive(path: Path, folder: Path, total_bytes: int, fix: str) -> None:
+    """Unpack an archive of at most `total_bytes` into a folder.
 
-    An archive inside it becomes a folder of its name, down to so many levels. DataError, with `fix`, if the
-    archive is encrypted, nested too deeply or holds too much; what `zipfile` raises if it is damaged.
+    DataError, with `fix`, if the archive is encrypted, holds another archive or too much; what `zipfile`
+    raises if it is damaged.
     """
 
     def error(what: str) -> DataError:
@@ -32,21 +32,15 @@ def unpack_archive(path: Path, folder: Path, total_bytes: int, levels: int, fix:
 
     with open_regular(path, MAX_ARCHIVE_BYTES) as file, zipfile.ZipFile(file) as archive:
         members = archive.infolist()
-        size = sum(one.file_size for one in members)
-        if size > total_bytes:
+        if sum(one.file_size for one in members) > total_bytes:
             raise error(f"unpacks to more than {total_bytes / 2**20:.0f} MiB")
         if len(members) > MAX_MEMBERS:
             raise error(f"holds {len(members)} files")
         if any(one.flag_bits & _ENCRYPTED for one in members):
             raise error("is encrypted")
-        unpacked = [Path(archive.extract(one, folder)) for one in members if not one.is_dir()]
-    for inner in (one for one in unpacked if one.name.lower().endswith(".zip")):
-        if not levels:
-            raise error("has archives inside archives, too many")
-        packed = inner.rename(inner.with_name(f"{inner.name}.packed"))
-        size += unpack_archive(packed, inner, total_bytes - size, levels - 1, fix)
-        packed.unlink()
-    return size
+        if any(one.filename.lower().endswith(".zip") for one in members):
+            raise error("holds an archive inside the archive")
+        archive.extractall(folder)
 
 
 @contextmanager

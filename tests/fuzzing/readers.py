@@ -153,7 +153,6 @@ READERS: dict[str, Reader] = {
     "labels": Reader(READ_LABELS, seeds.labels, NATIVE, packed=True),
     "dicom": Reader(READ_VOLUME, seeds.dicom, SLOWEST),
     "archive": Reader(READ_VOLUME, seeds.archives, SLOWEST),
-    "segmentation": Reader(READ_LABELS, seeds.segmentations, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 50),
     "recording": Reader(partial(_call, "planning.recording.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 20, packed=True),

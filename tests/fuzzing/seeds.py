@@ -263,25 +263,14 @@ def archives() -> list[Seed]:
     from dicom_series import a_slice, save
     from test_imaging_exports import directory, pack
 
-    def write(path: Path, method: int, inner: bool) -> None:
+    def write(path: Path, method: int) -> None:
         with tempfile.TemporaryDirectory() as name:
             content = Path(name)
             save(content / "s", [a_slice(k, np.full((4, 4), k, dtype=np.int16)) for k in range(3)])
             directory(content, ["s/000", "s/001"], a_slice(0).SeriesInstanceUID)
-            files = [("in.zip", pack(content / "in.zip", content).read_bytes())] if inner else content
-            pack(path, files, method)
+            pack(path, content, method)
 
-    return [
-        saved("scan.zip", write, method, inner)
-        for method, inner in ((zipfile.ZIP_STORED, False), (zipfile.ZIP_DEFLATED, False), (0, True))
-    ]
-
-
-def segmentations() -> list[Seed]:
-    from test_imaging_segmentations import cylinder, write_contours
-
-    regions = {"Body": cylinder(6.0), "Core": cylinder(2.0, 6.0, 12.0)}
-    return [saved("rt.dcm", write_contours, regions)]
+    return [saved("scan.zip", write, method) for method in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)]
 
 
 def meshes() -> list[Seed]:

@@ -25,8 +25,8 @@ from needlefit.imaging.needle.segmentation import (
     measure_component,
     principal_axes,
 )
-from needlefit.imaging.volume import Volume, require_same_frame, to_index, to_patient
-from needlefit.imaging.volume_files import read_mask
+from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume_files import read_volume
 from needlefit.schemas.reconstruction import ReconstructionRecord
 
 MASK_PIECE_MM = 4.0  # mm, length along a mask of which one point is taken
@@ -44,11 +44,10 @@ def read_mask_points(volume: Volume, path: Path) -> Floats:
 
     The mask is an image file, or a .zip of one; it may stand on other voxels than the scan's.
 
-    DataError if it marks nothing, or states another frame of reference than the scan.
+    DataError if it marks nothing.
     """
-    mask = read_mask(path)
+    mask = read_volume(path)
     with located(path):
-        require_same_frame(mask, volume.frame_of_reference)
         marked = to_patient(mask, np.argwhere(mask.values > 0)[:, ::-1])
         if len(marked) < MIN_COMPONENT_VOXELS:
             raise refusal(f"""the mask marks {len(marked)} voxels

@@ -1,1 +1,0 @@
-"""DICOM: `stack` (slices to a checked grid), `series` (find, read), `write`, `contours` (RTSTRUCT)."""
