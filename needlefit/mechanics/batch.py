@@ -447,8 +447,8 @@ def linearize_batches(
 
 
 Found = TypeVar("Found")  #: the shapes of a batch, or these and their derivatives
-#: nodes whose shapes are held at once: 60 bytes each, with derivatives 300
-NODES_AT_ONCE = 400_000
+#: nodes whose shapes are held at once: 60 bytes each, with derivatives about 2 kB of a fit of nine parameters
+NODES_AT_ONCE = 40_000
 
 
 def read_batches(
