@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from import_cases import curves_of, needle, planned, prepare, write_long, write_rows
+from import_cases import curves_of, needle, planned, prepare, write_long, write_rows, write_sheets
 from refusals import refusal
 
-from needlefit.datasets.importing.draft import Stated as StatedKeys
-from needlefit.datasets.importing.draft import draft_mapping
+from needlefit.datasets.importing.assignments import Assignments as StatedKeys
+from needlefit.datasets.importing.draft_files import draft_mapping
 from needlefit.datasets.importing.prepare import prepare_import
 from needlefit.datasets.importing.stated import Stated
-from needlefit.datasets.importing.synonyms import read_header
+from needlefit.datasets.importing.synonyms import read_header, translate_side
 from needlefit.datasets.importing.tables import parse_number
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.unit_warnings import GAUGES_MM
@@ -103,7 +103,7 @@ def test_headers_are_known_in_five_languages(text, meaning):
 )
 def test_a_bevel_is_understood_or_refused(text, unit, angle):
     """It is never a default."""
-    cell = Stated(text, unit, "a.csv:2")
+    cell = Stated(translate_side(text, unit), unit.replace("clock", ""), "a.csv:2")
     if angle is None:
         assert refusal(DataError, "bevel_side", cell.to_angle).where == "a.csv:2"
     else:
@@ -232,6 +232,96 @@ def test_known_answers_of_single_files():
     toward = [(row.bevel * row.side).round(6).tolist() for row in clock[:4]]
     assert toward == [[0, 1, 0], [0, 0, 1], [0, -1, 0], [0, 0, -1]]
     assert [row.tip_y * row.side for row in clock[:4]] == pytest.approx([0.56, 0.68, 0.84, 0.90])
+
+
+# ---- words and layouts that labs use in two ways
+
+FLAGGED = {(0, 5), (2, 7)}  # points that are wrong, and marked
+
+
+def long_rows(*more):
+    """A row a point: its needle, cells that `more` makes of needle and point, x, y, z."""
+    return [
+        [f"n{n}", *(make(n, k) for make in more), *point]
+        for n, one in enumerate(NEEDLES)
+        for k, point in enumerate(one.tolist())
+    ]
+
+
+TWO_WAYS = {
+    "x_filt": (["x_raw", "y_raw", "z_raw", "x_filt", "y_filt", "z_filt"], [lambda n, k: 9.0 * k] * 3),
+    "x_mm": (["x_px", "y_px", "z_px", "x_mm", "y_mm", "z_mm"], [lambda n, k: 9.0 * k] * 3),
+    "measured x": (
+        [f"{kind} {axis}" for kind in ("planned", "measured") for axis in "xyz"],
+        [lambda n, k: k] * 3,
+    ),
+    "excluded": (["valid", *"xyz"], [lambda n, k: int((n, k) not in FLAGGED)]),
+    "bevel_side.words": (["side", *"xyz"], [lambda n, k: "AB"[n % 2]]),
+    "bevel_side.unit": (["side", *"xyz"], [lambda n, k: 180 * (n % 2)]),
+    "specimen.column": (["phantom", *"xyz"], [lambda n, k: "PQ"[n % 2]]),
+    "holds=shapes": (["depth", *"xyz"], [lambda n, k: 4.0 * k]),
+}
+
+
+@pytest.mark.parametrize("answer", TWO_WAYS)
+def test_what_labs_use_in_two_ways_is_asked(tmp_path, answer):
+    head, more = TWO_WAYS[answer]
+    file = write_rows(tmp_path / "a.csv", [["needle", *head], *long_rows(*more)])
+    options = re.split(r"state |, or ", refusal(DataError, "needs an answer", prepare_import, [file]).fix)
+    words = shlex.split(next(option for option in options if answer in option))
+    stated = [word.split("=", 1) for word in words if word != "--set"]
+    prepared = prepare_import([file], stated)
+    for n, curve in enumerate(prepared.content.curves):
+        left_out = [k for m, k in FLAGGED if m == n and answer == "excluded"]
+        np.testing.assert_allclose(curve.line, np.delete(NEEDLES[n], left_out, axis=0))
+    sides = [1, -1, 1] if answer.startswith("bevel_side") else [1, 1, 1]
+    assert [row.side for row in prepared.plan.rows] == sides
+    if answer == "specimen.column":
+        assert [row.specimen for row in prepared.plan.rows] == ["P", "Q", "P"]
+
+
+def test_needles_of_the_same_names_are_of_several_sheets_or_specimens(tmp_path):
+    rows = [["needle", *"xyz"], *long_rows()]
+    file = write_sheets(tmp_path / "a.xlsx", **{"Phantom 1": rows, "Phantom 2": rows})
+    assert "--set specimen.source=sheet" in refusal(DataError, "Phantom 1, Phantom 2", prepare, [file]).fix
+    plan, _ = planned([file], specimen__source="sheet")
+    assert [row.specimen for row in plan.rows] == ["Phantom 1"] * 3 + ["Phantom 2"] * 3
+    both = [[*rows[0], "specimen"], *([*row, block] for block in "AB" for row in rows[1:])]
+    prepared = prepare([write_rows(tmp_path / "b.csv", both)])
+    assert [one.name for one in prepared.content.curves] == [f"n{n}-{b}" for b in "AB" for n in range(3)]
+    assert "needle" in prepared.mapping.assumed
+
+
+def test_rows_of_means_are_no_needles_and_headers_may_stand_in_the_first_column(tmp_path):
+    rows = [
+        ["needle", "depth", "deflection"],
+        ["a", 40, 2.5],
+        ["b", 60, 5.5],
+        ["mean", 50, 4],
+        ["SD", 14, 2.1],
+    ]
+    prepared = prepare([write_rows(tmp_path / "a.csv", rows)])
+    assert [row.depth for row in prepared.plan.rows] == [40, 60] and "excluded" in prepared.mapping.assumed
+    rows = [[f"{axis} [mm]", *NEEDLES[0][:, n]] for n, axis in enumerate("xyz")]
+    curves, draft = curves_of([write_rows(tmp_path / "b.csv", rows)])
+    assert draft.tables[0]["transposed"]
+    np.testing.assert_allclose(curves["b"].line, NEEDLES[0])
+
+
+@pytest.mark.parametrize(
+    ("separator", "make"),
+    [
+        (";", lambda value: f"{value:,.1f}".translate(str.maketrans(",.", ".,"))),
+        (",", lambda value: f'"{value:,.1f}"'),
+        (" ", lambda value: f"{value:.8E}".replace("E", "D")),
+    ],
+)
+def test_thousands_and_exponents_of_other_programs(tmp_path, separator, make):
+    rows = [[name, *(make(1e3 * value) for value in point)] for name, *point in long_rows()]
+    lines = [separator.join(row) for row in [["needle", "x[um]", "y[um]", "z[um]"], *rows]]
+    (tmp_path / "a.dat").write_text("\n".join(lines))
+    for curve, wanted in zip(curves_of([tmp_path / "a.dat"])[0].values(), NEEDLES, strict=True):
+        np.testing.assert_allclose(curve.line, wanted, atol=1e-4)
 
 
 # ---- what is assumed, and not used

@@ -131,9 +131,9 @@ def test_fields_of_a_struct_beside_curves_are_stated_of_them(tmp_path):
 
 def test_empty_cells_keep_the_values_of_the_others_in_their_places(tmp_path):
     needles = cells([CURVES[0], np.empty((0, 0)), CURVES[2], CURVES[3]])
-    content = content_of(tmp_path, needles=needles, side=[1, 2, 3, 4], block=cells(["p", "q", "r"]))
+    content = content_of(tmp_path, needles=needles, side=[1, -1, -1, 1], block=cells(["p", "q", "r"]))
     assert content.names == ["needles_1", "needles_3", "needles_4"]
-    assert stated(content, "side") == ["1", "3", "4"] and stated(content, "block") == ["p", "q", "r"]
+    assert stated(content, "side") == ["1", "-1", "1"] and stated(content, "block") == ["p", "q", "r"]
     assert "variable needles_2" in content.unused
 
 

@@ -213,9 +213,12 @@ def test_boundaries_are_stated_as_depths(tmp_path):
 def test_a_bevel_that_is_not_understood_or_missing_is_stated_by_needle_or_cell(tmp_path):
     answers = {"pose": "1,0,0", "bevel": "0,1,0"}
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["A"], ["B"], ["A"]])
-    assert refusal(DataError, "'A'", planned, [file], **answers).where.endswith(":2, column 2")
+    fix = refusal(DataError, "`A`, `B`", planned, [file], **answers).fix
+    assert """--set 'bevel_side.words={"A" = "1", "B" = "-1"}'""" in fix
+    plan, _ = planned([file], bevel_side__words='{"A" = "1", "B" = "-1"}', **answers)
+    assert [row.side for row in plan.rows] == [1, -1, 1]
     plan, made = planned([file], bevel_side="unten", **answers)
-    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("unten", "stated")
+    assert [row.side for row in plan.rows] == [-1] * 3 and made["bevel_side"] == ("180 deg", "stated")
     file = write_long(tmp_path, NEEDLES, head=["Schliff"], cells=[["1"], [""], ["-1"]])
     assert "n2" in refusal(DataError, "--set bevel_side", planned, [file], **answers).what
     plan, _ = planned([file], bevel_side="-1", **answers)

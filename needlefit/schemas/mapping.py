@@ -63,6 +63,8 @@ class TableRecord(Record):
     header_rows: tuple[int, ...] = (1,)
     """Numbers of the rows of headers, counted in the file; of several the texts of a column are joined.
     Without rows columns have numbers alone."""
+    transposed: bool = False
+    """Whether the headers stand in the first column: keys of rows are then those of columns."""
     skip_rows: tuple[int, ...] = ()
     """Numbers of further rows that are not read."""
     blocks: bool = False

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,46 +19,48 @@ from needlefit.datasets.importing.tables import (
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_bytes
 
-MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "inf", "-inf", "+inf")
+MISSING = ("nan", "na", "n/a", "-", "--", "null", "none", "missing", "#n/a", "#div/0!", "inf", "-inf", "+inf")
 MAX_HEADER_ROWS = 6
 SAMPLE_ROWS = 300  # rows by which separator and decimal sign are found
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which equally good ones are taken
+# Numbers in which a sign parts thousands, by their decimal sign: what is no other number.
+_GROUPED = {
+    ".": re.compile(r"-?\d{1,3}((,\d{3})+\.\d+|(,\d{3}){2,})"),
+    ",": re.compile(r"-?\d{1,3}((\.\d{3})+,\d+|(\.\d{3}){2,})"),
+}
+
+Rows = Sequence[Sequence[str]]
 
 
-def sniff_text(path: Path, keys: Mapping[str, str]) -> tuple[Grid, dict[str, Any]]:
-    """Return the cells of a text file, and how they are separated; `keys`: what is stated of it."""
+def sniff_text(path: Path, given: Mapping[str, Any]) -> tuple[Grid, dict[str, Any]]:
+    """Return the cells of a text file, and how they are separated; `given`: what is stated of it."""
     data = read_bytes(path, MAX_TABLE_BYTES)
-    encoding = keys.get("encoding", "")
+    encoding = given.get("encoding", "")
     text = decode(data, path, encoding)
     if not encoding and text.isascii() is False:
         encoding = _find_encoding(data)
         text = decode(data, path, encoding) if encoding else text
-    comment = keys.get(
-        "comment", next((sign for sign in ("%", "#") if re.search(rf"^{sign}", text, re.M)), "")
-    )
-    sample = [
+    first = next((sign for sign in "%#" if re.search(rf"^{sign}", text, re.M)), "")
+    comment = given.get("comment", first)
+    lines = [
         line for line in text.splitlines() if line.strip() and not (comment and line.startswith(comment))
     ]
-    sample = sample[: 2 * SAMPLE_ROWS]
+    sample = lines[: 2 * SAMPLE_ROWS]
     has_tabs = 2 * sum("\t" in line for line in sample) > len(sample)
     choices = [
         (separator, decimal)
-        for separator in ([keys["separator"]] if "separator" in keys else _SEPARATORS)
-        for decimal in (
-            [keys["decimal"]] if "decimal" in keys else (",", ".") if separator in ";\t" else (".", ",")
-        )
+        for separator in ([given["separator"]] if "separator" in given else _SEPARATORS)
+        for decimal in ([given["decimal"]] if "decimal" in given else ",." if separator in ";\t" else ".,")
         if separator != " " or not has_tabs
     ]
     separator, decimal = max(choices, key=lambda choice: _score(sample, path, *choice))
-    grid = split_text(text, path, separator)
-    thousands = keys.get("thousands", "")
-    if not thousands and decimal == "." and separator != ",":
-        cells = [cell for row in grid.rows[:SAMPLE_ROWS] for cell in row]
-        thousands = "," if any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", cell) for cell in cells) else ""
-    return grid, {
-        "files": [path.name], "separator": separator, "decimal": decimal, "thousands": thousands,
-        "encoding": encoding or "utf-8", "comment": comment,
-    }  # fmt: skip
+    return split_text(text, path, separator), {
+        "files": [path.name],
+        "separator": separator,
+        "decimal": decimal,
+        "encoding": encoding or "utf-8",
+        "comment": comment,
+    }
 
 
 def _find_encoding(data: bytes) -> str:
@@ -66,51 +69,86 @@ def _find_encoding(data: bytes) -> str:
         data.decode("utf-8-sig")
         return ""
     except UnicodeDecodeError:
-        texts = {name: data.decode(name, errors="replace") for name in ("cp1252", "gb18030")}
-    return max(texts, key=lambda name: sum(bool(read_header(part.strip()).meaning) for part in
-                                           re.split(r"[;,\t\n\r]", texts[name][:500])))  # fmt: skip
+        texts = {name: data.decode(name, errors="replace")[:500] for name in ("cp1252", "gb18030")}
+    parts = {name: re.split(r"[;,\t\n\r]", text) for name, text in texts.items()}
+    return max(parts, key=lambda name: sum(bool(read_header(part.strip()).meaning) for part in parts[name]))
 
 
 def _score(lines: Sequence[str], path: Path, separator: str, decimal: str) -> int:
     """Return how well a separator and a decimal sign explain lines: numbers in rows, less other cells."""
-    total = 0
     try:
         # line by line: quotes that are not closed are refused once the separator is known
         rows = [row for line in lines for row in split_text(line, path, separator).rows]
     except DataError:
         return -1
+    heads = [sum(bool(read_header(cell).meaning) for cell in row) for row in rows[:6]]
+    return _score_numbers(rows, decimal) + max([count for count in heads if count > 1], default=0)
+
+
+def _score_numbers(rows: Rows, decimal: str) -> int:
+    total = 0
     for row in rows[-SAMPLE_ROWS:]:  # a header may be long, the numbers stand at the end
         cells = [cell for cell in row if cell and cell.lower() not in MISSING]
-        numbers = sum(parse_number(cell, decimal) is not None for cell in cells)
+        numbers = sum(_is_number(cell, decimal) for cell in cells)
         total += 5 * numbers - 2 * len(cells) if numbers > 1 else 0
-    heads = [sum(bool(read_header(cell).meaning) for cell in row) for row in rows[:6]]
-    return total + max([one for one in heads if one > 1], default=0)
+    return total
 
 
-def find_header_rows(grid: Grid, decimal: str, comment: str) -> list[int]:
-    """Return the numbers of the rows of headers: the texts right above the first row of numbers."""
-    rows = grid.rows
-    numeric = [
-        n
-        for n, row in enumerate(rows)
-        if sum(parse_number(cell, decimal) is not None for cell in row) > (1 if len(row) > 2 else 0)
-        and not _is_head(row, comment)
+def _is_number(cell: str, decimal: str) -> bool:
+    return parse_number(cell, decimal) is not None or _GROUPED[decimal].fullmatch(cell) is not None
+
+
+# ---- rows
+
+
+def propose_layout(grid: Grid, keys: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keys of a table with those of its rows; beside them `unit`, that of lengths in remarks."""
+    keys = {**keys, **given}
+    if "decimal" not in keys:  # texts in a sheet
+        keys["decimal"] = max(".,", key=lambda sign: _score_numbers(grid.rows, sign))
+    decimal, comment = keys["decimal"], keys.get("comment", "")
+    cells = {cell for row in grid.rows[:SAMPLE_ROWS] for cell in row}
+    if "thousands" not in keys and any(map(_GROUPED[decimal].fullmatch, cells)):
+        keys["thousands"] = "," if decimal == "." else "."
+    if keys.setdefault("transposed", _is_transposed(grid.rows, decimal)):
+        grid = grid.transpose()
+    if "header_rows" not in keys:
+        keys["header_rows"] = _find_header_rows(grid.rows, decimal, comment)
+    keys.setdefault("blocks", _has_blocks(grid.rows, keys["header_rows"]))
+    return keys | {"unit": _find_stated_unit(grid.rows, comment)}
+
+
+def _is_transposed(rows: Rows, decimal: str) -> bool:
+    """Whether axes stand in the first column, each before its numbers."""
+    axes = [
+        read_header(row[0]).axis
+        for row in rows
+        if sum(_is_number(cell, decimal) for cell in row[1:]) == sum(map(bool, row[1:])) > 3
     ]
-    first = next((n for n in numeric if n + 1 in numeric or n + 1 >= len(rows) or not any(rows[n + 1])), None)
-    if first is None:
+    return {"x", "y"} <= {*axes}
+
+
+def _find_header_rows(rows: Rows, decimal: str, comment: str) -> list[int]:
+    """Return the numbers of the rows of headers: the texts right above the first long run of numbers."""
+    numeric = [
+        sum(_is_number(cell, decimal) for cell in row) > (len(row) > 2) and not _is_head(row, comment)
+        for row in rows
+    ]
+    runs = [[n for n, _ in run] for is_run, run in groupby(enumerate(numeric), lambda one: one[1]) if is_run]
+    longest = max(map(len, runs), default=0)
+    if not runs:
         known = [n for n, row in enumerate(rows) if sum(map(bool, row)) > 1 and _is_head(row, comment)]
         return [known[0] + 1] if known else []
+    first = next(run[0] for run in runs if 2 * len(run) >= longest)
     found = list[int]()
     for n in range(first - 1, max(first - 1 - MAX_HEADER_ROWS, -1), -1):
-        row = rows[n]
+        row, below = rows[n], rows[found[0] - 1] if found else ()
         filled = [cell for cell in row if cell]
         if not filled or (row[0].startswith(comment) and comment and found):
             break
-        if found and (
-            len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, rows[found[0] - 1]))
-        ):
+        if found and (len(filled) < 2 or (read_pair(row) is not None and not _is_label(row, below))):
             break
-        if (len(filled) < 2 or n in numeric) and not (found and _names_groups(row, rows[found[0] - 1])):
+        if (len(filled) < 2 or numeric[n]) and not (found and _names_groups(row, below)):
             break
         found.insert(0, n + 1)
     return found
@@ -135,34 +173,25 @@ def _is_head(row: Sequence[str], comment: str) -> bool:
     return sum(bool(one.meaning or one.axis) for one in known) > len(known) / 2
 
 
-def has_blocks(grid: Grid, numbers: Sequence[int], comment: str) -> bool:
+def _has_blocks(rows: Rows, numbers: Sequence[int]) -> bool:
     """Whether headers come again, or pairs that are known stand above them."""
     if not numbers:
         return False
-    head = [*grid.rows[numbers[-1] - 1]]
-    again = any([*row] == head for row in grid.rows[numbers[-1] :])
-    pairs = [read_pair(row) for row in grid.rows[: numbers[0] - 1] if any(row)]
-    known = [read_header(pair[0]).meaning in MEANINGS for pair in pairs if pair is not None]
-    titled = [pair for pair in pairs if pair and find_meaning("column", pair[1].split(" ")[0]) == "needle"]
-    return again or any(known) or bool(titled)
-
-
-def count_decimals(grid: Grid, decimal: str) -> int:
-    return sum(
-        parse_number(cell, decimal) is not None and not cell.isdecimal() for row in grid.rows for cell in row
+    head = [*rows[numbers[-1] - 1]]
+    pairs = [pair for row in rows[: numbers[0] - 1] if any(row) and (pair := read_pair(row)) is not None]
+    return (
+        any([*row] == head for row in rows[numbers[-1] :])
+        or any(read_header(name).meaning in MEANINGS for name, _ in pairs)
+        or any(find_meaning("column", value.split(" ")[0]) == "needle" for _, value in pairs)
     )
 
 
-def find_stated_unit(grid: Grid, comment: str) -> str:
+def _find_stated_unit(rows: Rows, comment: str) -> str:
     """Return the unit of lengths that a line of remarks states, as `% Length unit: m`."""
     remarks = [
-        read_pair([" ".join(row).lstrip(comment)]) for row in grid.rows if comment and _starts(row, comment)
+        read_pair([" ".join(row).lstrip(comment)])
+        for row in rows
+        if comment and row and row[0].startswith(comment)
     ]
-    units = [
-        find_meaning("unit", pair[1]) for pair in remarks if pair and pair[0].casefold().endswith("unit")
-    ]
+    units = [find_meaning("unit", pair[1]) for pair in remarks if pair and pair[0].lower().endswith("unit")]
     return next((unit for unit in units if unit in UNITS_MM), "")
-
-
-def _starts(row: Sequence[str], comment: str) -> bool:
-    return bool(row) and row[0].startswith(comment)

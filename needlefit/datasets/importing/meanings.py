@@ -1,5 +1,6 @@
-"""What the cells of a lab's tables may mean: the keys of a mapping, their units and usual values."""
+"""What cells of a lab's tables may mean: keys of a mapping; and what is asked where words are ambiguous."""
 
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -77,8 +78,87 @@ ROWS = MappingProxyType(
         "curvature_y": Meaning("Curvature toward y (up)", "1/mm"),
         "curvature_z": Meaning("Curvature toward z (right)", "1/mm"),
         "curvature_sd": Meaning("Standard deviation of a curvature", "1/mm"),
+        "excluded": Meaning("Rows that are left out: those whose word is `excluded`"),
     }
 )
 """What stands in the rows of a table."""
 
 MEANINGS = MappingProxyType({**VALUES, **ROWS})
+
+
+class Question(NamedTuple):
+    """A question that only a person can answer: each answer states keys of the mapping.
+
+    Names in braces are filled in with what stands in the file.
+    """
+
+    key: str
+    text: str
+    answers: Mapping[str, Mapping[str, str]] = MappingProxyType({})  # none: the value itself is asked for
+
+
+def _choose(key: str, *answers: str) -> dict[str, dict[str, str]]:
+    return {answer: {key: answer} for answer in answers}
+
+
+QUESTIONS = MappingProxyType(
+    {
+        "bevel_angle": Question(
+            "bevel_side",
+            "What `{name}` is: the roll of the bevel about the needle, or the angle of its cut",
+            {
+                "roll": {"bevel_side.column": "{name}", "bevel_side.unit": "deg"},
+                "cut": {"bevel_side": "1"},
+            },
+        ),
+        "point_sd": Question(
+            "point_sd",
+            "Of what `{name}` is the standard deviation: one trial (then divided by the root of `{count}`), "
+            "or the mean",
+            {
+                "trial": {"point_sd.column": "{name}", "point_sd.divide_by_root": "{count}"},
+                "mean": {"point_sd.column": "{name}"},
+            },
+        ),
+        "modulus": Question(
+            "modulus",
+            "Whose Young's modulus `{name}` is: of the needle, or of the tissue (not used)",
+            {
+                "needle": {"modulus.column": "{name}", "modulus.unit": "{unit}"},
+                "tissue": {"modulus": "steel"},
+            },
+        ),
+        "medium": Question(
+            "medium",
+            "What differs between values of `{name}`: the gel (medium), or the block (specimen)",
+            {"medium": {"medium.column": "{name}"}, "specimen": {"specimen.column": "{name}"}},
+        ),
+        "source": Question(
+            "specimen",
+            "{places} hold needles of the same names. What each {source} is: a specimen of its own "
+            "(`specimen`), or further insertions (`insertions`)",
+            {"specimen": {"specimen.source": "{source}"}, "insertions": {"specimen": "each"}},
+        ),
+        "bevel_side": Question("bevel_side", "Where bevels face whose side is {names} in `{name}`"),
+        "excluded": Question("excluded", "Which value of `{name}` marks rows that are to be left out"),
+        "points": Question("y", "{names} are side by side. Which of them are the points of the needles"),
+        "deflection": Question("deflection.column", "Which column is the deflection of the tip"),
+        "layout": Question(
+            "layout",
+            "Each row has {count} places. What is a needle: each row, or each group of columns",
+            {"rows": {"layout": "wide"}, "columns": {"layout": "long"}},
+        ),
+        "labels": Question(
+            "holds",
+            "Each row has a name of its own. What the rows are: points of one needle (`shapes`), or `tips`",
+            _choose("holds", "shapes", "tips"),
+        ),
+        "readings": Question(
+            "holds",
+            "What the rows are: points of `shapes` of needles, or readings of a tip on its way (`tracks`)",
+            _choose("holds", "shapes", "tracks"),
+        ),
+        "column": Question("{key}.column", "Which column is: {text}"),
+    }
+)
+"""What is asked where a header or a layout may mean two things."""

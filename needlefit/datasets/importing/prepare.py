@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from needlefit.datasets.importing.assignments import Assignments
 from needlefit.datasets.importing.curves import ImportContent
-from needlefit.datasets.importing.draft import COORDINATES, Draft, Open, Stated, draft_mapping
+from needlefit.datasets.importing.draft import Draft, Open
+from needlefit.datasets.importing.draft_files import draft_mapping
+from needlefit.datasets.importing.draft_table import COORDINATES, POINTS
 from needlefit.datasets.importing.examples import find_examples
 from needlefit.datasets.importing.meanings import MEANINGS
 from needlefit.datasets.importing.place import ImportPlan, Planner
@@ -97,8 +100,8 @@ def _load(mapping: Path, assignments: Sequence[tuple[str, str]]) -> MappingRecor
     if not assignments:
         return record
     keys = record.model_dump(mode="json", exclude_defaults=True, by_alias=True)
-    stated = Stated(assignments)
-    pairs = [*((f"values.{key}", text) for key, text in stated.values.items()), *stated.single]
+    stated = Assignments(assignments)
+    pairs = [*((f"values.{key}", text) for key, text in stated.values.items()), *stated.numbered]
     if stated.origin:
         pairs.append(("origin", stated.origin))
     if stated.columns or stated.table or stated.unit:
@@ -133,16 +136,27 @@ def complete_draft(
 ) -> tuple[Draft, list[Path]]:
     """Return a draft without open questions: answers are stated as if by `--set`, and it is drafted again."""
     while True:
-        draft, files = draft_mapping(paths, Stated(assignments))
+        draft, files = draft_mapping(paths, Assignments(assignments))
         opens = draft.opens or _find_open_columns(draft, paths) or [*_settle_unit(draft, files)]
         if not opens:
             return draft, files
         if prompt is None:
             raise refusal(f"""needs an answer. {" ".join(one.question + "." for one in opens)}
                 expected: an answer to {"each" if len(opens) > 1 else "it"}
-                fix: {"; ".join(one.describe_fix() for one in opens)}
+                fix: {"; ".join(_list_fixes(opens))}
                 where: {opens[0].where or paths[0]}""")
         assignments += _ask(opens[0], prompt)
+
+
+def _list_fixes(opens: Sequence[Open]) -> Iterator[str]:
+    """Yield what states the answers: of values together, else one of several."""
+    plain = [name_set(one.key) for one in opens if not one.choices]
+    if plain:
+        yield f"state {' '.join(plain)}"
+    for one in opens:
+        if one.choices:
+            options = (" ".join(map(name_set, keys, keys.values())) for keys in one.choices.values())
+            yield f"state {', or '.join(options)}"
 
 
 def _ask(question: Open, prompt: Prompt) -> list[tuple[str, str]]:
@@ -166,7 +180,7 @@ def _find_open_columns(draft: Draft, paths: Sequence[Path]) -> list[Open]:
     return [
         Open(
             f"{axis}.column",
-            f"Which column is the coordinate {axis} of the points ({tables or paths[0]})",
+            f"Which column is the coordinate {axis} of the points (z too, if measured; {tables or paths[0]})",
             {},
             str(paths[0]),
         )
@@ -180,36 +194,29 @@ def _settle_unit(draft: Draft, files: Sequence[Path]) -> Iterator[Open]:
         record
         for table in draft.tables
         for meaning, record in table["columns"].items()
-        if meaning in COORDINATES
-        if not record.get("unit")
-        and "unit_column" not in record
-        and table["holds"] in ("shapes", "tips", "tracks")
+        if meaning in COORDINATES and "unit_column" not in record and table["holds"] in POINTS
+        if record.get("unit", "px") == "px"
     ]
     if not unknown:
+        return
+    question = "Unit of coordinates that state none, or the length of one step of a pixel (0.07 mm): "
+    if any("unit" in record for record in unknown):
+        yield Open("unit", f"{question}a header states pixels", {}, str(files[0]))
         return
     content = read_mapped(draft.to_record("the draft of the mapping"), files, "the draft of the mapping")
     lines = [one.line for one in content.curves if len(one.line)]
     longest = max((one.reach for one in content.curves), default=0.0)
     low, high = ASSUMED_MM
-    whole = all((line == np.round(line)).all() for line in lines)
-    if low <= longest <= high and not whole:
+    if all((line == np.round(line)).all() for line in lines):
+        yield Open("unit", f"{question}all coordinates are whole numbers, as of pixels", {}, str(files[0]))
+    elif low <= longest <= high:
         for record in unknown:
             record["unit"] = "mm"
         draft.assumed["unit"] = f"mm: the longest needle is then {longest:.3g} mm long"
-        return
-    likely = [name for name, mm in UNITS_MM.items() if low <= mm * longest <= high]
-    why = (
-        "all coordinates are whole numbers, as of pixels"
-        if whole
-        else f"in mm the longest needle is {longest:,.3g} mm long"
-    )
-    question = f"Unit of coordinates that state none, or the length of one step of a pixel (0.07 mm): {why}"
-    yield Open(
-        "unit",
-        question + (f", in {' or '.join(likely)} that of a needle" if likely else ""),
-        {},
-        str(files[0]),
-    )
+    else:
+        likely = {name: {"unit": name} for name, mm in UNITS_MM.items() if low <= mm * longest <= high}
+        question += f"in mm the longest needle is {longest:,.3g} mm long"
+        yield Open("unit", question, likely, str(files[0]))
 
 
 def _require_lengths(content: ImportContent) -> None:

@@ -60,6 +60,11 @@ class MappedTable:
         """Return the option that states a key of this table, as `columns.x.unit`."""
         return name_set(f"tables.{self.number}.{key}", value)
 
+    @property
+    def kept_rows(self) -> list[int]:
+        """The rows that are not marked as excluded."""
+        return [n for n, cells in enumerate(self.read_cells("excluded")) if "excluded" not in cells]
+
     def where(self, n: int, meaning: str) -> str:
         """Return the place of the cell of a meaning in a row."""
         record = self.record.columns.get(meaning)
@@ -124,10 +129,11 @@ class MappedTable:
         """Return a cell in mm or 1/mm; DataError if it is no number."""
         if (value := self.table.number(text)) is None:
             missing = self.name_edit("missing", f'["{text[:20]}"]')
+            missing = f"; or, if it was not measured: {missing} {self.name_edit('if_missing', 'leave_out')}"
+            missing = missing if not any(map(str.isdigit, text)) else ""
             raise refusal(f"""{meaning} is {text[:40]!r}
                 expected: a number with the decimal sign {self.table.decimal!r}
-                fix: correct the cell; or, if it was not measured: {missing}
-                    {self.name_edit("if_missing", "leave_out")}
+                fix: write one number in each cell{missing}
                 where: {self.where(n, meaning)}""")
         return value * self.read_factor(meaning, n)
 
@@ -225,8 +231,9 @@ def _read_points(one: MappedTable, left_out: list[str]) -> Iterator[ImportedCurv
         yield from _read_wide(one)
         return
     rows = defaultdict[str, list[int]](list)
-    for n, name in enumerate(_read_names(one)):
-        rows[name].append(n)
+    names = _read_names(one)
+    for n in one.kept_rows:
+        rows[names[n]].append(n)
     is_deflection = "deflection" in one.record.columns
     axes = ("depth", "deflection", "deflection_z") if is_deflection else ("x", "y", "z")
     cells = {axis: one.read_cells(axis) for axis in axes if axis in one.record.columns}
@@ -408,7 +415,8 @@ def _add_rows(one: MappedTable, curves: list[ImportedCurve]) -> None:
             if name and _match(name, known) is None
         ]
     rows = defaultdict[str, list[int]](list)
-    for n, name in enumerate(names):
+    for n in one.kept_rows:
+        name = names[n]
         if not name and any(any(one.read_cells(what)[n]) for what in one.record.columns):
             raise refusal(f"""names no {one.record.of}
                 expected: a name in each row
@@ -502,8 +510,8 @@ def make_unique(name: str, taken: Iterable[str]) -> str:
 
 def _match(name: str, known: Iterable[str]) -> str | None:
     """Return which of some names is the same: its id, or its number is (`1`, `1.0`, `01`)."""
-    keys: tuple[Callable[[str], str], ...] = (_make_key, _make_number_key)
-    for make in keys:
+    keys: tuple[Callable[[str], str], ...] = (_make_key, _make_number_key, _find_number)
+    for make in keys if name.isdecimal() else keys[:2]:
         found = [one for one in known if make(one) == make(name)]
         if len(found) == 1:
             return found[0]
@@ -518,6 +526,12 @@ def _make_number_key(name: str) -> str:
     """Return a name without zeros that change no number: 1 for `1.0` and `01`, n1 for `n01`; not 1.10."""
     whole = re.sub(r"^(\d+)\.0+$", r"\1", _make_key(name))
     return re.sub(r"(?<![\d.])0+(?=\d)", "", whole)
+
+
+def _find_number(name: str) -> str:
+    """Return the number at the end of a name: 3 for `needle_03`."""
+    match = re.search(r"0*(\d+)$", name)
+    return match[1] if match else name
 
 
 def _require_found(one: MappedTable, matched: Mapping[str, list[str]], keys: Mapping[str, str]) -> None:

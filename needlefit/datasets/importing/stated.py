@@ -10,7 +10,7 @@ import numpy as np
 
 from needlefit.arrays import Floats
 from needlefit.datasets.importing.meanings import VALUES
-from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, find_meaning, read_quantity
+from needlefit.datasets.importing.synonyms import UNITS_GPA, UNITS_MM, read_quantity
 from needlefit.datasets.points import MAX_COORDINATE
 from needlefit.errors import DataError, refusal
 from needlefit.project.locate import join_names
@@ -82,24 +82,18 @@ class Stated:
     def to_angle(self) -> float:
         """Return the direction that a bevel faces, degrees: clockwise from up, seen along the needle.
 
-        DataError if the cell is not understood.
+        1 is 0 degrees, -1 is 180. DataError if the cell is not understood.
         """
-        text = self.text.replace("\u2212", "-").strip()
-        word = find_meaning("value", {"+": "up", "-": "down"}.get(text, text))
-        value, own = read_quantity(word if word.endswith(" deg") else text) or (float("nan"), "")
+        value, own = read_quantity(self.text) or (float("nan"), "")
         unit = own or self.unit
         if value in (1.0, -1.0) and not unit:
             return 90.0 - 90.0 * value
         turn = round(np.degrees(value) / 45.0) if 0.5 < abs(value) < 6.3 else 0  # in eighths, were it rad
         if unit == "deg" and not own and turn and abs(np.degrees(value) - 45.0 * turn) < 0.5:
             raise self.error("bevel_side", f"degrees; in radians it would be {np.degrees(value):.4g}")
-        if (unit == "deg" and abs(value) <= 360.0) or (unit == "clock" and 0 < value <= 12):
-            return value if unit == "deg" else 30.0 * (value % 12)
-        expected = "1 or -1, up, down, left or right, degrees (90 deg), or a clock position (3 o'clock)"
-        fix = ""
-        if re.fullmatch(r"[-+\d.,]+", text):
-            fix = 'state the unit (bevel_side.unit = "deg"), or the words (bevel_side.words), in the mapping'
-        raise self.error("bevel_side", expected, fix)
+        if unit == "deg" and abs(value) <= 360.0:
+            return value
+        raise self.error("bevel_side", "1 or -1, or degrees: 90 deg")
 
     def error(self, what: str, expected: str, fix: str = "") -> DataError:
         """Return the error of a cell that is not understood."""

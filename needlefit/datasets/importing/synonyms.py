@@ -32,6 +32,7 @@ class Header:
     axis: str = ""
     group: str = ""
     unit: str = ""
+    beside: str = ""  # what the words beside an axis mean: `tip x`
 
 
 @cache
@@ -50,7 +51,7 @@ def _load() -> dict[tuple[str, str], tuple[str, str]]:
 
 
 @cache
-def load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+def _load_axes() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
     """Return the headers that are axes only together: their system, usual unit, and names of x, y and z."""
     with FILE.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.reader(file) if row[0] == "axes"]
@@ -99,8 +100,8 @@ def read_header(text: str) -> Header:
     words = _split(plain)
     meaning, usual = _look_up("column", words)
     if not meaning and len(words) > 1 and words[-1].isdecimal():
-        numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several
-        meaning = "boundaries" if numbered == "boundaries" else ""
+        numbered, usual = _look_up("column", words[:-1])  # `boundary 2` is one of several, `deflection 2` too
+        meaning = numbered if numbered in ("boundaries", "deflection") else ""
     if meaning:  # lengths without a unit have that of the coordinates
         known = unit if usual in UNITS_MM or find_meaning("unit", unit) else ""
         return Header(text, meaning, unit=known or ("" if usual in UNITS_MM else usual))
@@ -114,7 +115,37 @@ def read_header(text: str) -> Header:
     beside = _look_up("column", rest)[0] if rest else ""
     own = re.sub(rf"(?<![a-z]){axes[0]}(?![a-z])", " ", _CAMEL.sub(" ", plain), count=1, flags=re.IGNORECASE)
     group = "" if beside in _POINT_WORDS or not rest else beside or own.strip(" _-.:#")
-    return Header(text, "", axes[0], group, unit)
+    return Header(text, "", axes[0], group, unit, beside)
+
+
+def name_axes(headers: Sequence[Header]) -> tuple[list[Header], dict[str, int]]:
+    """Return headers some of which are axes only together, as `r, a, s`; and the signs of axes in LPS."""
+    words = ["".join(split_unit(one.text)[0].casefold().split()) for one in headers]
+    for system, usual, names in _load_axes():
+        if {*names} <= {*words}:
+            axes = dict(zip(names, "xyz", strict=False))
+            named = [
+                Header(one.text, "", axes[word], "", one.unit or usual) if word in axes else one
+                for one, word in zip(headers, words, strict=True)
+            ]
+            return named, {"x": -1, "y": -1} if system == "RAS" else {}
+    return [*headers], {}
+
+
+def translate_side(text: str, unit: str) -> str:
+    """Return where a bevel faces in degrees, of a word or a clock position; any other text as it is."""
+    text = {"+": "1", "-": "-1"}.get(text, text)
+    if (word := find_meaning("value", text)).endswith(" deg"):
+        return word
+    value, own = read_quantity(text) or (0.0, "")
+    is_clock = (own or unit) == "clock" and 0 < value <= 12
+    return f"{30 * (value % 12):g} deg" if is_clock else text
+
+
+def is_side(text: str, unit: str) -> bool:
+    """Whether a text states a side of a bevel by itself: 1 or -1, or degrees."""
+    value, own = read_quantity(text) or (0.0, "")
+    return (own or unit) == "deg" or (value in (1.0, -1.0) and not own)
 
 
 def read_quantity(text: str) -> tuple[float, str] | None:

@@ -22,7 +22,7 @@ from needlefit.project.input_files import open_regular, path_exists, read_bytes
 from needlefit.project.reader_process import BYTES_PER_SECOND, READER_BYTES, Arrays, read_in_process
 from needlefit.schemas.mapping import ColumnName, TableRecord
 
-TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc")
+TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".asc", ".lvm")
 SHEET_SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 MAX_TABLE_BYTES = 16 * 2**20  # of a text table
 MAX_TABLE_CELLS = 1_000_000  # of any table; empty cells count
@@ -35,7 +35,7 @@ EXPORT_FIXES = {
     ".dcm": "RT structure sets are read; scans are read by `needlefit reconstruct`",
 }
 
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([ed][-+]?\d+)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,19 @@ class Grid:
     rows: Sequence[Sequence[str]]  # blank rows are among them; rows may differ in length
     sheet: str = ""  # empty for a text file
     lines: Sequence[int] = ()  # of the file, on which a row begins; empty: row n is line n
+    is_transposed: bool = False  # its rows are columns of the file
 
     def where(self, row: int) -> str:
         """Return the place of a row, counted from 0."""
-        if self.sheet:
-            return f"{self.path}, sheet {self.sheet}, row {row + 1}"
+        if self.sheet or self.is_transposed:
+            place = f"{self.path}, sheet {self.sheet}" if self.sheet else f"{self.path}"
+            return f"{place}, {'column' if self.is_transposed else 'row'} {row + 1}"
         return f"{self.path}:{self.lines[row] if self.lines else row + 1}"
+
+    def transpose(self) -> "Grid":
+        """Return the grid whose rows are the columns of this one."""
+        rows = [[*row] for row in zip_longest(*self.rows, fillvalue="")]
+        return Grid(self.path, rows, self.sheet, is_transposed=True)
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def parse_number(text: str, decimal: str = ".", thousands: str = "") -> float | 
     plain = plain.replace(thousands, "") if thousands else plain
     if decimal == ",":
         plain = plain.replace(",", ".") if "." not in plain and plain.count(",") < 2 else "?"
-    value = float(plain) if _NUMBER.fullmatch(plain) else None
+    value = float(plain.lower().replace("d", "e")) if _NUMBER.fullmatch(plain) else None
     return value if value is not None and abs(value) <= MAX_COORDINATE else None
 
 
@@ -104,6 +111,7 @@ def lay_out(grid: Grid, record: TableRecord) -> Table:
     """
     if record.layout == "pairs":
         return _lay_out_pairs(grid, record)
+    grid = grid.transpose() if record.transposed else grid
     heads = _read_heads(grid, record)
     headers = [" ".join(filter(None, texts)) for texts in zip_longest(*heads, fillvalue="")]
     start = max(record.header_rows, default=0)

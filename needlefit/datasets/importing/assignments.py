@@ -1,0 +1,48 @@
+"""What a person states of a mapping before it is drafted: `--set KEY=VALUE`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from needlefit.datasets.importing.meanings import MEANINGS, VALUES
+from needlefit.datasets.importing.synonyms import translate_side
+from needlefit.errors import ConfigError
+from needlefit.project.toml import override
+from needlefit.schemas.mapping import TableRecord
+
+TABLE_KEYS = tuple(key for key in TableRecord.model_fields if key not in ("files", "columns"))
+PARSED_PARTS = ("words", "sign")  # of a meaning; the others are texts
+
+
+class Assignments:
+    """The assignments by what they state: values of all needles, columns, keys of every table or of one.
+
+    ConfigError if a key is not known.
+    """
+
+    def __init__(self, pairs: Sequence[tuple[str, str]] = ()) -> None:
+        self.values = dict[str, str]()  # by meaning
+        self.columns = dict[str, dict[str, Any]]()  # by meaning and part
+        self.table = dict[str, Any]()  # keys of every table
+        self.numbered = list[tuple[str, str]]()  # `tables.2.sheet`
+        self.unit = self.origin = ""
+        for key, text in pairs:
+            head, _, part = key.partition(".")
+            if key in VALUES:
+                self.values[key] = translate_side(text, "") if key == "bevel_side" else text
+            elif key in ("unit", "origin"):
+                setattr(self, key, text)
+            elif head == "tables":
+                self.numbered.append((key, text))
+            elif key in TABLE_KEYS:
+                self.table |= override({}, [(key, text)], "--set")
+            elif head in MEANINGS:
+                part = part or "column"
+                is_parsed = part in PARSED_PARTS
+                self.columns.setdefault(head, {})[part] = (
+                    override({}, [(part, text)], "--set")[part] if is_parsed else text
+                )
+            else:
+                raise ConfigError.of(f"""--set {key}={text[:40]}: there is no key `{key}`
+                    expected: unit, origin, {", ".join(TABLE_KEYS)}, {", ".join(VALUES)}, or MEANING.column of
+                        {", ".join(MEANINGS)}
+                    fix: correct the key""")

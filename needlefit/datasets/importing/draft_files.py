@@ -1,0 +1,164 @@
+"""Propose a mapping of files that nobody has described: what is sure, what is assumed, and what is open.
+
+It reads no needle: a person sees what is proposed, and `read` goes by that.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from needlefit.datasets.importing.assignments import Assignments
+from needlefit.datasets.importing.draft import Draft
+from needlefit.datasets.importing.draft_table import TableDraft
+from needlefit.datasets.importing.examples import EXAMPLE_SHEET
+from needlefit.datasets.importing.layout import propose_layout, sniff_text
+from needlefit.datasets.importing.meanings import VALUES
+from needlefit.datasets.importing.read import MAX_CURVES
+from needlefit.datasets.importing.synonyms import find_meaning, split_unit
+from needlefit.datasets.importing.tables import (
+    SHEET_SUFFIXES,
+    TEXT_SUFFIXES,
+    Grid,
+    lay_out,
+    read_sheets,
+    read_structured,
+)
+from needlefit.errors import refusal
+from needlefit.geometry.surfaces import READ_SUFFIXES
+from needlefit.project.input_files import is_dir, is_file, path_exists
+from needlefit.project.locate import join_names
+from needlefit.project.toml import check, override
+from needlefit.schemas.mapping import TableRecord
+
+SETUP_SHEET, GUIDE_SHEET = "setup", "read me"  # of the workbook to fill in
+MAPPING_TEXTS = ("title", "source", "license", "entry", "bevel", "guide")  # values that are no columns
+
+
+def draft_mapping(paths: Sequence[Path], stated: Assignments) -> tuple[Draft, list[Path]]:
+    """Return the proposed mapping of files and of the readable files of folders, and these files.
+
+    DataError of a file that cannot be read, or holds a dataset already.
+    """
+    draft = Draft(values=dict(stated.values), origin=stated.origin or "measured")
+    files = [*_list_files(paths, draft)]
+    if len(files) > MAX_CURVES:
+        raise refusal(f"""{len(files)} files are named
+            expected: at most {MAX_CURVES}
+            fix: name the folder of the needles""")
+    for path in files:
+        suffix = path.suffix.lower()
+        if suffix in READ_SUFFIXES:
+            draft.surfaces.append(path.name)
+        elif suffix in TEXT_SUFFIXES:
+            _draft_grid(*sniff_text(path, stated.table), draft, stated)
+        elif suffix in SHEET_SUFFIXES:
+            _draft_workbook(path, draft, stated)
+        else:
+            table, remarks = read_structured(path)
+            draft.unused += [(remark, path.name) for remark in remarks]
+            TableDraft(table, {"files": [path.name]}, draft, stated).propose()
+    if "specimen" not in stated.columns and "specimen" not in draft.values:
+        _ask_sources(draft)
+    for key, text in stated.numbered:
+        (draft.tables,) = override({"tables": draft.tables}, [(key, text)], "--set").values()
+    return draft, files
+
+
+def _list_files(paths: Iterable[Path], draft: Draft) -> Iterator[Path]:
+    """Yield the files that are named, or stand in a folder that is."""
+    from needlefit.datasets.formats import FORMATS
+
+    known = (
+        *TEXT_SUFFIXES,
+        *SHEET_SUFFIXES,
+        *READ_SUFFIXES,
+        *(end for one in FORMATS.values() for end in one.suffixes),
+    )
+    for path in paths:
+        if is_file(own := path if path.name == "dataset.toml" else path / "dataset.toml"):
+            raise refusal(f"""is a dataset already
+                expected: files of other programs
+                fix: use it as it is: needlefit check {own}
+                where: {path}""")
+        if not is_dir(path):
+            if not path_exists(path):
+                raise refusal(f"""there is no such file
+                    fix: check the name and the path
+                    where: {path}""")
+            yield path
+            continue
+        for one in sorted(path.iterdir()):
+            if one.is_dir():
+                draft.unused.append((f"folder {one.name}", "it is not searched: name it"))
+            elif not one.name.lower().endswith(known) or one.name.startswith((".", "~$")):
+                draft.unused.append((f"file {one.name}", "its name"))
+            else:
+                yield one
+
+
+def _ask_sources(draft: Draft) -> None:
+    """Ask what sheets, or files, are whose needles have the same names."""
+    places = [
+        place
+        for place, names in draft.needles.items()
+        if any(names & others for other, others in draft.needles.items() if other != place)
+    ]
+    if places:
+        source = "sheet" if len({file for file, _ in places}) == 1 else "file"
+        listed = join_names([sheet if source == "sheet" else file for file, sheet in places], 4)
+        draft.ask("source", places[0][0], source=source, places=f"{source.capitalize()}s {listed}")
+
+
+# ---- sheets and grids
+
+
+def _draft_workbook(path: Path, draft: Draft, stated: Assignments) -> None:
+    """Propose the sheets of a workbook; those that begin with `example` where no other one is filled in."""
+    sheets = [one for one in read_sheets(path) if one.sheet.lower() != GUIDE_SHEET]
+    own = [one for one in sheets if not one.sheet.lower().startswith(EXAMPLE_SHEET)]
+    filled = [one for one in own if one.sheet.lower() != SETUP_SHEET and sum(map(any, one.rows)) > 1]
+    chosen = own if filled or len(own) == len(sheets) else [one for one in sheets if one not in own]
+    for grid in sheets:
+        keys = {"files": [path.name], "sheet": grid.sheet}
+        if grid not in chosen:
+            draft.unused.append((f"sheet {grid.sheet}", path.name))
+        elif grid.sheet.lower().removeprefix(EXAMPLE_SHEET).strip() == SETUP_SHEET:
+            keys |= {"layout": "pairs", "holds": "facts", "of": "all"}
+            _draft_values(grid, keys, draft, stated)
+        else:
+            _draft_grid(grid, keys, draft, stated)
+
+
+def _draft_values(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
+    """Propose what a sheet of names and values states of all."""
+    table = lay_out(grid, check(keys, TableRecord, grid.path))
+    columns = dict[str, dict[str, Any]]()
+    texts = table.rows[0] if table.rows else ()
+    for name, header, text in zip(table.first_headers[0], table.headers, texts, strict=False):
+        plain, unit = split_unit(name)
+        key = "_".join(plain.lower().replace("_", " ").split())
+        key = key if key in VALUES or key == "origin" else find_meaning("column", plain)
+        if key == "origin":
+            draft.origin = stated.origin or text
+        elif key in MAPPING_TEXTS:
+            draft.values.setdefault(key, text)
+        elif key not in VALUES:
+            draft.unused.append((f"row {name} = {text}", f"{grid.path.name}, sheet {grid.sheet}"))
+        elif key not in stated.values:
+            unit = unit or split_unit(header)[1]
+            columns[key] = {"column": header} | ({"unit": unit} if unit else {})
+    if columns:
+        draft.add(keys | {"columns": columns}, grid.path)
+
+
+def _draft_grid(grid: Grid, keys: dict[str, Any], draft: Draft, stated: Assignments) -> None:
+    if not any(map(any, grid.rows)):
+        draft.unused.append((f"sheet {grid.sheet}" if grid.sheet else f"file {grid.path.name}", "empty"))
+        return
+    keys = propose_layout(grid, keys, stated.table)
+    unit = keys.pop("unit")
+    table = lay_out(grid, check({"holds": "facts"} | keys, TableRecord, grid.path))
+    if not keys["blocks"] and keys["header_rows"] and not keys["transposed"]:
+        above = [row for row in grid.rows[: keys["header_rows"][0] - 1] if any(row)]
+        draft.unused += [(f"row {', '.join(filter(None, row))}"[:200], grid.path.name) for row in above]
+    TableDraft(table, keys, draft, stated, unit).propose()
